@@ -38,7 +38,7 @@ mutations: $(VENV)/installed
 
 # Hostile inputs of all kinds, read in processes that are watched; SECURITY.md has the table.
 fuzz: $(VENV)/installed
-	$(BIN)/python -m eitskin.benchmarks.studies.data.hostile $(ARGS)
+	$(BIN)/python -m eitskin.benchmarks.studies.hostile.run $(ARGS)
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ from typing import IO, Any
 
 from eitskin.contained import Answer, read_message, write_message
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.input_files import printable
 
 _MEGABYTE = 1 << 20
 
@@ -46,7 +47,7 @@ def _perform(task: Answer, answers: IO[bytes]) -> None:
     except (ConfigurationError, DataError, ImportError) as error:
         _unlimit()
         kind = next(k for k in (ConfigurationError, DataError, ImportError) if isinstance(error, k))
-        write_message(answers, [kind.__name__, str(error)], {})
+        write_message(answers, [kind.__name__, printable(error)], {})
     except BaseException as error:
         _unlimit()
         said = f"it cannot be read: {type(error).__name__}: {str(error)[:1000]}"

@@ -19,6 +19,9 @@ from eitskin.simulator.scene.touch import Touch
 PERIOD = 0.297
 """Time from one frame to the next [s]: 28 measurements of 10.6 ms."""
 
+LONGEST_PERIOD = 86400.0
+"""Longest time from one frame to the next [s]."""
+
 _NEGLIGIBLE = 1e-3  # residual force of a released touch that is dropped, relative to its force
 _INSTANT = 1e-9  # s; a touch that ends at this moment is released
 
@@ -261,5 +264,5 @@ Episodes = ScriptedEpisode | RandomEpisodes
 def _count_problems(count: int, period: float) -> Iterator[str]:
     if count < 1:
         yield f"count must be at least 1, got {count}"
-    if not (math.isfinite(period) and period > 0.0):
-        yield f"period must be a time above 0 s, got {period}"
+    if not 0.0 < period <= LONGEST_PERIOD:
+        yield f"period must be a time above 0 s and at most {LONGEST_PERIOD:g} s, got {period}"

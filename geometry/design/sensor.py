@@ -130,7 +130,11 @@ class SensorDesign:
         Args:
             spacing: largest distance between points of one edge; an eighth of the smallest
                 electrode's extent when omitted [m].
+
+        Raises ConfigurationError for a spacing that is no length.
         """
+        if spacing is not None:
+            require_length("spacing", spacing)
         extents = [e.width for e in self.electrodes]
         extents += [e.height or self.thickness for e in self.electrodes]
         spacing = spacing or min(extents) / _POINTS_PER_EDGE

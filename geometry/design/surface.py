@@ -1,19 +1,36 @@
-"""Closed triangle surfaces from files, for bodies of any shape."""
+"""Closed triangle surfaces from files, for bodies of any shape.
 
+The files are parsed in a child with limits: their readers take what a head says for granted.
+"""
+
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.bounds import require_length, require_positive
-from eitskin.errors import ConfigurationError
+from eitskin.contained import Answer, Limits, contained
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
+from eitskin.input_files import read_bytes
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
+
+MOST_BYTES: Final = 1 << 28
+"""Largest size of a file [bytes], that of five million triangles."""
+
+SECONDS: Final = 20
+"""Processor time for the smallest of files [s]."""
+
+_BYTES_PER_SECOND: Final = 1_000_000
+_MEMORY, _MEMORY_PER_BYTE = 400 << 20, 40  # [bytes]
+_READER: Final = f"{__name__}:read_surface"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +105,33 @@ class Surface:
 @lru_cache(maxsize=8)
 def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
     """Checked points and faces of a file; `changed` is its time of modification."""
-    trimesh = require("trimesh", "mesh")
+    require("trimesh", "mesh")
+    content = read_bytes(path, MOST_BYTES)
+    limits = Limits(
+        SECONDS + len(content) // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * len(content)
+    )
     try:
-        mesh = trimesh.load_mesh(path)
-    except Exception as error:  # readers of the formats raise errors of any class
+        (answer,) = contained(_READER, path.name, content, limits)
+    except (DataError, ImportError) as error:
         raise ConfigurationError(
             f"cannot read {path} as a surface: {error}; expected a triangle surface such as STL, "
             "OBJ, PLY or OFF"
         ) from error
-    points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.int64)
-    _require_closed(path.name, mesh, faces)
+    points, faces = answer.arrays["points"], answer.arrays["faces"]
     points.flags.writeable = faces.flags.writeable = False
     return points, faces
+
+
+def read_surface(name: str, content: bytes) -> Iterator[Answer]:
+    """Points and faces of a file's content, as a reader for `contained`.
+
+    Raises ConfigurationError where they bound no body, and errors of any class for other files.
+    """
+    trimesh = require("trimesh", "mesh")
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type=Path(name).suffix.lstrip("."))
+    points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.int64)
+    _require_closed(name, mesh, faces)
+    yield Answer(arrays={"points": points, "faces": faces})
 
 
 def _require_closed(name: str, mesh: Any, faces: Faces) -> None:

@@ -33,11 +33,12 @@ class Counts:
 
 SILENT_PERIODS = 3
 SHORTEST_SILENCE = 0.5  # s, a host may be busy for as long
+LONGEST_SILENCE = 600.0  # s, three frames of 16,384 channels; a firmware may tell of over an hour
 
 
 def longest_silence(period: float, least: float = SHORTEST_SILENCE) -> float:
     """Longest time without a frame at `period` [s]; infinite for an unknown period, NaN or 0."""
-    return max(SILENT_PERIODS * period, least) if period > 0.0 else math.inf
+    return min(max(SILENT_PERIODS * period, least), LONGEST_SILENCE) if period > 0.0 else math.inf
 
 
 class Board(typing.Protocol):

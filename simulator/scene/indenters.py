@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _STEEPEST = math.tan(math.radians(80.0))
 _PROJECTIONS = 12
 _WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
+_NARROWEST = 1e-4  # m, a needle; the mesh of a sharper contact has more cells than memory holds
+_SHARPEST = 1e-3  # radius of a rim over that of the cylinder, for the same reason
 
 
 class Indenter(Protocol):
@@ -51,10 +53,11 @@ class Cylinder:
     rough: bool = True
 
     def __post_init__(self) -> None:
-        require_length("indenter radius", self.radius, _WIDEST)
-        if not 0.0 < self.edge <= 1.0:
+        _require_radius(self.radius)
+        if not _SHARPEST <= self.edge <= 1.0:
             raise ConfigurationError(
-                f"the rim of a cylinder needs 0 < edge <= 1 of its radius, got {self.edge}"
+                f"the rim of a cylinder needs an edge from {_SHARPEST:g} to 1 of its radius, got "
+                f"{self.edge}"
             )
 
     @property
@@ -82,7 +85,7 @@ class Sphere:
     shape: Literal["sphere"] = "sphere"
 
     def __post_init__(self) -> None:
-        require_length("indenter radius", self.radius, _WIDEST)
+        _require_radius(self.radius)
 
     @property
     def rims(self) -> tuple[float, float]:
@@ -123,6 +126,7 @@ class Profile:
                 "a profile starts with radius 0 and height 0, and its radii rise; got radii "
                 f"{self.radii} and first height {h[0]}"
             )
+        _require_radius(self.radii[-1])
         slopes = np.diff(h) / np.diff(r)
         if slopes[0] < 0.0 or np.any(np.diff(slopes) < -1e-9 * (1.0 + np.abs(slopes[1:]))):
             raise ConfigurationError(
@@ -179,6 +183,16 @@ def penetration(
     g = np.where(inside, distance, -distance)
     curvature = bend / length**3
     return g, (-slope / length, 1.0 / length), -curvature / np.maximum(1.0 - curvature * g, 0.1)
+
+
+def _require_radius(radius: float) -> None:
+    """Raise ConfigurationError unless `radius` [m] is that of a needle, or a wider tool."""
+    require_length("indenter radius", radius, _WIDEST)
+    if radius < _NARROWEST:
+        raise ConfigurationError(
+            f"indenter radius must be at least {_NARROWEST * 1e3:g} mm, got {radius:g} m; lengths "
+            "are in metres, so 5 mm is 0.005"
+        )
 
 
 def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:

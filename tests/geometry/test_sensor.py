@@ -23,6 +23,12 @@ LEFT, RIGHT = Electrode(0.0, 0.025), Electrode(0.1, 0.025)
 # Layers
 
 
+@pytest.mark.parametrize("spacing", [float("nan"), float("inf"), 0.0, -1.0, 5e-324, 1e-12])
+def test_edges_have_points_at_a_spacing_that_can_be(spacing):
+    with pytest.raises(ConfigurationError, match="spacing"):
+        SensorDesign.reference().edges(spacing)
+
+
 def test_conductivity_is_that_of_the_layer_at_each_height() -> None:
     layers = (Layer(0.001, 0.5), Layer(0.003, 2.0), Layer(0.001, 10.0))
     design = SensorDesign(SLAB, 0.005, (LEFT, RIGHT), layers=layers)

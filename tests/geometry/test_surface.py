@@ -1,5 +1,7 @@
 """Bodies from surface files, and files that bound none."""
 
+import os
+
 import numpy as np
 import pytest
 import trimesh
@@ -105,3 +107,16 @@ def test_files_that_hold_no_surface_are_refused(tmp_path, name, content, message
     for scale in (0.0, float("nan")):
         with pytest.raises(ConfigurationError, match=r"outline\.scale.*positive"):
             Surface(tmp_path / name, scale)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.stl")
+    with pytest.raises(ConfigurationError, match=r"expected a file.*pipe"):
+        Surface(tmp_path / "pipe.stl")
+
+
+def test_a_head_that_tells_of_a_billion_points_is_one_error(tmp_path):
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\nproperty float x\n"
+    (tmp_path / "bomb.ply").write_text(head + "end_header\n")
+    with pytest.raises(ConfigurationError, match=r"bomb\.ply as a surface"):
+        Surface(tmp_path / "bomb.ply")

@@ -74,6 +74,19 @@ def test_hostile_sessions_end_in_nothing_but_readings(pipeline):
     assert sum(survived(pipeline, seed) for seed in range(SESSIONS)) > SESSIONS
 
 
+def test_one_value_of_the_wrong_sign_is_left_out_and_told(pipeline):
+    good = next(hostile_frames(pipeline, 0))
+    values = good.impedance.copy()
+    values[5] *= -1
+    frames = [good, dataclasses.replace(good, impedance=values, number=1, time=0.3)]
+    pipeline.reset()
+    first, second = run_live(FakeBoard(frames), pipeline)
+    assert not first.estimate.problems
+    (told,) = second.estimate.problems
+    assert pipeline.layout.protocol.labels[5] in told
+    assert "sign changed" in told
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("unknown", [0, 13])
 def test_values_of_the_wrong_sign_are_no_sensor_at_rest(pipeline, unknown):

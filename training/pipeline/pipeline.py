@@ -302,7 +302,7 @@ class Pipeline:
                 self.layout.require_same_sensor(voltages)
                 session.references.follow(voltages)
                 session.doubt = self.doubt(voltages)
-            session.require_same_sign(voltages)
+            voltages = session.with_same_sign(voltages)
             perceived = self.method.predict(session.observed(voltages))
         if (touched := perceived.touched(self.targets)) or not first:
             session.renew(voltages, touched)

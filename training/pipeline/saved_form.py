@@ -185,7 +185,7 @@ def require_kind(saved: SavedPipeline, kind: str, path: str | Path) -> None:
     """Check the kind of a saved pipeline; raises OtherKindError."""
     if saved.kind != kind:
         raise OtherKindError(
-            f"expected a '{kind}' pipeline, got a '{saved.kind}' one: {path}; name another"
+            f"expected a '{kind}' pipeline, got a {quoted(saved.kind)} one: {path}; name another"
         )
 
 

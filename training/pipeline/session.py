@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
@@ -13,6 +14,7 @@ from eitskin.training.pipeline.references import References, RunningMean, Voltag
 from eitskin.training.pipeline.session_order import LONGEST_GAP, SessionOrder
 from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 
+NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -46,6 +48,7 @@ class Session:
     _held: RunningMean = field(init=False)
     _outdated: bool = field(init=False, default=False)
     _renewed: float = field(init=False)
+    _reversed: NDArray[np.intp] = field(init=False)
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
@@ -59,6 +62,7 @@ class Session:
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
         self.touched, self._outdated, self.doubt = False, False, ""
         self._renewed = -self._age_at_start
+        self._reversed = np.zeros(0, np.intp)
 
     @property
     def zero(self) -> Zero:
@@ -92,20 +96,27 @@ class Session:
                 self.references.drop()
             raise
 
-    def require_same_sign(self, voltages: Voltages) -> None:
-        """Refuse a frame (measurements,) [ohm] most of whose values changed sign in the session.
+    def with_same_sign(self, voltages: Voltages) -> Voltages:
+        """Frame (measurements,) [ohm] with NaN for values that changed their sign in the session.
 
         No bend or touch turns a positive resistance into a negative one. Methods that work with
-        magnitudes would see a sensor at rest. Raises UnusableFrameError.
+        magnitudes would see a sensor at rest. Channels near zero may change their sign. Raises
+        UnusableFrameError where most values did.
         """
-        change = relative_difference(voltages, self.references.bend)
+        reference = self.references.bend
+        change = relative_difference(voltages, reference)
         known = np.isfinite(change)
-        reversed_ = int((change[known] < -1.0).sum())
-        if 2 * reversed_ > known.sum():
+        size = np.abs(reference)
+        large = size > NEAR_ZERO * np.median(size[known]) if known.any() else known
+        reversed_ = (change < -1.0) & large
+        if 2 * reversed_.sum() > known.sum():
             raise UnusableFrameError(
-                f"{reversed_} of {known.sum()} values changed their sign since the reference: the "
-                "board has failed or its wires were swapped; mend them and begin a new session"
+                f"{reversed_.sum()} of {known.sum()} values changed their sign since the "
+                "reference: the board has failed or its wires were swapped; mend them and begin a "
+                "new session"
             )
+        self._reversed = np.flatnonzero(reversed_)
+        return np.where(reversed_, np.nan, voltages)
 
     def observed(self, voltages: Voltages) -> Observations:
         """Relative differences of a frame (measurements,) [ohm] to both references.
@@ -153,6 +164,11 @@ class Session:
         when = "the session began" if self.stored is None else "the stored reference was taken"
         bad = np.flatnonzero(~np.isfinite(self.references.bend))
         problems += [f"channel {labels[i]} is left out: it was bad when {when}" for i in bad]
+        problems += [
+            f"channel {labels[i]} is left out: its sign changed since {when}; check its electrodes "
+            "and the board"
+            for i in self._reversed
+        ]
         if self._outdated and self.touched and self.bends:
             problems.append(
                 f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "

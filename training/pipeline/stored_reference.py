@@ -15,7 +15,7 @@ from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
-from eitskin.input_files import parse_json, read_bytes
+from eitskin.input_files import parse_json, quoted, read_bytes
 from eitskin.protocol import Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import RunningMean
@@ -189,14 +189,15 @@ class _Document:
         if self.frames < 1 or self.frequency <= 0 or not (self.noise is None or self.noise >= 0):
             raise ValueError("expected a positive number of frames and a frequency above 0 Hz")
         datetime.fromisoformat(self.taken)
-        zero = Zero(self.zero)
-        if zero is Zero.FIRST_FRAMES:
-            raise ValueError(f"expected zero '{Zero.FLAT}' or '{Zero.MOUNTED}', got '{zero}'")
+        if self.zero not in (Zero.FLAT, Zero.MOUNTED):
+            raise ValueError(
+                f"expected zero '{Zero.FLAT}' or '{Zero.MOUNTED}', got {quoted(self.zero)}"
+            )
         return StoredReference(
             impedance,
             self.protocol,
             self.frequency,
-            zero,
+            Zero(self.zero),
             self.frames,
             self.noise,
             self.taken,

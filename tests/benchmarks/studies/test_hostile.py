@@ -4,43 +4,46 @@ import random
 
 import pytest
 
-from eitskin.benchmarks.studies.data import hostile
-from eitskin.benchmarks.studies.data.hostile_inputs import EXTREMES, damaged, misworded, trials
+from eitskin.benchmarks.studies.hostile.kinds import KINDS, draws, trial
+from eitskin.benchmarks.studies.hostile.mutations import EXTREMES, damaged, misworded
+from eitskin.benchmarks.studies.hostile.run import tasks
+from eitskin.benchmarks.studies.hostile.watched import OUTCOMES, outcome, watched
 from eitskin.errors import EitskinError
 
-CHEAP = ("TOML", "manifests", "bytes")
+CHEAP = ("TOML", "manifests", "protocols", "stored", "tables", "bytes", "messages", "lines")
 
 
 def test_every_cheap_kind_is_read_or_refused_in_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    for kind, (trial, _) in trials().items():
+    for kind in KINDS:
         if kind.startswith(CHEAP):
-            for number in range(30):
-                found, message = hostile._outcome(trial, 7, kind, number, tmp_path)
-                assert found in hostile.OUTCOMES[:2], (kind, number, message)
+            for number in range(20):
+                found, message = outcome(trial(kind), draws(7, kind, number), tmp_path)
+                assert found in OUTCOMES[:2], (kind, number, message)
 
 
 @pytest.mark.slow
-def test_every_kind_is_tried_in_a_process_that_is_watched():
-    found = list(hostile.run(seed=7, most=6))
-    assert {kind for kind, *_ in found} == set(trials())
-    assert not [each for each in found if each[2] not in hostile.OUTCOMES[:2]]
+def test_kinds_are_tried_in_a_process_that_is_watched():
+    found = [*watched(7, tasks(2, "recordings: csv")), *watched(7, tasks(2, "surfaces"))]
+    assert len(found) == 5
+    assert not [each for each in found if each[2] not in OUTCOMES[:2]]
 
 
 def test_what_is_looked_for_is_told(tmp_path):
-    def outcome(trial):
-        return hostile._outcome(trial, 0, "a", 0, tmp_path)[0]
+    def told(made):
+        return outcome(made, draws(0, "a", 0), tmp_path)[0]
 
     def fail(error):
-        def trial(*_):
+        def made(*_):
             raise error
 
-        return trial
+        return made
 
-    assert outcome(lambda *_: None) == "read"
-    assert outcome(fail(EitskinError("x"))) == "one clear error"
-    assert outcome(fail(EitskinError("x" * 10_000))) == "traceback"
-    assert outcome(fail(KeyError("x"))) == "traceback"
+    assert told(lambda *_: None) == "read"
+    assert told(fail(EitskinError("x"))) == "one clear error"
+    assert told(fail(EitskinError("x" * 10_000))) == "traceback"
+    assert told(fail(KeyError("x"))) == "traceback"
+    assert told(fail(MemoryError())) == "over 500 MB"
 
 
 def test_inputs_are_the_same_again():

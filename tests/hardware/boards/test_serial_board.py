@@ -10,6 +10,7 @@ import serial
 
 from eitskin.errors import DeviceError
 from eitskin.hardware import SerialBoard
+from eitskin.hardware.boards.board import longest_silence
 from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import Ack, Event, pack
 from eitskin.hardware.protocol.packets import MessageType, Packet, encode
@@ -39,6 +40,22 @@ def test_chatter_without_frames_is_stale_too():
     with pytest.raises(DeviceError, match="stale"):
         next(frames)
     assert {event.text for event in board.events} == {"busy"}
+
+
+def test_a_flood_of_events_hides_no_frame_and_fills_no_memory():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.waiting += encode(pack(Event(2, 1, "again"), 0)) * 20_000
+    assert [next(frames).number for _ in range(3)] == [1, 2, 3]
+    assert len(board.events) == 20
+
+
+def test_a_firmware_that_tells_of_an_hour_between_frames_is_not_waited_for():
+    assert longest_silence(4294.967295) == 600.0
+    assert longest_silence(174.0) > 2 * 174.0  # 16,384 channels
+    assert longest_silence(0.3) == pytest.approx(0.9)
+    assert longest_silence(float("nan")) == longest_silence(-0.0) == float("inf")
 
 
 def test_a_restarted_board_is_a_new_session():

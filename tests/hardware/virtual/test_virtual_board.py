@@ -142,7 +142,7 @@ def test_the_virtual_board_measures_what_the_simulator_does():
     assert np.allclose(frame.impedance, expected.impedance, rtol=1e-6)
 
 
-@pytest.mark.parametrize("period", [float("nan"), -1.0, 0.0, 1e9])
+@pytest.mark.parametrize("period", [float("nan"), -1.0, 0.0, -0.0, 5e-324, 1e9])
 def test_a_period_that_cannot_be_is_refused(period):
     with pytest.raises(ConfigurationError, match=r"period.*1e-06 to 3600 s"):
         virtual_terminal(simulator=FakeSimulator(), period=period)

@@ -204,7 +204,10 @@ def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
     [
         (lambda: Cylinder(-1.0), r"indenter radius.*positive.*-1"),
         (lambda: Sphere(7.5), r"1 um and 0.5 m.*7.5 m.*metres"),
-        (lambda: Cylinder(edge=0.0), "0 < edge <= 1"),
+        (lambda: Cylinder(edge=0.0), "edge from 0.001 to 1"),
+        (lambda: Cylinder(edge=5e-324), "edge from 0.001 to 1"),
+        (lambda: Cylinder(1e-6), r"at least 0\.1 mm"),
+        (lambda: Sphere(1e-5), r"at least 0\.1 mm"),
         (lambda: Sphere(float("nan")), "positive number"),
         (lambda: Profile((0.0, 0.001), (0.0,)), "as many heights"),
         (lambda: Profile((0.001, 0.002), (0.0, 0.001)), "starts with radius 0"),

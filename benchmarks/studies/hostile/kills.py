@@ -1,0 +1,132 @@
+"""Kills of a generation that is resumed afterwards: no half file, and the same bytes.
+
+Each trial begins a small dataset in a process that is killed, at an operation on a file or after
+some processor time, looks at what is left, kills half of the resumed processes too, and resumes.
+"""
+
+import functools
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from eitskin.benchmarks.studies.hostile.texts import Draws
+from eitskin.datasets.generation import process_pool
+from eitskin.datasets.generation.generate import generate
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.files import TEMPORARY
+from eitskin.geometry.deformation.fixtures import Hinge
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.simulator import Simulator
+
+RECIPE = Recipe(
+    "killed",
+    seed=1,
+    frames_per_shard=2,
+    resolution="coarse",
+    fixture=Hinge(),
+    instrument=Instrument.ideal(),
+    specimens=Specimens(count=1),
+    scenes=(SceneGroup("idle", count=3), SceneGroup("bend", count=3, angle_deg=(-20.0, 40.0))),
+)
+OPERATIONS = 46  # on files, as many as a whole generation makes
+SECONDS = 0.8  # of processor time, about what it takes
+_EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.chmod", "tempfile.mkstemp")
+
+
+def killed(draws: Draws, folder: Path) -> int:
+    """Number of kills until a generation is whole, and its bytes are those without any."""
+    out, whole = folder / "killed", _whole(folder)
+    shutil.rmtree(out, ignore_errors=True)
+    kills = 0
+    while kills == 0 or (kills < 3 and draws.random() < 0.5):
+        _be_killed(out, draws)
+        kills += 1
+        _require_whole_files(out, whole)
+    _in_process(out)
+    found = _contents(out)
+    if found != whole:
+        raise AssertionError(f"resumed: {sorted(found)} instead of {sorted(whole)}, or other bytes")
+    return kills
+
+
+@functools.lru_cache
+def _whole(folder: Path) -> dict[str, bytes]:
+    """Files of the generation without interruption, by name."""
+    _warm()
+    _in_process(folder / "whole")
+    return _contents(folder / "whole")
+
+
+@functools.lru_cache
+def _warm() -> Simulator:
+    """A simulator of the recipe's sensor, whose factors forked processes share."""
+    made = Simulator(SensorDesign.reference(), resolution="coarse", fixture=Hinge())
+    assert made.full_scale  # noqa: S101 - solved
+    return made
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def _require_whole_files(out: Path, whole: dict[str, bytes]) -> None:
+    """Files with a name are whole, whatever was killed; half ones are temporary."""
+    for name, content in (_contents(out) if out.is_dir() else {}).items():
+        if not name.startswith(TEMPORARY) and content != whole.get(name):
+            raise AssertionError(f"{name} is not the whole file after a kill")
+
+
+def _in_process(out: Path, before: Callable[[], None] = lambda: None) -> None:
+    """Generate, or resume, in a process of its own."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            process_pool.make_shards = _here
+            before()
+            generate(RECIPE, out, workers=1, resume=out.is_dir())
+            code = 0
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code not in (0, -signal.SIGKILL, -signal.SIGPROF):
+        raise AssertionError(f"generation ended with {code}")
+
+
+def _here(
+    recipe: Recipe,
+    folder: Path,
+    shards: Sequence[int],
+    workers: int,  # noqa: ARG001
+    report: Callable[[int], None],
+) -> list[int]:
+    """As that of the pool, whose processes take a second to start."""
+    for shard in shards:
+        report(process_pool.pool_task(recipe, folder, shard))
+    return []
+
+
+def _be_killed(out: Path, draws: Draws) -> None:
+    """Generate in a process that is killed at a random place."""
+    if draws.random() < 0.5:
+        seconds = draws.uniform(1e-3, SECONDS)
+        _in_process(out, lambda: signal.setitimer(signal.ITIMER_PROF, seconds) and None)
+    else:
+        left = draws.randrange(OPERATIONS)
+
+        def hook(event: str, arguments: tuple[Any, ...]) -> None:
+            nonlocal left
+            if event in _EVENTS and str(out) in str(arguments):
+                left -= 1
+                if left < 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        _in_process(out, lambda: sys.addaudithook(hook))
