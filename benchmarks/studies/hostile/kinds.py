@@ -31,7 +31,7 @@ KINDS: Final[Mapping[str, float]] = {kind: _SHARES.get(kind, 1.0) for kind in _T
 
 
 def trial(kind: str) -> Trial:
-    """What makes and reads an input of a kind."""
+    """Maker and reader of inputs of a kind."""
     return _TRIALS[kind]
 
 
