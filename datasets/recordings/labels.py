@@ -15,6 +15,7 @@ from eitskin.datasets.recordings.source import Source, Tables
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.input_files import quoted
 
 Array = NDArray[np.float64]
 
@@ -238,5 +239,6 @@ def _states(given: NDArray[Any]) -> NDArray[np.uint8]:
     known |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
     cells = [str(cell).strip().lower().removesuffix(".0") for cell in given.tolist()]
     if wrong := sorted(set(cells) - set(known)):
-        raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {wrong[:3]}")
+        got = ", ".join(quoted(cell) for cell in wrong[:3])
+        raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {got}")
     return np.array([known[cell] for cell in cells], dtype=np.uint8)
