@@ -11,11 +11,25 @@
 Every message says what was expected, what was given, and the remedy.
 """
 
+LONGEST_MESSAGE = 4000
+"""Characters of a message at most, so that no file fills the terminal with what it holds."""
+
+
+def cut(message: str) -> str:
+    """Message without its middle where it is too long."""
+    if len(message) <= LONGEST_MESSAGE:
+        return message
+    half = LONGEST_MESSAGE // 2
+    return f"{message[:half]} ... {message[-half:]}"
+
 
 class EitskinError(Exception):
-    """Base class of all errors that eitskin raises on purpose."""
+    """Base class of all errors that eitskin raises on purpose; long messages lose their middle."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return cut(super().__str__())
 
 
 class ConfigurationError(EitskinError, ValueError):

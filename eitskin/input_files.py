@@ -11,13 +11,12 @@ from typing import Any, Final
 
 import msgspec
 
-from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.errors import ConfigurationError, EitskinError, cut
 
 MOST_TEXT: Final = 64 << 20
 """Largest size of a text file [bytes]: a recipe with a protocol of 16,384 channels has 0.5 MB."""
 
 _LONGEST_QUOTE: Final = 100  # characters
-_LONGEST_MESSAGE: Final = 4000  # characters
 _BINARY: Final = getattr(os, "O_BINARY", 0)  # Windows changes ends of lines otherwise
 
 
@@ -115,8 +114,5 @@ def printable(message: object) -> str:
 
     A name in a file may hold sequences that colour, clear or rename the terminal.
     """
-    text = str(message)
-    if len(text) > _LONGEST_MESSAGE:
-        half = _LONGEST_MESSAGE // 2
-        text = f"{text[:half]} ... {text[-half:]}"
+    text = cut(str(message))
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.files import atomic_file
-from eitskin.input_files import read_text
+from eitskin.input_files import read_text, shortened
 
 Row: TypeAlias = tuple[int, int, int, int]
 
@@ -292,7 +292,9 @@ def _row(cells: list[str], n_electrodes: int, where: str) -> Row:
             f"{where}: expected {len(HEADER)} electrodes separated by commas, got {len(cells)}"
         )
     if not all(re.fullmatch(r"[+-]?\d{1,9}", cell.strip()) for cell in cells):
-        raise ConfigurationError(f"{where}: electrodes are whole numbers, got {','.join(cells)}")
+        raise ConfigurationError(
+            f"{where}: electrodes are whole numbers, got {shortened(','.join(cells))}"
+        )
     a, b, c, d = (int(cell) for cell in cells)
     _check((a, b, c, d), n_electrodes, where)
     return a, b, c, d

@@ -64,3 +64,5 @@ def test_values_of_files_are_quoted_in_part():
     assert quoted("a\x1b") == r"'a\x1b'"
     assert len(quoted("x" * 10**6)) < 150
     assert printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"
+    long = f"expected {'x' * 9000} at the end"
+    assert printable(long) == str(DataError(long)) == f"{long[:2000]} ... {long[-2000:]}"
