@@ -17,7 +17,7 @@ import numbers
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeGuard, TypeVar
@@ -89,12 +89,31 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
 def toml_table(text: str, where: str) -> dict[str, Any]:
     """Table of a TOML text; raises ConfigurationError, naming `where`, for text that is not TOML.
 
-    Brackets nested beyond Python's calls and integers of thousands of digits are not TOML either.
+    Brackets nested beyond Python's calls and integers of more than 64 bits are not TOML either.
     """
     try:
-        return tomllib.loads(text)
+        table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{where} is not valid TOML: {error}") from error
+    for each in _integers(table):
+        if not -(2**63) <= each < 2**63:
+            raise ConfigurationError(
+                f"{where} is not valid TOML: integers have 64 bits, got {quoted(each)}"
+            )
+    return table
+
+
+def _integers(data: Any) -> Iterator[int]:
+    """All integers within tables and lists."""
+    left = [data]
+    while left:
+        each = left.pop()
+        if isinstance(each, int):
+            yield each
+        elif isinstance(each, dict):
+            left.extend(each.values())
+        elif isinstance(each, list):
+            left.extend(each)
 
 
 def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:

@@ -22,6 +22,7 @@ PERIOD = 0.297
 LONGEST_PERIOD = 86400.0
 """Longest time from one frame to the next [s]."""
 
+_ENDLESS = 1e18  # frames, more than any recipe may have
 _NEGLIGIBLE = 1e-3  # residual force of a released touch that is dropped, relative to its force
 _INSTANT = 1e-9  # s; a touch that ends at this moment is released
 
@@ -116,8 +117,9 @@ class ScriptedEpisode:
 
     @property
     def frames(self) -> int:
-        """Number of frames of one episode."""
-        return max(1, math.ceil(self.repeats * self.keyframes[-1].time / self.period - 1e-9))
+        """Number of frames of one episode; one beyond all bounds has more than any recipe may."""
+        passed = self.repeats * self.keyframes[-1].time / self.period
+        return max(1, math.ceil(min(passed, _ENDLESS) - 1e-9))
 
     @property
     def angles_deg(self) -> tuple[float, float]:

@@ -240,6 +240,13 @@ def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
 
 
+def test_an_episode_without_end_is_refused():
+    for changes in ({"period": 1e-308}, {"repeats": 2**62}):
+        episode = ScriptedEpisode((Keyframe(0.0), Keyframe(1e300)), **changes)
+        with pytest.raises(ConfigurationError, match="frames"):
+            Recipe("one", episodes=(episode,))
+
+
 def test_a_group_writes_what_it_wrote_before_it_could_do_more():
     """Sets that were begun then are resumed by their recipe's text."""
     (group,) = tomllib.loads(Recipe("one", scenes=(IDLE,)).to_toml())["scenes"]

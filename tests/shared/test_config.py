@@ -7,7 +7,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from eitskin.config import from_dict, parse_toml, read_toml, to_dict, to_toml, write_toml
+from eitskin.config import (
+    from_dict,
+    parse_toml,
+    read_toml,
+    to_dict,
+    to_toml,
+    toml_table,
+    write_toml,
+)
 from eitskin.errors import ConfigurationError
 
 
@@ -144,6 +152,15 @@ def test_numbers_of_numpy_are_written_as_plain_ones():
         "side": "left",
     }
     assert thing(to_toml(given)) == given
+
+
+def test_integers_of_toml_have_64_bits():
+    assert toml_table(f"a = [{{ b = {2**63 - 1} }}]", "it")["a"][0]["b"] == 2**63 - 1
+    for text in (f"a = {2**63}", f"a = [1, {{ b = {-(2**63) - 1} }}]", f"a = {'9' * 4000}"):
+        with pytest.raises(
+            ConfigurationError, match=r"^it is not valid TOML: integers have 64 bit"
+        ):
+            toml_table(text, "it")
 
 
 def test_paths_start_from_the_folder_of_their_file(tmp_path):
