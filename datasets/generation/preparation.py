@@ -160,7 +160,7 @@ def _pressed(
 ) -> Iterator[tuple[SensorDesign, Mechanics]]:
     """Designs and materials of specimens on all supports on which the indenter presses them."""
     touched = [group for group in recipe.scenes if group.state == "touch"]
-    groups = [group.support for group in touched if group.indenter == indenter]
+    groups = [group.support for group in touched if group.pressed_by == indenter]
     given = [None] * (bool(recipe.episodes) and indenter == Cylinder()) + groups
     for made in _specimens(recipe, specimens):
         for support in dict.fromkeys(each or made.design.support for each in given):

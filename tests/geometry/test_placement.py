@@ -143,7 +143,7 @@ def test_width_on_a_surface_is_horizontal_as_on_the_side_and_along_x_on_top(ball
 def test_edges_have_both_ends_however_wide_the_spacing():
     round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
     pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
-    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=math.inf)
+    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=1.0)
     corners = [(x, y, THICKNESS) for x in (0.025, 0.035) for y in (0.015, 0.035)]
     corners += [(x, y, z) for x, y in ((0, 0.007), (0, 0), (0.003, 0)) for z in (0.001, 0.003)]
     assert {tuple(p) for p in (edges + 0.0).round(9).tolist()} == set(corners)

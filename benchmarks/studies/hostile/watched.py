@@ -24,7 +24,6 @@ WAIT: Final = 300.0
 """Time by the clock after which a trial counts as hanging [s], such as one that waits for ever."""
 
 MOST_BYTES: Final = 500_000_000
-LONGEST: Final = 5000  # characters of an error
 OUTCOMES: Final = ("read", "one clear error", "traceback", "crash", "hang", "over 500 MB")
 
 Task = tuple[str, int]
@@ -144,8 +143,7 @@ def outcome(trial: Any, numbers: Any, folder: Path) -> tuple[str, str]:
         trial(numbers, folder)
         found, message = "read", ""
     except EitskinError as error:
-        message = str(error)
-        found = "one clear error" if len(message) <= LONGEST else "traceback"
+        found, message = "one clear error", str(error)
     except MemoryError:
         found, message = "over 500 MB", ""
     except Exception as error:  # whatever comes is what is looked for
