@@ -2,6 +2,7 @@
 
 Each trial begins a small dataset in a process that is killed, at an operation on a file or after
 some processor time, looks at what is left, kills half of the resumed processes too, and resumes.
+A process that ends before it is killed does not count.
 """
 
 import functools
@@ -21,9 +22,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.files import TEMPORARY
 from eitskin.geometry.deformation.fixtures import Hinge
-from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.simulator import Simulator
 
 RECIPE = Recipe(
     "killed",
@@ -36,7 +35,7 @@ RECIPE = Recipe(
     scenes=(SceneGroup("idle", count=3), SceneGroup("bend", count=3, angle_deg=(-20.0, 40.0))),
 )
 OPERATIONS = 46  # on files, as many as a whole generation makes
-SECONDS = 0.8  # of processor time, about what it takes
+SECONDS = 0.12  # of processor time, about what it takes in a forked process
 _EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.chmod", "tempfile.mkstemp")
 
 
@@ -46,9 +45,11 @@ def killed(draws: Draws, folder: Path) -> int:
     shutil.rmtree(out, ignore_errors=True)
     kills = 0
     while kills == 0 or (kills < 3 and draws.random() < 0.5):
-        _be_killed(out, draws)
-        kills += 1
-        _require_whole_files(out, whole)
+        if _be_killed(out, draws):
+            kills += 1
+            _require_whole_files(out, whole)
+        else:  # it ended before
+            shutil.rmtree(out)
     _in_process(out)
     found = _contents(out)
     if found != whole:
@@ -58,18 +59,12 @@ def killed(draws: Draws, folder: Path) -> int:
 
 @functools.lru_cache
 def _whole(folder: Path) -> dict[str, bytes]:
-    """Files of the generation without interruption, by name."""
-    _warm()
-    _in_process(folder / "whole")
+    """Files of the generation without interruption, by name.
+
+    It is made in this process, so that those forked from it have what it has loaded and solved.
+    """
+    _generate(folder / "whole")
     return _contents(folder / "whole")
-
-
-@functools.lru_cache
-def _warm() -> Simulator:
-    """A simulator of the recipe's sensor, whose factors forked processes share."""
-    made = Simulator(SensorDesign.reference(), resolution="coarse", fixture=Hinge())
-    assert made.full_scale  # noqa: S101 - solved
-    return made
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -83,15 +78,14 @@ def _require_whole_files(out: Path, whole: dict[str, bytes]) -> None:
             raise AssertionError(f"{name} is not the whole file after a kill")
 
 
-def _in_process(out: Path, before: Callable[[], None] = lambda: None) -> None:
-    """Generate, or resume, in a process of its own."""
+def _in_process(out: Path, before: Callable[[], None] = lambda: None) -> bool:
+    """Generate, or resume, in a process of its own; whether it was killed."""
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            process_pool.make_shards = _here
             before()
-            generate(RECIPE, out, workers=1, resume=out.is_dir())
+            _generate(out)
             code = 0
         finally:
             os._exit(code)
@@ -99,6 +93,15 @@ def _in_process(out: Path, before: Callable[[], None] = lambda: None) -> None:
     code = os.waitstatus_to_exitcode(status)
     if code not in (0, -signal.SIGKILL, -signal.SIGPROF):
         raise AssertionError(f"generation ended with {code}")
+    return code != 0
+
+
+def _generate(out: Path) -> None:
+    pooled, process_pool.make_shards = process_pool.make_shards, _here
+    try:
+        generate(RECIPE, out, workers=1, resume=out.is_dir())
+    finally:
+        process_pool.make_shards = pooled
 
 
 def _here(
@@ -114,19 +117,18 @@ def _here(
     return []
 
 
-def _be_killed(out: Path, draws: Draws) -> None:
-    """Generate in a process that is killed at a random place."""
+def _be_killed(out: Path, draws: Draws) -> bool:
+    """Generate in a process that is killed at a random place; whether it was."""
     if draws.random() < 0.5:
         seconds = draws.uniform(1e-3, SECONDS)
-        _in_process(out, lambda: signal.setitimer(signal.ITIMER_PROF, seconds) and None)
-    else:
-        left = draws.randrange(OPERATIONS)
+        return _in_process(out, lambda: signal.setitimer(signal.ITIMER_PROF, seconds) and None)
+    left = draws.randrange(OPERATIONS)
 
-        def hook(event: str, arguments: tuple[Any, ...]) -> None:
-            nonlocal left
-            if event in _EVENTS and str(out) in str(arguments):
-                left -= 1
-                if left < 0:
-                    os.kill(os.getpid(), signal.SIGKILL)
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal left
+        if event in _EVENTS and str(out) in str(arguments):
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
 
-        _in_process(out, lambda: sys.addaudithook(hook))
+    return _in_process(out, lambda: sys.addaudithook(hook))
