@@ -42,6 +42,9 @@ TOKENS: Final = (
 )
 """Bytes that are put into an input."""
 
+LONGEST: Final = 20_000_000
+"""About the most characters of a text, more than readers of TOML take."""
+
 _COUNTS: Final = (0, 1, 127, 128, 255, 256, 32767, 32768, 65535, 2**31 - 1, 2**31, 2**32 - 1)
 _COUNTS_64: Final = (*_COUNTS, 2**32, 2**40, 2**62, 2**63 - 1, 2**63, 2**64 - 1)
 _PAGE: Final = 4096  # bytes
@@ -148,7 +151,8 @@ def _relined(rng: random.Random, text: str) -> str:
     """Text with a line lost, doubled, swapped, or replaced."""
     lines = text.splitlines() or [""]
     at, other = rng.randrange(len(lines)), rng.randrange(len(lines))
-    changed = [[], [lines[at]] * 2, [lines[other]], [rng.choice(EXTREMES)], [lines[at]] * 3000]
+    many = min(3000, LONGEST // (1 + len(lines[at])) + 1)
+    changed = [[], [lines[at]] * 2, [lines[other]], [rng.choice(EXTREMES)], [lines[at]] * many]
     return "\n".join([*lines[:at], *rng.choice(changed), *lines[at + 1 :]])
 
 
