@@ -52,13 +52,25 @@ def adapted_curve(
     changes = np.where(good, changes, np.nan)
     change = np.array([combinations.combined(each, 1.0, 0.0).change for each in changes])
     together = np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0]
-    walk = np.minimum(age[:, None], age) / DRIFT_TIME * drift**2
+    walk = _common_age(age) / DRIFT_TIME * drift**2
     shared, own = combinations.drift, combinations.without(good)[1]
     noise = np.einsum("ij,kl->ikjl", together, own)
     noise += np.einsum("ij,k,l->ikjl", walk, shared, shared)
     seen_bends = (known.angle_deg, change, noise.reshape(change.size, -1))
     prior, _ = max(priors, key=lambda each: each[0].log_likelihood(*seen_bends) + each[1])
     return prior, prior.conditioned(*seen_bends)
+
+
+def _common_age(age: Array) -> Array:
+    """Time (n, n) for which two frames of these ages (n,) have drifted together [s].
+
+    Frames of one age, as those of a dataset are, have unknown times: what drift they share is not
+    known either, and is taken to be none. Taken to be all of it, it would tell curves apart that it
+    does not.
+    """
+    others = (age[:, None] == age) & ~np.eye(len(age), dtype=bool)
+    common: Array = np.where(others, 0.0, np.minimum(age[:, None], age))
+    return common
 
 
 def calibration_of(

@@ -8,6 +8,7 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.specimen_features import FARTHEST
@@ -303,6 +304,22 @@ def test_drift_during_calibration_is_not_taken_for_the_curve(method):
         curve = method.adapted(known)[0].calibrated
         bend[name] = np.abs(curve.effects).max()
     assert bend["old"] < 0.3 * bend["fresh"]
+
+
+def test_known_frames_of_unknown_times_share_no_drift(method):
+    """Standard errors hold, though each frame has drifted by itself."""
+    rng, angles = np.random.default_rng(6), np.array([-15.0, 10.0, 20.0, 30.0, 45.0])
+    shift = method.drift * np.sqrt(60.0 / DRIFT_TIME)
+    change = method.bend_prior.of([0.0]).value(angles)
+    ratios = []
+    for _ in range(20):
+        drifted = (
+            change + shift * rng.standard_normal((5, 1)) + NOISE * rng.standard_normal((5, 28))
+        )
+        curve = method.adapted(known_frames(FLAT, 4, drifted, angles, age=60.0))[0].calibrated
+        wrong = curve.value(30.0) - method.bend_prior.of([0.0]).value(30.0)
+        ratios.append(wrong @ np.linalg.pinv(curve.uncertainty(30.0)) @ wrong / 28)
+    assert np.mean(ratios) < 1.3
 
 
 def test_other_sensor_than_the_calibrated_one_is_told(method):
