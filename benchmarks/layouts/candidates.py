@@ -19,7 +19,7 @@ from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 Array = NDArray[np.float64]
 
 PAPER = "paper: 8 on the rim"
-COUNTS = (6, 8, 10, 12, 16)
+COUNTS = (6, 8, 10, 12, 16, 32)
 WIDTHS = (0.002, 0.0035, 0.005, 0.008, 0.012)  # along the rim [m]
 CONTACTS = (1e-5, 1e-4, 1e-3, 1e-2)  # [ohm m2]
 ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # [deg]

@@ -13,13 +13,11 @@ from eitskin.benchmarks.layouts import report as layouts_report
 from eitskin.benchmarks.layouts import run as layouts_run
 from eitskin.benchmarks.layouts import store as layouts_store
 from eitskin.benchmarks.layouts.bound import Sampling, SheetBound, own_mirrors
-from eitskin.benchmarks.layouts.candidates import PAPER, Layout, sweeps, with_electrodes
+from eitskin.benchmarks.layouts.candidates import Layout, sweeps, with_electrodes
 from eitskin.benchmarks.layouts.free import FreePlan, exchanged, free_search, images
 from eitskin.benchmarks.layouts.ring import Ring, ring_layout, solved_ring
 from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutFigures
 from eitskin.benchmarks.layouts.search import SearchPlan, at_arcs, score, search
-from eitskin.benchmarks.studies.data import layouts_trained, layouts_trained_report
-from eitskin.benchmarks.studies.data.layouts_trained import Learned
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle
@@ -31,13 +29,6 @@ def likely_ring(places=28, seed=0):
     pairs = places * (places - 1) // 2
     arcs = 0.420 / places * (np.arange(places) + 0.5)
     return Ring(arcs, rng.uniform(500, 800, pairs), rng.standard_normal((20, 4, pairs)), 75.0)
-
-
-def learned(layouts):
-    return [
-        Learned(each.name, 28, 1.0 + i, 2.0, 0.1, 2.0, 3.0 + i, 4.0, 0.9, 0.1, 1.0, 500, 9.0)
-        for i, (each, _) in enumerate(layouts)
-    ]
 
 
 # Layouts
@@ -150,7 +141,7 @@ def test_images_are_the_mirrors_of_the_sheet():
 
 
 def test_figures():
-    sixteen = sweeps()["count"][-1]
+    (sixteen,) = (each for each in sweeps()["count"] if each.name == "16 on the rim")
     bound = replace(flat_bound(1.0), place=np.linspace(0.0, 1e-3, 11)[None])
     found = LayoutFigures.of(JudgedLayout("count", sixteen, FEW, bound))
     assert (found.place_mm, found.place_90_mm, found.place_worst_mm) == pytest.approx((0.5, 0.9, 1))
@@ -161,8 +152,7 @@ def test_figures():
 
 @pytest.mark.slow
 def test_command_writes_table_and_maps(tmp_path, monkeypatch):
-    for module in (layouts_run, layouts_trained):
-        monkeypatch.setattr(module, "QUICK_SAMPLING", FEWEST)
+    monkeypatch.setattr(layouts_run, "QUICK_SAMPLING", FEWEST)
     judged = []
 
     def quickly(layout: Layout, sampling: Sampling) -> SheetBound:
@@ -173,9 +163,7 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
 
     monkeypatch.setattr(layouts_store, "sheet_bound", quickly)
     monkeypatch.setattr(layouts_run, "solved_ring", lambda *_: likely_ring())
-    monkeypatch.setattr(layouts_trained, "learn_all", lambda layouts, *_, **__: learned(layouts))
-    arguments = ["bench", "layouts", "--quick", "--workers", "1", "--trained"]
-    arguments += ["--out", str(tmp_path)]
+    arguments = ["bench", "layouts", "--quick", "--workers", "1", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, [*arguments, "--json", "-q"])
     assert result.exit_code == 0, result.output
     data = json.loads(result.stdout)
@@ -183,13 +171,10 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
         assert "seed 0" in next(file)
         rows = list(csv.DictReader(file))
     assert {row["sweep"] for row in rows} == set(layouts_run.NAMES)
-    assert len(rows) == len(data["layouts"]) == 5 + 5 + 5 + 4 + 8 + 8 + 6
-    assert [each["layout"] for each in data["trained"]["layouts"]] == [PAPER, "8 along one side"]
-    for name in ("layouts.png", "layouts-trained.png"):
-        assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
+    assert len(rows) == len(data["layouts"]) == 6 + 5 + 5 + 4 + 8 + 8 + 6
+    assert (tmp_path / "layouts.png").read_bytes()[:4] == b"\x89PNG"
     before = len(judged)
     monkeypatch.setattr(layouts_report, "plot_maps", lambda _, path: path.write_bytes(b""))
-    monkeypatch.setattr(layouts_trained_report, "plot", lambda _, path: path.write_bytes(b""))
     shown = CliRunner().invoke(app, [*arguments, "--sweep", "contact"])
     assert shown.exit_code == 0, shown.output
     assert len(judged) == before

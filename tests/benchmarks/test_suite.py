@@ -199,7 +199,3 @@ def test_studies_are_left_out_of_an_installed_wheel(tmp_path, monkeypatch):
         THREE, tmp_path, 0, quick=False, fresh=True, data=None, start=Started(tmp_path)
     )
     assert done.why == suite.WHY_NOT
-    layouts = ["bench", "layouts", "--trained", "--out", str(tmp_path)]
-    refused = CliRunner().invoke(app, layouts)
-    assert isinstance(refused.exception, ConfigurationError)
-    assert "in a checkout" in str(refused.exception)

@@ -1,161 +1,38 @@
-"""Accuracy of pipelines trained for electrode layouts, beside the layouts' Cramer-Rao bounds.
+"""Pipelines trained for layouts of 8, 12, 16 and 32 electrodes, beside their Cramer-Rao bounds.
 
-Each layout gets frames of the same scenes, by recipes that differ in the electrodes alone, and a
-pipeline that is trained on them in the same way. It is tested on sensors that it was not trained
-with, which the bounds know nothing of: they are those of one sensor whose every property is known.
+Run by `python -m eitskin.benchmarks.studies.data.layouts_trained --out OUT`. Bounds, frames and
+scores of finished layouts are kept in OUT: the same command goes on where it was stopped.
 """
 
+import argparse
 import dataclasses
-import hashlib
 import time
 from collections.abc import Sequence
-from concurrent.futures import as_completed
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from eitskin.benchmarks.layouts.bound import FORCE, Sampling, SheetBound
 from eitskin.benchmarks.layouts.candidates import SIZE, Layout, paper, sweeps, with_electrodes
-from eitskin.benchmarks.layouts.run import QUICK_SAMPLING, SAMPLING, SEED, best_found
+from eitskin.benchmarks.layouts.run import MIRRORED, QUICK_SAMPLING, SAMPLING, SEED
 from eitskin.benchmarks.layouts.search import at_arcs
-from eitskin.benchmarks.layouts.store import Watch, judging, working
-from eitskin.datasets.generation.generate import generate
-from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
-from eitskin.files import write_file
+from eitskin.benchmarks.layouts.store import judging
+from eitskin.benchmarks.results import Results, write_results
+from eitskin.benchmarks.studies.data.layout_lesson import QUICK, Learned, Lesson, learn_all
+from eitskin.extras import require
 from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
-from eitskin.training.pipeline.pipeline import Pipeline
 
-_VERSION = 1  # of what a result means; raised when the calculation changes
-_ANGLES_DEG = (-20.0, 50.0)
-_FORCES = (5.0, 12.0)  # trained with [N]
-_MARGIN = Sampling().margin  # as the bounds have it [m]
-_PLACE = 0.0004  # of electrodes at most: where a layout has them near corners, more cannot be [m]
-_TEST_SEEDS = 1000  # added to the seed of training for other scenes, sensors and noise
-
-
-@dataclass(frozen=True, slots=True)
-class Lesson:
-    """Amount of frames that each pipeline is trained on and tested with.
-
-    Attributes:
-        sensors: that are trained with; as many idle frames are.
-        bends: untouched frames at angles of the operating window.
-        touches: single presses of the flat sensor, and as many of bent ones.
-        per_bend: presses of a bent sensor at one angle.
-        test_sensors: others, and idle frames.
-        test_bends, test_touches: bent frames, and presses of 10 N of the flat sensor.
-        settings: how the networks of the joint method are trained.
-        seed: of scenes, sensors, noise and networks.
-    """
-
-    sensors: int = 80
-    bends: int = 240
-    touches: int = 800
-    per_bend: int = 10
-    test_sensors: int = 16
-    test_bends: int = 64
-    test_touches: int = 320
-    settings: JointSettings = JointSettings(  # noqa: RUF009 - frozen
-        NetworkSettings(6e-3, epochs=60, batch=512), NetworkSettings(2e-3, epochs=2, batch=128)
-    )
-    seed: int = 0
-
-    def training(self, design: SensorDesign) -> Recipe:
-        """Recipe of frames of sensors that differ as in the recipe `training`."""
-        return self._recipe(
-            design,
-            self.seed,
-            self.sensors,
-            SceneGroup("bend", self.bends, _ANGLES_DEG),
-            SceneGroup("touch", self.touches, force=_FORCES, margin=_MARGIN),
-            SceneGroup(
-                "touch", self.touches, _ANGLES_DEG, force=_FORCES, margin=_MARGIN,
-                per_bend=self.per_bend,
-            ),
-        )  # fmt: skip
-
-    def testing(self, design: SensorDesign) -> Recipe:
-        """Recipe of frames of other sensors: bent ones, and flat ones pressed as for the bounds."""
-        return self._recipe(
-            design,
-            self.seed + _TEST_SEEDS,
-            self.test_sensors,
-            SceneGroup("bend", self.test_bends, _ANGLES_DEG),
-            SceneGroup("touch", self.test_touches, force=(FORCE, FORCE), margin=_MARGIN),
-        )
-
-    def _recipe(self, design: SensorDesign, seed: int, sensors: int, *scenes: SceneGroup) -> Recipe:
-        spread = Recipe.shipped("training").specimens
-        place = min(spread.electrode_place, _PLACE)
-        return Recipe(
-            name="layout",
-            scenes=(SceneGroup("idle", sensors), *scenes),
-            seed=seed,
-            frames_per_shard=150,
-            sensor=design,
-            instrument=Instrument(),
-            specimens=dataclasses.replace(spread, count=sensors, electrode_place=place),
-        )
-
-
-QUICK = Lesson(
-    4, 130, 70, 35, 2, 8, 16,
-    JointSettings(
-        NetworkSettings(6e-3, epochs=2, batch=512), NetworkSettings(2e-3, epochs=1, batch=8)
-    ),
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Learned:
-    """Scores of a pipeline on sensors that it was not trained with.
-
-    Attributes:
-        layout: its name.
-        measurements: in a frame.
-        bound_rms_mm, bound_90_mm: of the place, over the sheet, by its Cramer-Rao bound [mm].
-        bound_angle_deg: of the untouched sheet's angle [deg].
-        error_mm, error_rms_mm, error_90_mm: mean, root mean square and 90th percentile of the
-            distance between true and found places that belong together [mm]; None where none do.
-        found: share of the presses that were found no more than 15 mm off.
-        false: found touches that are none, per press.
-        angle_deg: root mean square of the error of the angle, bent and untouched [deg].
-        frames: trained on.
-        seconds: that training took.
-    """
-
-    layout: str
-    measurements: int
-    bound_rms_mm: float
-    bound_90_mm: float
-    bound_angle_deg: float
-    error_mm: float | None
-    error_rms_mm: float | None
-    error_90_mm: float | None
-    found: float
-    false: float
-    angle_deg: float | None
-    frames: int
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class Training:
-    """Scores of the pipelines of some layouts, and their provenance."""
-
-    learned: tuple[Learned, ...]
-    provenance: Provenance
-    quick: bool
+NAME = "layouts_trained"
+_COUNTS = ("12 on the rim", "16 on the rim", "32 on the rim")
+_MIRRORED = (0.0525, 0.0975, 0.165, 0.195, 0.2625, 0.3075, 0.375, 0.405)  # by the search [m]
+_DRAWN = (
+    ("error_mm", 1.0, "place, mean error [mm]"),
+    ("found", 100.0, "presses found [%]"),
+    ("false", 100.0, "false touches per press [%]"),
+    ("angle_deg", 1.0, "angle, rms error [deg]"),
+)
 
 
 def one_sided() -> Layout:
@@ -165,137 +42,89 @@ def one_sided() -> Layout:
     return with_electrodes("8 along one side", row)
 
 
-def train(
-    folder: Path, *, quick: bool = False, workers: int = 1, watch: Watch = lambda _: None
-) -> Training:
-    """Train and test pipelines for chosen layouts, keeping in `folder` what is finished.
+def compared(quick: bool) -> list[Layout]:
+    """Layouts that pipelines are trained for; of a quick run the paper's and a poor one."""
+    if quick:
+        return [paper(), one_sided()]
+    counted = {each.name: each for each in sweeps()["count"]}
+    return [paper(), at_arcs(MIRRORED, _MIRRORED), *(counted[name] for name in _COUNTS)]
 
-    They are the paper's, what the searches found, six and 16 on the rim, and a poor one; of a quick
-    run the paper's and the poor one.
 
-    Raises PartialError where files cannot be written or a process died; run again to go on.
-    """
-    with judging(folder / "parts", workers, watch) as judge:
-        layouts = [paper(), one_sided()]
-        if not quick:
-            counts = sweeps()["count"]
-            names: dict[tuple[float, ...], list[str]] = {}  # both searches may find the same
-            for name, found in best_found(judge, folder / "parts", quick).items():
-                names.setdefault(tuple(found.arcs), []).append(name)
-            best = [at_arcs(" and ".join(each), arcs) for arcs, each in names.items()]
-            layouts = [layouts[0], *best, counts[0], counts[-1], layouts[1]]
-        bounds = judge([(layout, QUICK_SAMPLING if quick else SAMPLING) for layout in layouts])
-    lesson = QUICK if quick else Lesson(seed=SEED)
+def figures(learned: Sequence[Learned]) -> dict[str, float]:
+    """Scores by "layout / score", standard errors by "layout / score, error"."""
+    named: dict[str, float] = {}
+    for each in learned:
+        scores = dataclasses.asdict(each)
+        errors = scores.pop("errors")
+        scores |= {f"{name}, error": value for name, value in errors.items()}
+        for name in ("found", "false"):
+            for key in (name, f"{name}, error"):
+                scores[key] = 100.0 * scores.get(key, float("nan"))
+        named |= {
+            f"{each.layout} / {name}": float(value)
+            for name, value in scores.items()
+            if name != "layout" and value is not None
+        }
+    return named
+
+
+def plot(learned: Sequence[Learned], path: Path) -> None:
+    """Draw each score by layout, with bars of twice its standard error, and bounds beside them."""
+    figure = require("matplotlib.figure", "bench").Figure(figsize=(9.5, 5.0), layout="constrained")
+    names = [each.layout.removesuffix(" on the rim").removeprefix("paper: ") for each in learned]
+    for axes, (score, scale, title) in zip(figure.subplots(2, 2).ravel(), _DRAWN, strict=True):
+        values = _column(learned, score) * scale
+        bars = [2.0 * scale * each.errors.get(score, np.nan) for each in learned]
+        axes.errorbar(range(len(values)), values, bars, fmt="o", color="#1f5f8b", capsize=3)
+        if bound := {"error_mm": "bound_rms_mm", "angle_deg": "bound_angle_deg"}.get(score):
+            axes.plot(range(len(values)), _column(learned, bound), "_", color="#888888", ms=14)
+        axes.set_xticks(range(len(names)), names, fontsize=8)
+        axes.set_title(title, fontsize=10)
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.1)
+        axes.grid(axis="y", color="#dddddd")
+    figure.supxlabel("electrodes; bars: twice the standard error over sensors", fontsize=9)
+    figure.savefig(path, dpi=120, facecolor="white")
+
+
+def _column(learned: Sequence[Learned], name: str) -> NDArray[np.float64]:
+    values: list[Any] = [getattr(each, name) for each in learned]
+    return np.array([np.nan if each is None else each for each in values], dtype=float)
+
+
+def main() -> None:
+    """Train, test, write and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("build/bench"))
+    parser.add_argument("--quick", action="store_true", help="few frames, two layouts")
+    parser.add_argument("--workers", type=int, default=1)
+    options = parser.parse_args()
+    began, folder = time.process_time(), options.out / NAME
+    layouts = compared(options.quick)
+    sampling = QUICK_SAMPLING if options.quick else SAMPLING
+    with judging(folder / "parts", options.workers) as judge:
+        bounds = judge([(layout, sampling) for layout in layouts])
     learned = learn_all(
         list(zip(layouts, bounds, strict=True)),
         folder / "trained",
-        lesson=lesson,
-        workers=workers,
-        watch=watch,
+        lesson=QUICK if options.quick else Lesson(seed=SEED),
+        workers=options.workers,
+        watch=lambda name: print(name, flush=True),
     )
-    return Training(tuple(learned), Provenance.now(SEED), quick)
-
-
-def learn_all(
-    layouts: Sequence[tuple[Layout, SheetBound]],
-    folder: Path,
-    *,
-    lesson: Lesson,
-    workers: int = 1,
-    watch: Watch = lambda _: None,
-) -> list[Learned]:
-    """Train and test a pipeline for each layout; what is finished in `folder` is not done again.
-
-    Args:
-        layouts: with their bounds.
-        folder: for frames and results.
-        lesson: how much each is trained on.
-        workers: layouts at a time, each in a process.
-        watch: called with the name of each finished layout.
-
-    Raises PartialError where files cannot be written or a process died; run again to go on.
-    """
-    paths = [_path(each, folder, lesson) for each in layouts]
-    by_path = dict(zip(paths, layouts, strict=True))  # the same one may come twice
-    missing = {path: each for path, each in by_path.items() if _read(path) is None}
-    with working(workers) as pool:
-        if pool is None:
-            for path, each in missing.items():
-                _learn(each, path, lesson)
-                watch(each[0].name)
-        else:
-            futures = {
-                pool.submit(_learn, each, path, lesson): each[0].name
-                for path, each in missing.items()
-            }
-            for future in as_completed(futures):
-                future.result()
-                watch(futures[future])
-    found = zip(layouts, map(_read, paths), strict=True)
-    return [
-        dataclasses.replace(learned, layout=layout.name)
-        for (layout, _), learned in found
-        if learned is not None
-    ]
-
-
-def _frames(folder: Path, recipe: Recipe) -> Dataset:
-    """The dataset of a recipe, made where it is not there yet, by one more process."""
-    place = folder / hashlib.sha256(recipe.to_toml().encode()).hexdigest()[:20]
-    place.mkdir(parents=True, exist_ok=True)
-    generate(recipe, place, workers=1, resume=True)
-    return open_dataset(place)
-
-
-def _path(judged: tuple[Layout, SheetBound], folder: Path, lesson: Lesson) -> Path:
-    """Path named by a hash of all inputs of the result."""
-    layout, bound = judged
-    recipes = [each(layout.design).to_toml() for each in (lesson.training, lesson.testing)]
-    asked = (_VERSION, *recipes, dataclasses.asdict(lesson), bound.place.tolist())
-    return folder / f"{hashlib.sha256(msgspec.json.encode(asked)).hexdigest()[:20]}.json"
-
-
-def _read(path: Path) -> Learned | None:
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Learned)
-    except (OSError, msgspec.MsgspecError):
-        return None
-
-
-def _learn(judged: tuple[Layout, SheetBound], path: Path, lesson: Lesson) -> None:
-    layout, bound = judged
-    training, testing = (
-        _frames(path.parent, recipe)
-        for recipe in (lesson.training(layout.design), lesson.testing(layout.design))
+    results = Results(
+        NAME,
+        f"python -m eitskin.benchmarks.studies.data.{NAME} --out OUT",
+        Provenance.now(SEED),
+        time.process_time() - began,
+        options.quick,
+        figures(learned),
     )
-    settings = TrainingSettings(method="joint", joint=lesson.settings, seed=lesson.seed)
-    start = time.perf_counter()
-    pipeline = Pipeline.fit(training, settings)
-    seconds = time.perf_counter() - start
-    learned = scored(layout, bound, pipeline, testing, seconds)
-    write_file(path, msgspec.json.encode(learned) + b"\n")
+    rows = [dataclasses.asdict(each) | {"errors": str(each.errors)} for each in learned]
+    plots = {f"{NAME}.png": lambda path: plot(learned, path)}
+    write_results(results, options.out, rows, plots)
+    for name, value in results.figures.items():
+        print(f"{name}: {value:.3g}")
 
 
-def scored(
-    layout: Layout, bound: SheetBound, pipeline: Pipeline, testing: Dataset, seconds: float
-) -> Learned:
-    """Scores of a pipeline on test frames, beside the bound of its layout."""
-    found = Evaluation.of(pipeline, testing)
-    distance, place = 1e3 * found.matches.error, 1e3 * bound.place
-    some = len(distance) > 0
-    touches = found.report.touches["1"]
-    return Learned(
-        layout=layout.name,
-        measurements=len(layout.protocol),
-        bound_rms_mm=float(np.sqrt(np.mean(place**2))),
-        bound_90_mm=float(np.percentile(place, 90)),
-        bound_angle_deg=bound.untouched_deg,
-        error_mm=float(distance.mean()) if some else None,
-        error_rms_mm=float(np.sqrt(np.mean(distance**2))) if some else None,
-        error_90_mm=float(np.percentile(distance, 90)) if some else None,
-        found=touches.found,
-        false=touches.false_per_touch,
-        angle_deg=found.report.bend.rmse_deg,
-        frames=pipeline.trained_on["frames"],
-        seconds=seconds,
-    )
+if __name__ == "__main__":
+    main()

@@ -5,16 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
-from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
-from eitskin.errors import ConfigurationError
+from eitskin.cli.options import Json, Output, Quiet, Verbose
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.layouts.run import LayoutComparison
-    from eitskin.benchmarks.studies.data.layouts_trained import Training
 
 
 def command(
@@ -29,13 +26,8 @@ def command(
             "times, all if omitted."
         ),
     ] = None,
-    trained: Annotated[
-        bool, typer.Option("--trained", help="Also train and test pipelines for chosen layouts.")
-    ] = False,
     workers: Annotated[int, typer.Option(min=1, help="Number of worker processes.")] = 2,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Few positions, short searches, little training.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Few positions, short searches.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -44,17 +36,12 @@ def command(
 
     Finished layouts are kept in the folder; a run that was stopped goes on from them.
     """
-    from eitskin.benchmarks import suite
     from eitskin.benchmarks.layouts.report import LEGEND, as_data, sentences, write
     from eitskin.benchmarks.layouts.run import NAMES, run
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
-    if trained and not suite.has_studies():
-        raise ConfigurationError(
-            f"--trained needs the studies of a checkout, got an installed package: {suite.WHY_NOT}"
-        )
-    require_all(training=TRAINING if trained else "", bench="matplotlib")
+    require_all(bench="matplotlib")
     make_folder(out)
     with output.progress() as bar:
         task = bar.add_task("layouts", total=None, rate="")
@@ -63,19 +50,8 @@ def command(
             bar.update(task, advance=1, rate=name)
 
         found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
-        if trained:
-            from eitskin.benchmarks.studies.data import layouts_trained_report as report
-            from eitskin.benchmarks.studies.data.layouts_trained import train
-
-            learned = train(out, quick=quick, workers=workers, watch=show)
     paths, data, lines = write(found, out), as_data(found), [*sentences(found)]
-    shown = [_as_table(found)]
-    if trained:
-        paths += report.write(learned, out)
-        data["trained"] = report.as_data(learned)
-        lines += report.sentences(learned)
-        shown.append(_trained_table(learned))
-    output.result(data | {"files": [str(path) for path in paths]}, Group(*shown))
+    output.result(data | {"files": [str(path) for path in paths]}, _as_table(found))
     output.show(LEGEND)
     for line in lines:
         output.show(line)
@@ -91,15 +67,4 @@ def _as_table(found: "LayoutComparison") -> Table:
         column.justify, column.width = "right", 5
     for row in table(found):
         drawn.add_row(f"[bold]{row[0]}[/bold]" if len(row) == 1 else row[0], *row[1:SHORT])
-    return drawn
-
-
-def _trained_table(learned: "Training") -> Table:
-    from eitskin.benchmarks.studies.data.layouts_trained_report import HEADINGS, table
-
-    drawn = Table(*HEADINGS, title="trained", box=box.SIMPLE, pad_edge=False, padding=0)
-    for column in drawn.columns[1:]:
-        column.justify = "right"
-    for row in table(learned):
-        drawn.add_row(*row)
     return drawn

@@ -1,4 +1,4 @@
-"""`eitskin bench layouts --trained`: what is trained on, what is kept, and what is said of it."""
+"""Pipelines trained for layouts: what is trained on, what is kept, and what is said of it."""
 
 import dataclasses
 
@@ -7,20 +7,22 @@ import pytest
 from layouts_fakes import flat_bound
 
 from eitskin.benchmarks.layouts.candidates import paper
-from eitskin.benchmarks.studies.data import layouts_trained
-from eitskin.benchmarks.studies.data.layouts_trained import (
+from eitskin.benchmarks.results import read_results
+from eitskin.benchmarks.studies.data import layout_lesson, layouts_trained
+from eitskin.benchmarks.studies.data.layout_lesson import (
     QUICK,
     Learned,
     Lesson,
     learn_all,
-    one_sided,
+    ratio_error,
 )
-from eitskin.benchmarks.studies.data.layouts_trained_report import rank_correlation
+from eitskin.benchmarks.studies.data.layouts_trained import compared, main, one_sided
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 
 
 def result(name, bound, error):
-    return Learned(name, 28, bound, 2.0, 0.1, error, error, error, 0.9, 0.1, 1.0, 500, 9.0)
+    errors = {"found": 0.02}
+    return Learned(name, 28, bound, 2.0, 0.1, error, error, error, 0.9, 0.1, 1.0, errors, 500, 9.0)
 
 
 def test_layouts_get_the_same_scenes_on_other_sensors_in_the_test():
@@ -34,25 +36,49 @@ def test_layouts_get_the_same_scenes_on_other_sensors_in_the_test():
     assert one.frames == lesson.sensors + lesson.bends + 2 * lesson.touches
 
 
-def test_ranks_agree_or_are_opposite():
-    one = np.array([1.0, 2.0, 3.0, 4.0])
-    assert rank_correlation(one, one**3) == pytest.approx(1.0)
-    assert rank_correlation(one, -one) == pytest.approx(-1.0)
+def test_standard_errors_are_over_sensors_and_not_over_frames():
+    """Frames that agree within each sensor say no more than one of each would."""
+    off, sensor = np.array([1.0, 2.0, 4.0, 5.0]), np.arange(4)
+    expected = off.std(ddof=1) / 2.0
+    assert ratio_error(off, np.ones(4), sensor) == pytest.approx(expected)
+    again = np.repeat(off, 10)
+    assert ratio_error(again, np.ones(40), np.repeat(sensor, 10)) == pytest.approx(expected)
+    assert np.isnan(ratio_error(off, np.ones(4), np.zeros(4, int)))
+
+
+def test_results_have_scores_errors_and_a_picture(tmp_path, monkeypatch):
+    scores = [result("paper", 1.0, 2.0), result("poor", 10.0, None)]
+    monkeypatch.setattr(layouts_trained, "learn_all", lambda *_, **__: scores)
+    monkeypatch.setattr(layouts_trained, "compared", lambda _: [])
+    monkeypatch.setattr("sys.argv", ["layouts_trained", "--out", str(tmp_path)])
+    main()
+    found = read_results(tmp_path / "layouts_trained" / "results.json").figures
+    assert (found["paper / found"], found["paper / found, error"]) == (90.0, 2.0)
+    assert "poor / error_mm" not in found
+    picture = tmp_path / "layouts_trained" / "layouts_trained.png"
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_best_layout_with_mirrors_is_the_one_that_the_search_found():
+    best = compared(quick=False)[1]
+    middles = {(round(1e3 * e.x, 6), round(1e3 * e.y, 6)) for e in best.design.electrodes}
+    long_sides = {(x, y) for x in (52.5, 97.5) for y in (0.0, 60.0)}
+    assert middles == long_sides | {(x, y) for x in (0.0, 150.0) for y in (15.0, 45.0)}
 
 
 @pytest.fixture
 def trained(monkeypatch):
     """Names of layouts that were trained for; frames and pipelines cost nothing."""
     names = []
-    monkeypatch.setattr(layouts_trained, "_frames", lambda _, recipe: recipe)
-    monkeypatch.setattr(layouts_trained.Pipeline, "fit", staticmethod(lambda training, _: training))
+    monkeypatch.setattr(layout_lesson, "_frames", lambda _, recipe: recipe)
+    monkeypatch.setattr(layout_lesson.Pipeline, "fit", staticmethod(lambda training, _: training))
 
     def score(layout, bound, pipeline, testing, seconds):  # noqa: ARG001
         assert pipeline.seed != testing.seed
         names.append(layout.name)
         return result(layout.name, float(1e3 * bound.place[0, 0]), 1.0 if len(names) > 1 else None)
 
-    monkeypatch.setattr(layouts_trained, "scored", score)
+    monkeypatch.setattr(layout_lesson, "scored", score)
     return names
 
 
