@@ -318,7 +318,6 @@ def test_ctrl_c_while_the_commands_load_says_so(monkeypatch, capsys):
     [
         ("bench paper", "training,bench"),
         ("bench layouts", "bench"),
-        ("bench layouts --trained", "training,bench"),
         ("bench speed", "training,bench"),
         ("bench accuracy", "bench"),
         ("bench all", "training,bench"),
