@@ -3,11 +3,14 @@
 Ctrl-C while the program loads is answered here, and so is every exception that no command expected.
 """
 
+import errno
 import os
 import sys
 
 EXIT_UNEXPECTED = 70  # EX_SOFTWARE of sysexits.h
 EXIT_INTERRUPTED = 130
+EXIT_PARTIAL = 5  # as of `PartialError`
+_FULL = (errno.ENOSPC, errno.EDQUOT)  # of a disk; who writes files names them in other errors
 _QUIET = "ignore::RuntimeWarning"
 
 
@@ -25,6 +28,9 @@ def run() -> None:
         sys.stderr.write("eitskin: interrupted\n")
         sys.exit(EXIT_INTERRUPTED)
     except Exception as error:  # the one place that may catch everything
+        if isinstance(error, OSError) and error.errno in _FULL:
+            sys.stderr.write(f"eitskin: cannot write the output: {error.strerror}; make room\n")
+            sys.exit(EXIT_PARTIAL)
         from eitskin.cli.failure_report import told
 
         sys.stderr.write(told(error))

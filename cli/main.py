@@ -27,6 +27,7 @@ from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
 from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
+from eitskin.cli.options import ended_by_signals
 from eitskin.errors import EitskinError
 from eitskin.input_files import printable
 
@@ -34,11 +35,12 @@ EXIT_USAGE = 2
 
 
 class Commands(TyperGroup):
-    """Command group with a message for Ctrl-C, which Typer turns into exit code 130."""
+    """Command group with a message for Ctrl-C and SIGTERM, of which Typer makes exit code 130."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with ended_by_signals():
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             typer.secho("eitskin: interrupted", err=True)
             raise

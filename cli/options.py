@@ -12,7 +12,8 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from eitskin.errors import ConfigurationError
+from eitskin.cli.terminal import Terminal
+from eitskin.errors import ConfigurationError, cut
 
 if TYPE_CHECKING:
     from eitskin.training.method.interface import Method
@@ -132,13 +133,13 @@ class Output:
     as_json: bool = False
     quiet: bool = False
     verbose: bool = False
-    console: Console = field(default_factory=Console)
-    notes: Console = field(default_factory=lambda: Console(stderr=True))
+    console: Console = field(default_factory=Terminal)
+    notes: Console = field(default_factory=lambda: Terminal(stderr=True))
 
     def result(self, data: Mapping[str, Any], shown: RenderableType) -> None:
         """Print the result: `data` with --json, else `shown`."""
         if self.as_json:
-            self.console.print_json(json.dumps(data, allow_nan=False))
+            self.console.print_json(json.dumps(data, allow_nan=False), ensure_ascii=True)
         elif isinstance(shown, str):  # without line breaks, which would cut a path
             self.console.print(shown, soft_wrap=True, markup=False)
         else:
@@ -157,7 +158,7 @@ class Output:
     def note(self, text: str, *, whole: bool = False) -> None:
         """Print a note on stderr, unless quiet; `whole` without line breaks, to be copied."""
         if not self.quiet:
-            self.notes.print(text, highlight=False, markup=False, soft_wrap=whole)
+            self.notes.print(cut(text), highlight=False, markup=False, soft_wrap=whole)
 
     def detail(self, text: str) -> None:
         """Print a note on stderr with --verbose."""

@@ -110,9 +110,13 @@ def shortened(text: str) -> str:
 
 
 def printable(message: object) -> str:
-    """Text of an error for a terminal: cut where it is long, control characters made visible.
+    """Text of an error for a terminal: cut where it is long, control characters made visible."""
+    return visible(cut(str(message)))
+
+
+def visible(text: str) -> str:
+    """Text for a terminal, with control characters but for ends of lines made visible.
 
     A name in a file may hold sequences that colour, clear or rename the terminal.
     """
-    text = cut(str(message))
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)

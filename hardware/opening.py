@@ -80,8 +80,9 @@ def _open_virtual(path: str, uri: str, options: dict[str, Any]) -> Board:
     from eitskin.hardware.virtual.virtual_board import open_virtual
 
     if path:
+        meant = path if "=" in path else f"scene={path}"
         raise ConfigurationError(
-            f"virtual: takes options and no path, got {uri!r}; write virtual:?scene={path}"
+            f"virtual: takes options and no path, got {uri!r}; write virtual:?{meant}"
         )
     return open_virtual(uri, **options)
 

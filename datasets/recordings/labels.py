@@ -72,6 +72,8 @@ class Place:
             if match is None:
                 raise ValueError
             factor = float(match["factor"] or 1.0)
+            if not 0 < abs(factor) < np.inf:
+                raise ValueError
         except ValueError:
             raise ConfigurationError(
                 "expected NAME, NAME:COLUMN, NAME*FACTOR or a number as the place of a label, got "

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, with_before
 from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recorded_file import RecordedFile
@@ -78,6 +79,7 @@ class Recording:
             ConfigurationError: for another kind of file, or names that are not in a file.
             ImportError: where the package that reads a file is not installed.
         """
+        require_positive("frequency", frequency, "Hz")
         paths = [path] if isinstance(path, str | Path) else list(path)
         self._form = form or RecordingForm()
         self._files = [

@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.input_files import shortened
 
 _TEXT_ROWS: Final = 256  # held as text at a time, which takes ten times the memory of numbers
-_NUMBERED: Final = re.compile(r"(.*\D)(\d+)")
+_NUMBERED: Final = re.compile(r"(.*\D)(\d{1,9})")  # longer ones are names
 
 
 class RowSource(Source):

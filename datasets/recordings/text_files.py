@@ -44,7 +44,7 @@ class CsvSource(RowSource):
             reader = csv.reader(file, delimiter=self._delimiter, skipinitialspace=True)
             lines = (row for row in reader if any(row) and not row[0].startswith(_COMMENTS))
             if not self._headless:
-                next(lines)
+                next(lines, None)
             for row in lines:
                 cells = [cell.replace(",", ".") for cell in row] if commas else row
                 if self._delimiter == " " and not cells[-1]:

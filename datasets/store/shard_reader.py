@@ -90,7 +90,7 @@ def opened_shard(
         if not known:
             for _ in contained(_TRIAL, None, image, _limits(len(image))):
                 pass
-        file = h5py.h5f.open_file_image(image)
+        file = _opened(image)
         try:
             yield OpenShard(file, first_index)
         finally:
@@ -100,10 +100,21 @@ def opened_shard(
 def try_shard(argument: None, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
     """Read every array of a shard, as a reader for `contained`; raises what that raises."""
     with _as_data_errors():
-        file = h5py.h5f.open_file_image(content)
+        file = _opened(content)
         OpenShard(file, None).dataset()
         file.close()
     return iter(())
+
+
+def _opened(image: bytes) -> h5py.h5f.FileID:
+    """Open HDF5 file; raises DataError for what is none, where HDF5 itself names no reason."""
+    try:
+        return h5py.h5f.open_file_image(image)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise DataError(
+            "this is not a whole shard of an eitskin dataset: it is no HDF5 file, or a damaged one;"
+            " make or copy it again"
+        ) from error
 
 
 def _limits(size: int) -> Limits:

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_length
+from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -55,8 +55,10 @@ class Electrode:
         if self.height is not None:
             require_length("electrode height", self.height)
         position = (self.x, self.y, self.z or 0.0)
-        if not all(math.isfinite(value) for value in position):
-            raise ConfigurationError(f"electrode position must be finite, in m, got {position}")
+        if not all(abs(value) <= LONGEST for value in position):
+            raise ConfigurationError(
+                f"electrode position must be within {LONGEST:g} m, got {position}"
+            )
         for name, kind in (("on", On), ("shape", Shape)):
             if getattr(self, name) not in get_args(kind):
                 known = ", ".join(f"'{choice}'" for choice in get_args(kind))

@@ -1,14 +1,18 @@
 """The outer boundary of the program: unexpected exceptions, and messages made for a terminal."""
 
+import errno
+import os
 import re
+import signal
 from pathlib import Path
 
+import click
 import pytest
 
 from eitskin.cli import entry, main
 from eitskin.cli.failure_report import report
 from eitskin.cli.options import ended_by_signals
-from eitskin.errors import DataError
+from eitskin.errors import DataError, PartialError
 
 
 def ended(monkeypatch, tmp_path, error, *words):
@@ -50,6 +54,20 @@ def test_memory_that_ends_is_no_fault_of_the_program(monkeypatch, tmp_path, caps
     assert ended(monkeypatch, tmp_path, MemoryError()) == entry.EXIT_UNEXPECTED
     assert "memory" in capsys.readouterr().err
     assert not list(Path(tmp_path).iterdir())
+
+
+def test_a_full_disk_behind_the_output_is_no_fault_of_the_program(monkeypatch, tmp_path, capsys):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    assert ended(monkeypatch, tmp_path, full) == PartialError.exit_code
+    assert "No space left on device; make room" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_sigterm_is_told_as_ctrl_c_by_every_command(capsys):
+    stop = click.Command("stop", callback=lambda: os.kill(os.getpid(), signal.SIGTERM))
+    group = main.Commands(name="eitskin", commands={"stop": stop})
+    assert group.main(["stop"], standalone_mode=False) == entry.EXIT_INTERRUPTED
+    assert "interrupted" in capsys.readouterr().err
 
 
 def test_messages_neither_control_the_terminal_nor_fill_it(monkeypatch, tmp_path, capsys):

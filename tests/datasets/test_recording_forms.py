@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
 from eitskin.datasets.recordings import recorded_file
+from eitskin.datasets.recordings.labels import Place
 from eitskin.datasets.recordings.opening import open_here
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
@@ -324,3 +325,22 @@ def test_damaged_files_are_refused(tmp_path, name):
     (tmp_path / name).write_bytes(b"MATLAB 7.3 " + bytes(2000))
     with pytest.raises(DataError, match=r"a\.\w+: not a"):
         read_recording(tmp_path / name, RecordingNames("v"))
+
+
+def test_frequencies_and_factors_are_numbers_that_can_be(tmp_path):
+    (tmp_path / "a.csv").write_text("v0,v1,x\n1,2,3\n")
+    for frequency in (0.0, -1.0, float("nan"), float("inf"), 1e300):
+        with pytest.raises(ConfigurationError, match="frequency must be"):
+            read_recording(tmp_path / "a.csv", RecordingNames("v"), frequency=frequency)
+    for factor in ("0", "-0.0", "1e-400", "1e400"):
+        with pytest.raises(ConfigurationError, match="place of a label"):
+            Place.parsed(f"x*{factor}")
+
+
+def test_columns_of_text_are_never_more_than_names(tmp_path):
+    """A line that is no row, and a number of 5,000 digits: neither is a fault of the reader."""
+    (tmp_path / "a.csv").write_text(f"v{'9' * 5000},w\n1,2\n")
+    assert read_recording(tmp_path / "a.csv", RecordingNames("w")).impedance.shape == (1, 1)
+    (tmp_path / "b.csv").write_text('""\n')
+    with pytest.raises(DataError, match="got no row"):
+        open_here(tmp_path / "b.csv")

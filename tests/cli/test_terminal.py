@@ -1,0 +1,50 @@
+"""What is printed: text of files and boards shows its control characters, and commands nothing."""
+
+import io
+import json
+import re
+
+import pytest
+from rich.progress import Progress
+from rich.table import Table
+
+from eitskin.cli.options import Output
+from eitskin.cli.terminal import Terminal
+
+HOSTILE = "a\x1b]z\x9bb"
+SHOWN = r"a\x1b]z\x9bb"
+
+
+@pytest.fixture
+def printed():
+    """A terminal with colours, whose file is read back."""
+    return Terminal(file=io.StringIO(), force_terminal=True, width=200, color_system="standard")
+
+
+def test_notes_results_tables_and_progress_show_control_characters(printed):
+    output = Output(console=printed, notes=printed)
+    table = Table()
+    table.add_row(HOSTILE, style="red")
+    output.note(HOSTILE)
+    output.result({}, HOSTILE)
+    output.show(table)
+    with Progress("{task.description}", console=printed) as progress:
+        progress.add_task(HOSTILE)
+    said = printed.file.getvalue()
+    plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", said)
+    assert plain.count(SHOWN) >= 4
+    assert plain.replace("\n", "").replace("\r", "").isprintable()
+    assert "\x1b[31m" in said  # the table's own red
+
+
+def test_json_of_hostile_names_is_json():
+    console = Terminal(file=io.StringIO(), width=200)
+    Output(as_json=True, console=console).result({"name": HOSTILE + "µ"}, "")
+    said = console.file.getvalue()
+    assert json.loads(said) == {"name": HOSTILE + "µ"}
+    assert said.replace("\n", "").isprintable()
+
+
+def test_notes_are_not_endless(printed):
+    Output(notes=printed).note("name, " * 100_000)
+    assert len(printed.file.getvalue()) < 6000
