@@ -15,7 +15,8 @@ import numpy as np
 from scipy.io import savemat
 
 from eitskin.benchmarks.studies.hostile.mutations import damaged, misworded
-from eitskin.benchmarks.studies.hostile.texts import Draws, Trial, broken_json, small_dataset
+from eitskin.benchmarks.studies.hostile.parsers import small_dataset
+from eitskin.benchmarks.studies.hostile.texts import Draws, Trial, broken_json
 from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.datasets.store.seal import sealed, unsealed

@@ -1,15 +1,29 @@
 """Hostile inputs of every kind, a few of each: read, or one clear error."""
 
 import random
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from eitskin.benchmarks.studies.hostile.guided import kept, seeds
 from eitskin.benchmarks.studies.hostile.kinds import KINDS, draws, trial
-from eitskin.benchmarks.studies.hostile.mutations import EXTREMES, damaged, misworded
+from eitskin.benchmarks.studies.hostile.mutations import EXTREMES, TOKENS, damaged, misworded
+from eitskin.benchmarks.studies.hostile.parsers import PARSERS
 from eitskin.benchmarks.studies.hostile.run import tasks
 from eitskin.benchmarks.studies.hostile.watched import OUTCOMES, outcome, watched
 from eitskin.errors import EitskinError
 
+CORPUS = Path(__file__).parents[2] / "data" / "hostile.zip"
+QUICK = [kind for kind in PARSERS if kind != "saved pipelines: pipeline.json"]
+PIECES = [*TOKENS, *(each.encode() for each in EXTREMES if len(each) < 500)]
+EDITS = st.lists(
+    st.tuples(st.floats(0, 1), st.integers(0, 40), st.binary(max_size=8) | st.sampled_from(PIECES)),
+    min_size=1,
+    max_size=4,
+)
 CHEAP = ("TOML", "manifests", "protocols", "stored", "tables", "bytes", "messages", "lines")
 
 
@@ -17,9 +31,48 @@ def test_every_cheap_kind_is_read_or_refused_in_a_sentence(tmp_path, monkeypatch
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     for kind in KINDS:
         if kind.startswith(CHEAP):
-            for number in range(20):
+            for number in range(8):
                 found, message = outcome(trial(kind), draws(7, kind, number), tmp_path)
                 assert found in OUTCOMES[:2], (kind, number, message)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder for the files of this module."""
+    return tmp_path_factory.mktemp("hostile")
+
+
+def parsed(kind, content, folder):
+    """Read an input; whatever but an EitskinError is raised."""
+    with suppress(EitskinError):
+        PARSERS[kind].parse(content, folder)
+
+
+def test_good_inputs_are_read_and_those_that_reached_more_of_a_parser_do_no_harm(folder):
+    corpus = kept(CORPUS)
+    assert set(corpus) == set(PARSERS)
+    for kind in QUICK:
+        for content in PARSERS[kind].good():
+            PARSERS[kind].parse(content, folder)
+        for content in corpus[kind]:
+            parsed(kind, content, folder)
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=100,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(st.sampled_from(QUICK), st.data())
+def test_edited_inputs_are_read_or_refused(folder, kind, data):
+    content = data.draw(st.sampled_from(seeds(kind, CORPUS)))
+    for place, length, piece in data.draw(EDITS):
+        at = int(place * len(content))
+        content = content[:at] + piece + content[at + length :]
+    parsed(kind, content, folder)
 
 
 @pytest.mark.slow
