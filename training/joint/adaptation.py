@@ -5,16 +5,17 @@ was learned from the training specimens; hinge, layers and contacts act on it to
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
-from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.bend_curve import BendCurve, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
 from eitskin.training.method.calibration import Calibration
-from eitskin.training.method.known_frames import KnownFrames
+from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.predictions import FoundTouches
 
@@ -24,6 +25,8 @@ Combined = Callable[[Array, float, float], CombinedChange]
 STATED_ANGLES = 8  # at which standard errors are stated
 PRIOR_TOUCHES = 4.0  # touches with errors as stated, that count beside the known ones
 NEAREST = 0.015  # m, within which a found touch is a known one
+PRIOR_FRAMES = 1.0  # frames with noise as in training, that count beside the known ones
+NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 
 
 def adapted_curve(
@@ -31,19 +34,20 @@ def adapted_curve(
     known: KnownFrames,
     combinations: Combinations,
     drift: float,
+    noise_scale: float = 1.0,
 ) -> tuple[BendCurve, BendCurve]:
     """Bend curve of a sensor given untouched frames at known angles, which are taken to be exact.
 
     Args:
-        priors: of the sensor's curve, each with its log odds; the one that is likeliest given the
-            frames counts.
+        priors: of the sensor's curve, each with its log odds.
         known: untouched frames at known angles.
         combinations: of the measurements.
         drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
+        noise_scale: noise of a frame relative to that in training.
 
     Returns:
-        the curve before, the likeliest prior.
-        the curve after.
+        the curve before, the prior that is likeliest given the frames.
+        the curve after: mean and covariance of the mixture of the posteriors.
     """
     seen, age = known.observations, known.observations.age
     changes = np.array([log_change(each) for each in seen.static])
@@ -51,14 +55,50 @@ def adapted_curve(
     good: NDArray[np.bool_] = np.asarray(np.isfinite(changes).all(axis=0))
     changes = np.where(good, changes, np.nan)
     change = np.array([combinations.combined(each, 1.0, 0.0).change for each in changes])
-    together = np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0]
+    together = noise_scale**2 * (np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0])
     walk = _common_age(age) / DRIFT_TIME * drift**2
     shared, own = combinations.drift, combinations.without(good)[1]
     noise = np.einsum("ij,kl->ikjl", together, own)
     noise += np.einsum("ij,k,l->ikjl", walk, shared, shared)
     seen_bends = (known.angle_deg, change, noise.reshape(change.size, -1))
-    prior, _ = max(priors, key=lambda each: each[0].log_likelihood(*seen_bends) + each[1])
-    return prior, prior.conditioned(*seen_bends)
+    logs = np.array([curve.log_likelihood(*seen_bends) + odds for curve, odds in priors])
+    after = [curve.conditioned(*seen_bends) for curve, _ in priors]
+    shares = np.exp(logs - logs.max())
+    return priors[int(logs.argmax())][0], mixture_curve(after, shares / shares.sum())
+
+
+def widened(curve: BendCurve, features: Array) -> BendCurve:
+    """Curve of a sensor with these features (P,), the less certain the stranger they are.
+
+    The mean is linear in the features. What that leaves grows with their mean square, which is 1
+    for the usual training specimen: sensors of the recipe `wide` beyond 3 erred 1.8 times as much
+    as stated after five known angles.
+    """
+    square = float(np.mean(np.square(features))) if len(features) else 0.0
+    return replace(curve, covariance=max(1.0, square) * curve.covariance)
+
+
+def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
+    """Noise of a frame relative to that in training, from untouched frames of one angle.
+
+    A frame with noise as in training counts beside them, so that few tell little. Their differences
+    count without the part that is common to all measurements, which drifts.
+
+    Args:
+        known: frames of the sensor.
+        combinations: of the measurements, with their noise in training.
+    """
+    seen = known.observations
+    alike = np.abs(known.reference_deg - known.angle_deg) <= FLAT_DEG
+    alike &= known.told & ~known.touched & (seen.dynamic != seen.static).any(axis=1)
+    total = count = PRIOR_FRAMES * (len(combinations.noise) - 1.0)
+    for row in np.flatnonzero(alike):
+        white = log_change(seen.dynamic[row]) / combinations.noise
+        white = white[np.isfinite(white)]
+        size = 1.0 / seen.frames[row] + 1.0 / seen.dynamic_frames[row]
+        total += float(np.sum((white - white.mean()) ** 2)) / size
+        count += len(white) - 1.0
+    return float(np.clip(np.sqrt(total / count), *NOISE_SCALE))
 
 
 def _common_age(age: Array) -> Array:

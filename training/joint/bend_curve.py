@@ -140,6 +140,27 @@ class BendCurve:
         return weights, residual, system
 
 
+def mixture_curve(curves: Sequence[BendCurve], shares: Array) -> BendCurve:
+    """Mean and covariance of a mixture of curves of as many powers.
+
+    Args:
+        curves: n curves.
+        shares: of each, one in sum (n,).
+    """
+    mean, effects, covariance = (
+        np.tensordot(shares, [getattr(each, name) for each in curves], axes=1)
+        for name in ("mean", "effects", "covariance")
+    )
+    random = len(effects)
+    middle = (mean[:random] + effects).ravel()
+    for each, share in zip(curves, shares, strict=True):
+        apart = each.coefficients[:random].ravel() - middle
+        covariance += share * np.outer(apart, apart)
+    low = min(each.angle_deg[0] for each in curves)
+    high = max(each.angle_deg[1] for each in curves)
+    return BendCurve(mean, effects, covariance, (low, high))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BendCurvePrior:
     """Distribution of the curves of all specimens of a design, given their features.

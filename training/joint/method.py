@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from eitskin.compiled import kernels
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.adaptation import adapted_curve, calibration_of, error_scale
+from eitskin.training.joint.adaptation import (
+    adapted_curve,
+    calibration_of,
+    error_scale,
+    noise_scale,
+    widened,
+)
 from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.angles.usual import LOG_ODDS
@@ -86,6 +92,7 @@ class JointMethod(Method):
             takes them to be.
         own_error_scale: a further one, from known touches of the sensor that the method is adapted
             to; 1 before.
+        own_noise_scale: noise of that sensor's frames relative to that in training; 1 before.
         own_output: last layer of the response of that sensor, from its twin (K, hidden + 1); None
             without.
     """
@@ -114,6 +121,7 @@ class JointMethod(Method):
     forces: bool = True
     error_scale: float = 1.0
     own_error_scale: float = 1.0
+    own_noise_scale: float = 1.0
     own_output: Array | None = None
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
@@ -296,7 +304,8 @@ class JointMethod(Method):
             frames: sum of the reciprocal numbers of frames in both means.
             age: time between the means [s].
         """
-        return self.combinations.combined(change, frames, self._drift(age))
+        noise = self.own_noise_scale**2
+        return self.combinations.combined(change, noise * frames, self._drift(age))
 
     def _drift(self, age: float) -> float:
         """Variance, after a time [s], of the change common to all measurements."""
@@ -338,15 +347,22 @@ class JointMethod(Method):
         flat, count = known.observations.flat[0], int(known.flat.sum())
         left_out = len(known) - count - len(bent) - len(touched)
         told = Adaptation(count, len(bent), len(touched), left_out)
-        p, curve = self.features.bounded(flat), None
-        if len(bent):
-            priors = [(self.bend_prior.of(p), 0.0)]
-            priors += [(self.usual.of(p), LOG_ODDS)] if self.usual else []
-            prior, curve = adapted_curve(priors, bent, self.combinations, self.drift)
-            told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
+        p, noise = self.features.bounded(flat), noise_scale(known, self.combinations)
         adapted = replace(
-            self, calibrated=curve, calibrated_flat=flat, own_error_scale=1.0, own_output=None
+            self,
+            calibrated=None,
+            calibrated_flat=flat,
+            own_error_scale=1.0,
+            own_noise_scale=noise,
+            own_output=None,
         )
+        if len(bent):
+            priors = [(widened(self.bend_prior.of(p), p), 0.0)]
+            priors += [(widened(self.usual.of(p), p), LOG_ODDS)] if self.usual else []
+            prior, curve = adapted_curve(priors, bent, self.combinations, self.drift, noise)
+            calibration = calibration_of(prior, curve, bent, adapted._combined)
+            told = replace(told, calibration=calibration)
+            adapted = replace(adapted, calibrated=curve)
         if known.twin is not None and self.touches and self.forces:
             output, trial = adapted._with_twin(known.twin, flat, touched)
             adapted = replace(adapted, own_output=output if trial.kept else None)
@@ -355,7 +371,7 @@ class JointMethod(Method):
             found = adapted.predict(touched.observations).touches
             scale = error_scale(touched.touches, found)
             adapted = replace(adapted, own_error_scale=scale)
-        return adapted, replace(told, error_scale=adapted.own_error_scale)
+        return adapted, replace(told, error_scale=adapted.own_error_scale, noise_scale=noise)
 
     def _with_twin(
         self, twin: TwinPresses, flat: Array, touched: KnownFrames

@@ -42,6 +42,7 @@ def stored_arrays(fields: Mapping[str, Any]) -> Arrays:
         "forces": np.array(fields["forces"]),
         "error_scale": np.array(fields["error_scale"]),
         "own_error_scale": np.array(fields["own_error_scale"]),
+        "own_noise_scale": np.array(fields["own_noise_scale"]),
     }
     parts: dict[str, _Stored | None] = {
         "features": fields["features"],
@@ -104,5 +105,6 @@ def restored_fields(arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec) 
         "forces": bool(arrays.get("forces", one)),
         "error_scale": float(arrays.get("error_scale", one)),
         "own_error_scale": float(arrays.get("own_error_scale", one)),
+        "own_noise_scale": float(arrays.get("own_noise_scale", one)),
         **{name: arrays[name].astype(float) if name in arrays else None for name in OWN},
     }

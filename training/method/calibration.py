@@ -94,6 +94,7 @@ class Adaptation:
         calibration: errors of the angle; None without known angles.
         error_scale: factor by which known touches changed the standard errors of places; 1 without.
         twin: residuals of known touches without and with a twin; None without one.
+        noise_scale: noise of a frame relative to that in training, as far as the known frames tell.
     """
 
     flat: int
@@ -103,6 +104,7 @@ class Adaptation:
     calibration: Calibration | None = None
     error_scale: float = 1.0
     twin: TwinTrial | None = None
+    noise_scale: float = 1.0
 
     def require_fit(self, known: KnownFrames) -> None:
         """Refuse known angles that contradict the frames, and a twin that nothing was done with.

@@ -1,5 +1,7 @@
 """Bend curves: mixed model, calibration, and estimates of the angle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -11,6 +13,7 @@ from eitskin.training.joint.bend_curve import (
     SCALE,
     BendCurve,
     BendCurvePrior,
+    mixture_curve,
 )
 from eitskin.training.joint.combinations import Combinations
 
@@ -137,6 +140,24 @@ def test_every_known_angle_makes_the_curve_surer(curve, rng):
     nothing = known.conditioned(np.array([30.0]), np.full((1, CHANNELS), np.nan), NOISE)
     np.testing.assert_allclose(nothing.covariance, known.covariance, rtol=1e-12)
     assert np.trace(known.uncertainty(50.0)) < 0.01 * np.trace(curve.uncertainty(50.0))
+
+
+def test_a_mixture_has_the_moments_of_curves_drawn_from_it(curve, rng):
+    other = replace(curve, effects=curve.effects + 3e-3, covariance=2.0 * curve.covariance)
+    found = mixture_curve([curve, other], np.array([0.25, 0.75]))
+    size, draws = len(curve.covariance), []
+    for one, count in ((curve, 2000), (other, 6000)):
+        effects = one.effects.ravel() + rng.multivariate_normal(
+            np.zeros(size), one.covariance, count
+        )
+        draws += [
+            BendCurve(one.mean, each.reshape(RANDOM_POWERS, CHANNELS), one.covariance, RANGE).value(
+                30.0
+            )
+            for each in effects
+        ]
+    np.testing.assert_allclose(found.value(30.0), np.mean(draws, axis=0), atol=2e-4)
+    np.testing.assert_allclose(np.diag(found.uncertainty(30.0)), np.var(draws, axis=0), rtol=0.1)
 
 
 def test_calibrated_curve_finds_the_specimen(curve, rng):

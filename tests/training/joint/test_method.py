@@ -9,7 +9,7 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.adaptation import error_scale
+from eitskin.training.joint.adaptation import error_scale, widened
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
@@ -320,6 +320,29 @@ def test_known_frames_of_unknown_times_share_no_drift(method):
         wrong = curve.value(30.0) - method.bend_prior.of([0.0]).value(30.0)
         ratios.append(wrong @ np.linalg.pinv(curve.uncertainty(30.0)) @ wrong / 28)
     assert np.mean(ratios) < 1.3
+
+
+def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
+    """Known frames twice as noisy as in training double the noise of later frames."""
+    rng, angles = np.random.default_rng(7), np.full(40, 20.0)
+    before = np.tile(method.bend_prior.of([0.0]).value(20.0), (40, 1))
+    change = before + 2.0 * NOISE * rng.standard_normal((40, 28)) + 1e-3  # and a common drift
+    one, told = method.adapted(known_frames(FLAT, 4, change, angles, before=before))
+    assert told.noise_scale == one.own_noise_scale == pytest.approx(2.0, rel=0.1)
+    frame = observed(method, [TOUCH])
+    single = one.predict(frame).touches[0].deviation, method.predict(frame).touches[0].deviation
+    assert single[0] > 1.3 * single[1]
+    assert JointMethod.from_arrays(one.arrays(), LAYOUT).own_noise_scale == told.noise_scale
+    # A frame that is compared with the flat sensor alone tells nothing of its noise.
+    flat = known_frames(FLAT, 4, before[:5], angles[:5])
+    assert method.adapted(flat)[1].noise_scale == 1.0
+
+
+def test_curves_of_strange_sensors_are_less_certain():
+    curve = smooth_method().bend_prior.of([0.0])
+    for features, factor in (([0.5, 0.5], 1.0), ([2.0, 2.0], 4.0), ([], 1.0)):
+        wide = widened(curve, np.array(features))
+        np.testing.assert_allclose(wide.covariance, factor * curve.covariance)
 
 
 def test_other_sensor_than_the_calibrated_one_is_told(method):
