@@ -59,9 +59,9 @@ def huggingface(saved, tmp_path_factory):
     return out
 
 
-def page_code(heading):
-    """Python on the page of other programs, between a heading and the next one of its level."""
-    page = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
+def page_code(heading, name="interoperability.md"):
+    """Python on a page, by default that of other programs, from a heading to the next like it."""
+    page = (Path(__file__).parents[2] / "docs" / name).read_text()
     section = page.split(f"\n{heading}\n")[1].split("\n## ")[0]
     return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
 
@@ -122,6 +122,18 @@ class TestParquet:
         pytest.importorskip("torch")
         exec(torch_lines.replace("DIR", str(parquet)), names)  # noqa: S102
         np.testing.assert_array_equal(names["resistance"].numpy(), data.impedance.real)
+
+    def test_the_lines_of_the_page_on_skinbench_load_it(self, saved, parquet):
+        pandas_lines, torch_lines, _ = (
+            each.replace("skinbench/", f"{parquet}/")
+            for each in page_code("## Its frames in your own code", "leaderboard.md")
+        )
+        impedance, names = open_dataset(saved).impedance.real, {}
+        exec(pandas_lines, names)  # noqa: S102
+        train = names["frames"]["number"].to_numpy()
+        pytest.importorskip("torch")
+        exec(torch_lines, names)  # noqa: S102
+        np.testing.assert_array_equal(names["resistance"].numpy(), impedance[train])
 
     def test_small_files_hold_the_same_rows_as_one(self, saved, parquet, tmp_path):
         export_dataset(saved, tmp_path / "out", "parquet", file_bytes=20_000)
