@@ -81,10 +81,11 @@ def _derivatives(
 ) -> Iterator[SceneDerivatives]:
     """Derivatives of the scenes of some frames."""
     for row in rng.permutation(len(data))[:count].tolist():
-        yield scene_derivatives(simulator, _scene(data, row))
+        yield scene_derivatives(simulator, scene_of(data, row))
 
 
-def _scene(data: Dataset, row: int) -> Scene:
+def scene_of(data: Dataset, row: int) -> Scene:
+    """Scene of one frame with known touches."""
     places = zip(data.touch_x[row], data.touch_y[row], data.touch_force[row], strict=True)
     touches = (Touch(float(x), float(y), float(f)) for x, y, f in places if np.isfinite(x))
     return Scene(Bend(float(data.bend_angle_deg[row])), tuple(touches))

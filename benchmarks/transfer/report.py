@@ -5,8 +5,9 @@ from pathlib import Path
 
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.transfer.run import Transfer
+from eitskin.benchmarks.transfer.scores import Figures
 
-NAME = "transfer"
+NAME, BOUND = "transfer", "Cramer-Rao bound"
 HEADINGS = (
     "pipeline",
     "world",
@@ -51,17 +52,23 @@ def write(found: Transfer, out: Path) -> list[Path]:
 
 
 def figures(found: Transfer) -> Iterator[tuple[str, float]]:
-    """All figures by name."""
+    """All figures by name, bounds last."""
     for row in found.rows:
         for name, value in row.figures.items():
             yield f"{row.pipeline} / {row.world}, {row.labelled} / {name}", value
+    for world, limits in found.bounds.items():
+        for name, value in limits.items():
+            yield f"{BOUND} / {world} / {name}", value
 
 
 def table(found: Transfer) -> Iterator[tuple[str, ...]]:
-    """Cells of every row, under `HEADINGS`."""
+    """Cells of every row, under `HEADINGS`, and of the bounds."""
     for row in found.rows:
-        given = (
-            f"{factor * row.figures[name]:.3g}" if name in row.figures else "-"
-            for name, factor in _CELLS
-        )
-        yield row.pipeline, row.world, str(row.labelled), *given
+        yield row.pipeline, row.world, str(row.labelled), *_cells(row.figures)
+    for world, limits in found.bounds.items():
+        yield BOUND, world, "", *_cells(limits)
+
+
+def _cells(figures: Figures) -> Iterator[str]:
+    for name, factor in _CELLS:
+        yield f"{factor * figures[name]:.3g}" if name in figures else "-"

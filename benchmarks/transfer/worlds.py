@@ -15,6 +15,7 @@ from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.datasets.store.state import State
+from eitskin.geometry.design.support import Plates
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 
@@ -35,6 +36,20 @@ KNOWN_FRAMES = (
     SceneGroup("touch", count=80, force=(4.0, 12.0)),
 )
 """Labelled frames of each sensor, to adapt by: angles, and presses on the flat sensor."""
+
+
+PLACES = (
+    *((0.030, 0.020), (0.045, 0.040), (0.112, 0.017), (0.125, 0.033)),
+    *((0.026, 0.044), (0.040, 0.025), (0.108, 0.038), (0.118, 0.022)),
+)
+"""Presses of "pressed while bent" [m], on the plates, two at each of four angles."""
+FEW_SENSORS = 2
+FEW_FRAMES = (
+    SceneGroup("idle", count=2),
+    SceneGroup("bend", count=6, angle_deg=(10.0, 40.0)),
+    SceneGroup("touch", positions=PLACES, force=(4.0, 8.0), angle_deg=(10.0, 40.0), per_bend=2),
+)
+"""All frames to be judged of the world whose presses take half a minute to minutes each."""
 
 
 def _as_trained(recipe: Recipe) -> Recipe:
@@ -69,6 +84,13 @@ def _other_board(recipe: Recipe) -> Recipe:
     return dataclasses.replace(recipe, instrument=Instrument(snr_db=72.0, meter=meter))
 
 
+def _pressed_while_bent(recipe: Recipe) -> Recipe:
+    """Sensors on the two plates that bend them; presses are solved as one problem with the bend."""
+    sensor = dataclasses.replace(recipe.sensor, support=Plates())
+    still = _without_own_bends(recipe.specimens)
+    return dataclasses.replace(recipe, sensor=sensor, specimens=still)
+
+
 def _without_own_bends(spread: Specimens) -> Specimens:
     """Spread whose specimens share the bends of their mounts."""
     return dataclasses.replace(
@@ -89,6 +111,8 @@ WORLDS: dict[str, Callable[[Recipe], Recipe]] = {
     "other board": _other_board,
 }
 """Recipe of each world, from one with the sensors and the instrument of "training"."""
+FEW: dict[str, Callable[[Recipe], Recipe]] = {"pressed while bent": _pressed_while_bent}
+"""The same of worlds of a handful of frames, on two sensors, without known presses."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +136,7 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
     made = []
-    for name in WORLDS:
+    for name in (*WORLDS, *(() if quick else FEW)):
         frames, known = recipes(name, seed, quick)
         sets = []
         for recipe in (frames, known):
@@ -140,7 +164,8 @@ def _apart(frames: Dataset, known: Dataset) -> Dataset:
 
 def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
     """Recipes of the frames to be judged and of the known frames of a world."""
-    count = QUICK_SENSORS if quick else SENSORS
+    few = world in FEW
+    count = FEW_SENSORS if few else QUICK_SENSORS if quick else SENSORS
     training = Recipe.shipped("training")
     spread: Specimens = dataclasses.replace(training.specimens, count=count)
     base = dataclasses.replace(
@@ -150,10 +175,11 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
         seed=SEED + seed,
         specimens=spread,
         reference_frames=8,
-        scenes=tuple(_times(group, count) for group in SENSOR_FRAMES),
+        scenes=FEW_FRAMES if few else tuple(_times(group, count) for group in SENSOR_FRAMES),
     )
-    frames = WORLDS[world](base)
-    scenes = tuple(_times(group, count) for group in KNOWN_FRAMES)
+    frames = (FEW if few else WORLDS)[world](base)
+    known = tuple(group for group in KNOWN_FRAMES if not few or group.state != "touch")
+    scenes = tuple(_times(group, count) for group in known)
     return frames, dataclasses.replace(frames, name=f"{world}, known", scenes=scenes)
 
 

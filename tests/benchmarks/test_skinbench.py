@@ -148,7 +148,7 @@ def test_digests_tell_frames_and_code_apart(tmp_path):
 def test_bench_transfer_enters_its_pipelines(tmp_path, monkeypatch):
     figures = {"place, mean [mm]": 2.5, "touches found": 1.0, "angle, rms [deg]": 4.0}
     rows = tuple(Row("mine", world, Labelled(0, 0), figures) for world in WORLDS)
-    found = Transfer(Provenance.now(0), 1.0, False, rows)
+    found = Transfer(Provenance.now(0), 1.0, False, rows, {})
     monkeypatch.setattr(transfer, "run", lambda *_: found)
     (tmp_path / "transfer").mkdir()
     (tmp_path / "transfer" / "manifest.json").write_text("{}")

@@ -15,6 +15,7 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
+from eitskin.geometry.design.support import Plates
 from eitskin.training.method.predictions import FoundTouches
 
 
@@ -68,6 +69,16 @@ def test_worlds_differ_from_training_and_from_each_other():
     assert len(stiffness) > 2
 
 
+def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
+    frames, known = worlds.recipes("pressed while bent", 0, quick=False)
+    drawn = [sample(frames, index) for index in range(frames.frames)]
+    pressed = [each for each in drawn if each.scene.touches]
+    assert [each.specimen for each in pressed] == [0] * 4 + [1] * 4
+    assert all(each.scene.bends for each in pressed)
+    assert isinstance(frames.sensor.support, Plates)
+    assert not any(group.state == "touch" for group in known.scenes)
+
+
 def test_predictions_are_judged_by_hand():
     nan = math.nan
     data = SimpleNamespace(
@@ -114,3 +125,8 @@ def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
     assert found[f"{adapted} / {ratio}"] != found[f"{free} / {ratio}"]
     assert found[f"{adapted} / {place}"] == pytest.approx(found[f"{free} / {place}"], rel=0.05)
     assert found[f"{free} / untouched states right"] > 0.9
+    # Noise alone leaves less than any pipeline errs, and not much less.
+    bound = found[f"Cramer-Rao bound / nominal / {place}"]
+    assert 0.5 * found[f"{free} / {place}"] < bound < 1.2 * found[f"{free} / {place}"]
+    bound = found[f"Cramer-Rao bound / nominal / {error}"]
+    assert 0.05 < bound < found[f"{adapted} / {error}"]

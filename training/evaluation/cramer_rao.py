@@ -216,7 +216,10 @@ def scene_bound(
 
 
 def scene_derivatives(
-    simulator: Simulator, scene: Scene, steps: Steps | None = None
+    simulator: Simulator,
+    scene: Scene,
+    steps: Steps | None = None,
+    instrument: Instrument | None = None,
 ) -> SceneDerivatives:
     """Derivatives of a scene's measurements by central differences, one-sided next to a limit.
 
@@ -224,6 +227,7 @@ def scene_derivatives(
         simulator: of the sensor.
         scene: bend and touches, each with a force.
         steps: of the differences; the defaults when omitted.
+        instrument: whose circuit the sensor is part of; an ideal meter when omitted.
 
     Raises:
         ConfigurationError: for a touch that is given by its depth, or a parameter that cannot
@@ -238,7 +242,11 @@ def scene_derivatives(
         changed, factors = _stencil(simulator, scene, number, name, step)
         weights.append((slice(len(scenes), len(scenes) + len(changed)), np.array(factors) / step))
         scenes += changed
-    measured = simulator.measure_all(scenes, tolerance=0.0).real
+    if instrument is None:
+        measured = simulator.measure_all(scenes, tolerance=0.0).real
+    else:
+        terminals = simulator.measure_all(scenes, tolerance=0.0, instrument=instrument)
+        measured = terminals[:, 0].real
     logarithms = np.log(np.abs(measured))
     rows = np.array([weight @ logarithms[part] for part, weight in weights])
     return SceneDerivatives(

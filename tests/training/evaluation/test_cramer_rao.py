@@ -11,6 +11,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.training.evaluation.cramer_rao import (
     SceneDerivatives,
     Steps,
@@ -323,6 +324,19 @@ def test_an_untouched_sensor_has_an_angle(sim):
         sim.measure(Scene(Bend(9.5))).impedance.real
     )
     assert found.angle_deg == pytest.approx(np.sqrt(2.0) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
+
+
+def test_derivatives_on_a_board_are_those_of_its_readings(sim):
+    board = Instrument(meter=FourTerminalMeter(source=1e-4, idle=1e-4))
+    found = scene_derivatives(sim, Scene(Bend(10.0)), instrument=board)
+    low, middle, high = (
+        board.transfer_impedance(sim.impedance_matrix(Scene(Bend(angle))), sim.protocol).real
+        for angle in (9.5, 10.0, 10.5)
+    )
+    np.testing.assert_allclose(found.resistance, middle, rtol=1e-9)
+    np.testing.assert_allclose(found.by_angle, np.log(np.abs(high / low)), rtol=1e-5, atol=1e-9)
+    plain = scene_derivatives(sim, Scene(Bend(10.0)))
+    assert np.abs(plain.by_angle - found.by_angle).max() > 0.01 * np.abs(plain.by_angle).max()
 
 
 @pytest.mark.parametrize(
