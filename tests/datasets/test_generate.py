@@ -21,7 +21,8 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store import worker_processes
+from eitskin.datasets.store import shard_reader, worker_processes
+from eitskin.datasets.store.seal import unsealed
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
@@ -155,7 +156,12 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     for name, content in contents(whole).items():
         (folder / name).write_bytes(content)
     (folder / shard_name(1)).write_bytes(b"rubbish")
+    sound = (folder / shard_name(2)).read_bytes()
+    (folder / shard_name(2)).write_bytes(sound[:4096] + bytes(4096) + sound[8192:])
     (folder / shard_name(3)).unlink()
+    opened = []
+    reader = shard_reader._opened
+    monkeypatch.setattr(shard_reader, "_opened", lambda i: opened.append(i) or reader(i))
     seen, reports = [], []
     generate(
         RECIPE,
@@ -166,7 +172,8 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     )
     assert contents(folder) == contents(whole)
     assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)]
-    assert len(reports) == 3
+    assert len(reports) == 4
+    assert opened == [unsealed(contents(whole)[shard_name(0)])[0]]  # HDF5 sees sound files alone
 
 
 @pytest.mark.slow

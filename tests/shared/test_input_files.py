@@ -5,6 +5,7 @@ import os
 import pytest
 
 from eitskin.config import parse_toml, read_toml
+from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.input_files import parse_json, printable, quoted, read_bytes, read_text
@@ -47,6 +48,17 @@ def test_toml_that_python_cannot_hold_is_refused(tmp_path):
     os.mkfifo(tmp_path / "design.toml")
     with pytest.raises(ConfigurationError, match="pipe"):
         read_toml(SensorDesign, tmp_path / "design.toml")
+
+
+def test_counts_beyond_every_memory_are_refused():
+    scenes = "[[scenes]]\nstate = 'idle'\ncount = {}\n"
+    for text in (
+        scenes.format(10**12),
+        f"frames_per_shard = {10**12}\n{scenes.format(4)}",
+        f"{scenes.format(4)}[specimens]\ncount = {10**12}\n",
+    ):
+        with pytest.raises(ConfigurationError, match="got 1000000000000"):
+            parse_toml(Recipe, f"name = 'a'\n{text}")
 
 
 def test_integers_beyond_every_float_are_refused():

@@ -23,6 +23,7 @@ from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
     require_writable,
+    write_pipeline,
 )
 
 FLAT = np.linspace(400.0, 820.0, 28)
@@ -120,6 +121,15 @@ def test_changed_or_missing_files_are_refused(folder, name):
     (folder / name).unlink()
     with pytest.raises(DataError, match="not a whole pipeline"):
         Pipeline.load(folder)
+
+
+def test_a_signature_of_the_sums_is_passed_over_and_ends_with_them(folder):
+    signature = folder / f"{SUMS}.sig"
+    signature.write_text("-----BEGIN SSH SIGNATURE-----")
+    saved = read_pipeline(folder)
+    assert signature.exists()
+    write_pipeline(folder, saved)
+    assert not signature.exists()
 
 
 def test_missing_sums_or_folder_are_refused(folder):
