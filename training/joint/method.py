@@ -347,7 +347,8 @@ class JointMethod(Method):
         flat, count = known.observations.flat[0], int(known.flat.sum())
         left_out = len(known) - count - len(bent) - len(touched)
         told = Adaptation(count, len(bent), len(touched), left_out)
-        p, noise = self.features.bounded(flat), noise_scale(known, self.combinations)
+        p, used = self.features.bounded(flat), len(bent) + len(touched)
+        noise = noise_scale(known, self.combinations) if used else 1.0
         adapted = replace(
             self,
             calibrated=None,
