@@ -2,8 +2,8 @@
 
 Run by `python -m eitskin.benchmarks.studies.physics.signals`.
 
-Prints, as Markdown, the change of each pair of the reference sensor over the bend angle, with the
-default hinge and with the one fitted to the 3D model, and what 5 and 10 N do at the paper's 27
+Prints, as Markdown, the change of each pair of the reference sensor over the bend angle, between
+clamped plates and by the kinematic hinge, and what 5 and 10 N do at the paper's 27
 positions, beside depth and thinning; with `--pictures FOLDER` draws both.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.extras import require
-from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene
@@ -34,10 +34,9 @@ POSITIONS = tuple(
 FORCES = (5.0, 10.0)
 ALIKE = 1e-3
 """Pairs that mirror each other change alike but for this share; the first of them is named."""
-HINGES = {
-    "default hinge, a plate": Hinge(),
-    "hinge fitted to the 3D model": Hinge(give=0.002, contraction=0.8),
-}
+DENTS = (1.0, 2.0, *FORCES, 15.0)
+"""Forces in the middle of the sensor [N]; the tables of presses end below 20 N."""
+FIXTURES: dict[str, Fixture] = {"clamped plates": Clamp(), "kinematic hinge, a plate": Hinge()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +45,7 @@ class Signals:
 
     Attributes:
         labels: of the pairs.
-        bends: by the name of the hinge, (angles, pairs).
+        bends: by the name of the fixture, (angles, pairs).
         presses: by force [N], (positions, pairs).
     """
 
@@ -59,8 +58,8 @@ def measured() -> Signals:
     """Signals at the resolution `standard`."""
     design = SensorDesign.reference()
     bends = {}
-    for name, hinge in HINGES.items():
-        sim = Simulator(design, "standard", hinge)
+    for name, fixture in FIXTURES.items():
+        sim = Simulator(design, "standard", fixture)
         bends[name] = _changes(sim, (Scene(Bend(angle)) for angle in ANGLES))
     presses = {
         force: _changes(sim, (Scene(touches=(Touch(x, y, force),)) for x, y in POSITIONS))
@@ -105,7 +104,7 @@ def dent_table() -> str:
     head = ["force [N]", "depth [mm]", "gel thinner on the axis [%]", "contact radius [mm]"]
     head.append("mean pressure [kPa]")
     rows = []
-    for force in (1.0, 2.0, *FORCES, 15.0, 20.0):
+    for force in DENTS:
         (press,) = sim.presses(Scene(touches=(Touch(0.075, 0.03, force),)))
         values = (1e3 * press.depth, 100.0 * press.thinning, 1e3 * press.contact_radius)
         row = [f"{force:g}", *(f"{v:.2f}" for v in values), f"{1e-3 * press.mean_pressure:.1f}"]
