@@ -3,7 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import require_count, require_length
 from eitskin.errors import DataError
+
+MOST_PIXELS = 4096  # of a row or column
 
 
 def touch_maps(
@@ -24,9 +27,16 @@ def touch_maps(
         (n, *shape) float32: 1 inside a disc, 0 outside, in between on pixels at a disc's edge.
         Rows and columns grow with y and x.
 
-    Raises DataError where a touch has a position and no radius.
+    Raises DataError where a touch has a position and no radius, or one coordinate, and
+    ConfigurationError for an outline or a shape that no map can have.
     """
+    for name, length in zip(("length", "width"), outline, strict=True):
+        require_length(f"{name} of the outline", length)
+    for name, count in zip(("rows", "columns"), shape, strict=True):
+        require_count(f"{name} of a touch map", count, 1, MOST_PIXELS)
     x, y, radius = (np.asarray(values, dtype=np.float32) for values in (x, y, radius))
+    if np.any(np.isfinite(x) != np.isfinite(y)):
+        raise DataError("a touch needs both coordinates, got one; pass NaN in both where absent")
     if np.any(np.isfinite(x) & ~np.isfinite(radius)):
         raise DataError(
             "a touch map needs the radius of every touch, got NaN; pass the radius of the indenter "

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
@@ -345,8 +346,9 @@ def _entries(value: Array, shape: tuple[int, ...], what: str, asked: tuple[int, 
         )
     if not _positive_definite(value, entries):
         raise ConfigurationError(
-            "conductivity must be finite, symmetric and positive everywhere, in S/m; "
-            f"smallest entry on the diagonal: {entries[..., :3].min():g}"
+            "conductivity must be finite, symmetric and positive everywhere, from "
+            f"{LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
+            f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
         )
     return entries
 
@@ -362,9 +364,15 @@ def _symmetric(entries: Array) -> Array:
 
 
 def _positive_definite(given: Array, entries: Array) -> bool:
-    """Whether all scalars, or all tensors of these entries, are positive (Sylvester's minors)."""
+    """Whether all scalars, or all tensors of these entries, are positive (Sylvester's minors).
+
+    None on their diagonals may be beyond the bounds of what a matrix of them can be solved with.
+    """
+    diagonal = entries[..., :3]
+    if not np.all((diagonal >= LEAST) & (diagonal <= MOST)):
+        return False
     if entries.shape[-1] == 1:
-        return bool(np.all(given > 0.0) and np.all(np.isfinite(given)))
+        return True
     xx, yy, zz, xy, xz, yz = np.moveaxis(entries, -1, 0)
     second = xx * yy - xy**2
     third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz

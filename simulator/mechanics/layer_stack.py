@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LONGEST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Substrate
@@ -81,8 +82,10 @@ class Mechanics:
 
     def __post_init__(self) -> None:
         """Check the lengths; laws and solid check the other values."""
-        if not (math.isfinite(self.margin) and self.margin >= 0.0):
-            raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
+        if not 0.0 <= self.margin <= LONGEST:
+            raise ConfigurationError(
+                f"margin must be a length up to {LONGEST:g} m, got {self.margin}"
+            )
         solved = self.solved_thickness
         if solved is not None and not (math.isfinite(solved) and solved > 0.0):
             raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")

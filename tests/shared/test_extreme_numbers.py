@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from eitskin.bounds import require_positive
-from eitskin.errors import ConfigurationError, DataError
-from eitskin.geometry import SensorDesign
+from eitskin.datasets import touch_maps
+from eitskin.errors import ConfigurationError, DataError, EitskinError
+from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.hardware.diagnosis.reading_check import check_readings
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
-from eitskin.simulator import Frame, Protocol
+from eitskin.simulator import ForwardModel, Frame, Mechanics, Protocol
+from eitskin.training import (
+    PixelGrid,
+    Regularisation,
+    StoredReference,
+    TwinPrior,
+    Zero,
+    figures_of_merit,
+)
 from eitskin.training.method.input_spec import usable_values
 from eitskin.training.method.known_frames import FrameLabel
 
@@ -59,3 +68,39 @@ def test_angles_are_those_of_a_bend():
     for angle in (1e300, 361.0, float("nan"), float("-inf")):
         with pytest.raises(DataError, match="360"):
             FrameLabel(angle)
+
+
+def test_arguments_that_no_map_picture_or_prior_can_have_are_refused():
+    """Each was accepted, and gave NaN, infinity or an error of NumPy."""
+    grid = PixelGrid.of(Rectangle(0.1, 0.06), 100)
+    picture = np.ones(len(grid))
+    one = np.full((1, 1), 0.03)
+    calls = {
+        "rows": lambda: touch_maps(one, one, one, shape=(-(2**63), 8)),
+        "outline": lambda: touch_maps(one, one, one, outline=(1e300, 0.06)),
+        "both coordinates": lambda: touch_maps(one, np.nan * one, one),
+        "a centre": lambda: figures_of_merit(picture, grid, (float("nan"), 0.0), 1e-4),
+        "a picture": lambda: figures_of_merit(1.7e308 * picture, grid, (0.0, 0.0), 1e-4),
+        "integral": lambda: figures_of_merit(picture, grid, (0.0, 0.0), 5e-324),
+        "prior": lambda: TwinPrior(conductivity=1.7e308),
+        "margin": lambda: Mechanics(margin=1e300),
+        "number from": lambda: Regularisation("lambda", 1.7e308),
+    }
+    for words, call in calls.items():
+        with pytest.raises(EitskinError, match=words):
+            call()
+
+
+def test_a_forward_model_takes_conductivities_that_leave_digits():
+    model = ForwardModel(SensorDesign.reference(), "coarse")
+    for value in (5e-324, 1e-310, 1e308, float("inf")):
+        with pytest.raises(ConfigurationError, match="1e-15"):
+            model.impedance(value)
+
+
+def test_readings_beyond_all_sensors_are_no_part_of_a_stored_reference():
+    values = np.array([FLAT + 0j, FLAT + 0j])
+    values[1, 0] = -np.inf
+    stored = StoredReference.of(list(values), PROTOCOL, 40e3, Zero.FLAT)
+    assert np.isfinite(stored.noise)
+    assert np.all(np.isfinite(stored.impedance[1:]))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LARGEST_READING
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file
@@ -73,7 +74,7 @@ class StoredReference:
         """Mean of n frames (n, measurements) [ohm], NaN where a channel is bad, taken now.
 
         Args:
-            impedance: n frames.
+            impedance: n frames; readings beyond those of all sensors are bad.
             protocol, frequency, zero, board, source: as the attributes.
             still: rms of the relative difference of two frames of a still sensor; twice that is
                 motion.
@@ -84,6 +85,7 @@ class StoredReference:
         """
         if not len(impedance):
             raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
+        impedance = [np.where(np.abs(each) <= LARGEST_READING, each, np.nan) for each in impedance]
         mean = RunningMean(still, longest=len(impedance))
         for number, values in enumerate(impedance, 1):
             if mean.add(values):

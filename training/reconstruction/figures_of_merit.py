@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import LEAST, MOST
 from eitskin.errors import DataError
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
 
@@ -54,8 +55,15 @@ def figures_of_merit(
         integral: of the target's change over its area, signed [m2].
 
     Raises:
-        DataError: for a picture without values of the target's sign.
+        DataError: for a picture without values of the target's sign, and for numbers that are not
+            finite or too large or small to divide by.
     """
+    given = np.array([*np.ravel(values), *centre], dtype=float)
+    if not (np.all(np.abs(given) <= MOST) and LEAST <= abs(integral) <= MOST):
+        raise DataError(
+            f"expected a picture and a centre up to {MOST:g}, and an integral from {LEAST:g}, got "
+            f"{np.abs(given).max(initial=0.0):g} and {integral:g}"
+        )
     picture = np.asarray(values, dtype=float) * math.copysign(1.0, integral)
     largest = float(picture.max(initial=0.0))
     if not largest > 0.0:

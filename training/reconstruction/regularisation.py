@@ -1,12 +1,12 @@
 """Rule by which the regularisation parameter lambda of a picture is chosen."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 from eitskin.training.reconstruction.regularised_inverse import RegularisedInverse
 
@@ -33,10 +33,10 @@ class Regularisation:
     value: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.rule not in get_args(RuleName) or not 0.0 < self.value < math.inf:
+        if self.rule not in get_args(RuleName) or not LEAST <= self.value <= MOST:
             raise ConfigurationError(
-                f"expected a rule for lambda of {', '.join(get_args(RuleName))} with a positive "
-                f"number, got {self.rule!r} with {self.value!r}"
+                f"expected a rule for lambda of {', '.join(get_args(RuleName))} with a "
+                f"number from {LEAST:g} to {MOST:g}, got {self.rule!r} with {self.value!r}"
             )
 
     @classmethod

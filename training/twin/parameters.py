@@ -14,6 +14,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.instrument.meter_parameters import MeterParameter, meter_parameters
 
 _TRIAL = 1e-4  # shift of an electrode that tells whether it can be moved on the mesh [m]
+_WIDEST = 1e6  # spread of a prior
 _FARTHEST = 5.0  # prior standard deviations to which a fit may go
 _UNITS = {
     "conductivity": "S/m",
@@ -66,10 +67,10 @@ class TwinPrior:
         for each in fields(self):
             value = getattr(self, each.name)
             least = 0.0 if each.name in _LINEAR else 1.0
-            if not (math.isfinite(value) and value > least):
+            if not least < value <= _WIDEST:
                 raise ConfigurationError(
-                    f"prior: {each.name} must be above {least:g}, got {value}; a factor of 1.1 is "
-                    "10 % either way"
+                    f"prior: {each.name} must be above {least:g} and at most {_WIDEST:g}, got "
+                    f"{value}; a factor of 1.1 is 10 % either way"
                 )
 
 
