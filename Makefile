@@ -36,9 +36,11 @@ coverage: $(VENV)/installed
 mutations: $(VENV)/installed
 	$(BIN)/python tests/mutations/run.py $(ARGS)
 
-# Hostile inputs of all kinds, read in processes that are watched; SECURITY.md has the table.
+# Hostile inputs of all kinds, read in processes that are watched; SECURITY.md has the table. Then
+# parsers, guided by coverage, where atheris is installed.
 fuzz: $(VENV)/installed
 	$(BIN)/python -m eitskin.benchmarks.studies.hostile.run $(ARGS)
+	$(BIN)/python -m eitskin.benchmarks.studies.hostile.guided
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -40,7 +40,8 @@ def main() -> None:
     try:
         import atheris  # noqa: F401
     except ImportError:
-        sys.exit("guided trials need atheris: pip install atheris")
+        print("guided trials are left out, they need atheris: pip install atheris")
+        return
     from eitskin.benchmarks.studies.hostile.parsers import PARSERS
 
     failed = [kind for kind in PARSERS if kind.startswith(given.only) and not _tried(kind, given)]
@@ -68,7 +69,7 @@ def _tried(kind: str, given: argparse.Namespace) -> bool:
         for failure in Path(place).glob(f"{failures.name}*"):
             print(run.stderr[-3000:], repr(failure.read_bytes()[:1000]), flush=True)
         if given.keep:
-            _keep(kind, given.corpus, _least(kind, found, Path(place)))
+            keep(kind, given.corpus, least(kind, found, Path(place)))
         return run.returncode == 0
 
 
@@ -100,21 +101,21 @@ def guided(kind: str, folder: Path, options: list[str]) -> None:
     atheris.Fuzz()
 
 
-def _least(kind: str, found: Path, folder: Path) -> list[bytes]:
+def least(kind: str, found: Path, folder: Path) -> list[bytes]:
     """The smallest inputs of those found that reach all lines of eitskin that these reach."""
     from eitskin.benchmarks.studies.hostile.parsers import PARSERS
 
     contents = sorted((each.read_bytes() for each in found.iterdir()), key=len)
     reached: set[tuple[Any, int]] = set()
-    least = []
+    chosen = []
     for content in contents:
         if len(content) <= KEPT_BYTES:
             before = len(reached)
             with _lines(reached), suppress(Exception):
                 PARSERS[kind].parse(content, folder)
             if len(reached) > before:
-                least.append(content)
-    return least[-KEPT:]
+                chosen.append(content)
+    return chosen[-KEPT:]
 
 
 @contextmanager
@@ -153,7 +154,7 @@ def kept(corpus: Path) -> dict[str, list[bytes]]:
     return found
 
 
-def _keep(kind: str, corpus: Path, inputs: list[bytes]) -> None:
+def keep(kind: str, corpus: Path, inputs: list[bytes]) -> None:
     """Write the smallest inputs of a kind to the corpus, in which the others stay."""
     everything: dict[str, Any] = kept(corpus) | {kind: inputs}
     with zipfile.ZipFile(corpus, "w", zipfile.ZIP_DEFLATED) as file:

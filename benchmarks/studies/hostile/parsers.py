@@ -135,7 +135,7 @@ def _tables() -> Mapping[str, tuple[bytes, ...]]:
 
 def _table(path: Path) -> list[Answer]:
     """Answers of a child that reads a recording, read here."""
-    ask = {"path": str(path), "sheet": None, "columns": {}}
+    ask: dict[str, Any] = {"path": str(path), "sheet": None, "columns": {}}
     (head,) = read_source(ask | {"wanted": None}, b"")
     values, *labels = head.data["names"]
     wanted = {"values": (values,), "labels": tuple(labels)}
@@ -164,7 +164,8 @@ def _packets() -> tuple[bytes, ...]:
 
 def _of_port(path: Path) -> list[object]:
     """Messages and frames in the bytes of a port; those that are none are dropped."""
-    decoder, found = Decoder(), []
+    decoder = Decoder()
+    found: list[object] = []
     assembly = FrameAssembly(decoder.drops)
     for packet in decoder.feed(path.read_bytes()):
         with suppress(MessageError):

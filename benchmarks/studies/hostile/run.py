@@ -7,6 +7,7 @@ failure, whose number makes it again: `--only "shards" --trial 17`.
 
 import argparse
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -15,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from eitskin.benchmarks.results import Results, found_results, write_results
-from eitskin.benchmarks.studies.hostile.watched import OUTCOMES, perform, watched
+from eitskin.benchmarks.studies.hostile.watched import OUTCOMES, watched
 from eitskin.provenance import Provenance
 
 NAME = "hostile"
@@ -28,15 +29,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--trials", type=int, default=400, help="of a kind, at most")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="kind, or its beginning; others keep figures")
+    parser.add_argument(
+        "--only", default="", help="kinds, or their beginnings, between ';'; others keep figures"
+    )
+    parser.add_argument("--workers", type=int, default=1, help="processes that try inputs")
     parser.add_argument("--trial", type=int, help="make one trial again, in this process")
-    parser.add_argument("--watched", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.watched:
-        perform()
-    elif given.trial is not None:
+    if given.trial is not None:
         _one(given.only, given.seed, given.trial)
     else:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         sys.exit(_table(given))
 
 
@@ -44,8 +46,8 @@ def tasks(most: int, only: str = "") -> list[tuple[str, int]]:
     """Kind and number of each trial, at most so many of a kind."""
     from eitskin.benchmarks.studies.hostile.kinds import KINDS
 
-    chosen = {kind: share for kind, share in KINDS.items() if kind.startswith(only)}
-    return [(kind, n) for kind, share in chosen.items() for n in range(max(1, int(most * share)))]
+    chosen = [k for start in only.split(";") for k in KINDS if k.startswith(start.strip())]
+    return [(kind, n) for kind in chosen for n in range(max(1, int(most * KINDS[kind])))]
 
 
 def _one(only: str, seed: int, number: int) -> None:
@@ -61,16 +63,20 @@ def _one(only: str, seed: int, number: int) -> None:
 def _table(given: argparse.Namespace) -> int:
     """Run, print and write; 1 where an outcome is neither reading nor one clear error."""
     began = time.perf_counter()
-    counts: dict[str, Counter[str]] = {}
-    for kind, number, outcome, message in watched(given.seed, tasks(given.trials, given.only)):
-        if kind not in counts and counts:
-            _print_row(*list(counts.items())[-1])
-        counts.setdefault(kind, Counter())[outcome] += 1
-        if outcome not in OUTCOMES[:2] and counts[kind][outcome] <= SHOWN:
-            print(f"{kind}, trial {number}: {outcome}: {message}", flush=True)
-    _print_row(*list(counts.items())[-1])
-    seconds = round(time.perf_counter() - began)
-    _write(given, counts, seconds)
+    asked = tasks(given.trials, given.only)
+    left = Counter(kind for kind, _ in asked)
+    counts: dict[str, Counter[str]] = {kind: Counter() for kind in left}
+    try:
+        for kind, number, outcome, message in watched(given.seed, asked, given.workers):
+            counts[kind][outcome] += 1
+            left[kind] -= 1
+            if outcome not in OUTCOMES[:2] and counts[kind][outcome] <= SHOWN:
+                print(f"{kind}, trial {number}: {outcome}: {message}", flush=True)
+            if not left[kind]:
+                _print_row(kind, counts[kind])
+    finally:  # after Ctrl-C and SIGTERM, too: as many as were tried
+        tried = {kind: found for kind, found in counts.items() if found}
+        _write(given, tried, round(time.perf_counter() - began))
     return int(any(found[bad] for found in counts.values() for bad in OUTCOMES[2:]))
 
 
@@ -80,10 +86,10 @@ def _print_row(kind: str, found: Counter[str]) -> None:
 
 
 def _write(given: argparse.Namespace, counts: Mapping[str, Counter[str]], seconds: int) -> None:
-    """Write the results; kinds that were not tried keep their figures."""
+    """Write the results of kinds that were tried; others keep their figures."""
     before = next((each for each in found_results(given.out) if each.name == NAME), None)
-    figures = dict(before.figures) if before and given.only else {}
-    seconds += round(before.seconds or 0) if before and given.only else 0
+    figures = dict(before.figures) if before else {}
+    seconds += round(before.seconds or 0) if before else 0
     for kind, found in counts.items():
         figures[f"{kind} / tried"] = found.total()
         figures |= {f"{kind} / {outcome}": found[outcome] for outcome in OUTCOMES}

@@ -1,13 +1,15 @@
 """Processes that perform trials, watched for crashes, time and memory."""
 
+import importlib
 import json
 import os
 import resource
+import selectors
 import signal
 import subprocess
-import sys
 import tempfile
 import warnings
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -29,51 +31,76 @@ OUTCOMES: Final = ("read", "one clear error", "traceback", "crash", "hang", "ove
 Task = tuple[str, int]
 
 
-def watched(seed: int, tasks: Sequence[Task]) -> Iterator[tuple[str, int, str, str]]:
-    """Kind, number, outcome and message of each trial, in processes of their own."""
-    while tasks:
-        done = 0
-        for outcome, message in _in_child(seed, tasks):
-            yield *tasks[done], outcome, message
-            done += 1
-        tasks = tasks[done:]
+def watched(
+    seed: int, tasks: Sequence[Task], workers: int = 1
+) -> Iterator[tuple[str, int, str, str]]:
+    """Kind, number, outcome and message of each trial, as they end.
+
+    The trials are made in processes that are forked from this one, which has loaded what they
+    need; where one ends, the next takes up its other tasks.
+    """
+    importlib.import_module(f"{__package__}.kinds")
+    lanes = [_Lane(seed, deque(tasks[first::workers])) for first in range(workers)]
+    with selectors.DefaultSelector() as selector:
+        for lane in lanes:
+            lane.start(selector)
+        while selector.get_map():
+            for key, _ in selector.select():
+                yield from key.data.results(selector)
 
 
-def _in_child(seed: int, tasks: Sequence[Task]) -> Iterator[tuple[str, str]]:
-    """Outcomes of tasks in a child, until it ends; the last is why."""
-    with subprocess.Popen(  # noqa: S603 - this package
-        [sys.executable, "-m", f"{__package__}.run", "--watched"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as child:
-        assert child.stdin is not None  # noqa: S101 - pipes, as asked for
-        assert child.stdout is not None  # noqa: S101
-        child.stdin.write(json.dumps([seed, tasks]))
-        child.stdin.close()
-        count = 0
-        for line in child.stdout:
-            count += 1
-            outcome, message = json.loads(line)
-            yield outcome, message
-        code = child.wait()
-        if count < len(tasks):
-            hung = code in (-signal.SIGXCPU, -signal.SIGALRM)
-            yield ("hang" if hung else "crash"), f"ended with {code}"
+class _Lane:
+    """Tasks that one process at a time performs."""
+
+    def __init__(self, seed: int, tasks: deque[Task]) -> None:
+        self._seed, self._tasks = seed, tasks
+        self._pid = self._answers = -1
+        self._begun = b""
+
+    def start(self, selector: selectors.BaseSelector) -> None:
+        """Fork a process for the tasks, where there are any."""
+        if not self._tasks:
+            return
+        self._answers, end = os.pipe()
+        self._pid = os.fork()
+        if self._pid == 0:
+            with suppress(BaseException):
+                _perform(self._seed, list(self._tasks), end)
+            os._exit(0)
+        os.close(end)
+        selector.register(self._answers, selectors.EVENT_READ, self)
+
+    def results(self, selector: selectors.BaseSelector) -> Iterator[tuple[str, int, str, str]]:
+        """What the process has answered; where it has ended, why, and the next is started."""
+        content = os.read(self._answers, 1 << 16)
+        *lines, self._begun = (self._begun + content).split(b"\n")
+        for line in lines:
+            yield *self._tasks.popleft(), *json.loads(line)
+        if not content:
+            selector.unregister(self._answers)
+            os.close(self._answers)
+            code = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+            if self._tasks:
+                hung = code in (-signal.SIGXCPU, -signal.SIGALRM)
+                how = "hang" if hung else "crash"
+                yield *self._tasks.popleft(), how, f"ended with {code}"
+            self.start(selector)
 
 
-def perform() -> None:
-    """Perform the tasks of the input in this process."""
-    seed, tasks = json.load(sys.stdin)
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a library prints is no answer
+def _perform(seed: int, tasks: Sequence[Task], end: int) -> None:
+    """Perform tasks in this process and write their outcomes, a line each."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in (0, 1):  # what a library prints is no answer
+        os.dup2(nothing, number)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     warnings.simplefilter("ignore")
     from eitskin.benchmarks.studies.hostile.kinds import draws, trial
 
+    contained._Child._idle.clear()
     contained.subprocess = SimpleNamespace(  # type: ignore[attr-defined, assignment]
         Popen=lambda *_, **__: _ForkedChild(), PIPE=subprocess.PIPE, DEVNULL=subprocess.DEVNULL
     )
-    with tempfile.TemporaryDirectory() as folder:
+    with os.fdopen(end, "w") as answers, tempfile.TemporaryDirectory() as folder:
         os.environ["EITSKIN_CACHE"] = str(Path(folder) / "cache")
         for kind, number in tasks:
             _limit()

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from eitskin.benchmarks.studies.hostile.guided import kept, seeds
+from eitskin.benchmarks.studies.hostile import guided
 from eitskin.benchmarks.studies.hostile.kinds import KINDS, draws, trial
 from eitskin.benchmarks.studies.hostile.mutations import EXTREMES, TOKENS, damaged, misworded
 from eitskin.benchmarks.studies.hostile.parsers import PARSERS
@@ -49,13 +49,27 @@ def parsed(kind, content, folder):
 
 
 def test_good_inputs_are_read_and_those_that_reached_more_of_a_parser_do_no_harm(folder):
-    corpus = kept(CORPUS)
+    corpus = guided.kept(CORPUS)
     assert set(corpus) == set(PARSERS)
     for kind in QUICK:
         for content in PARSERS[kind].good():
             PARSERS[kind].parse(content, folder)
         for content in corpus[kind]:
             parsed(kind, content, folder)
+
+
+def test_a_corpus_keeps_the_smallest_inputs_that_reach_more(tmp_path):
+    kind, found = "TOML: fixtures", tmp_path / "found"
+    found.mkdir()
+    for number, content in enumerate((b"a = [", b"b = [[", b"x" * 9000, *PARSERS[kind].good())):
+        (found / str(number)).write_bytes(content)
+    least = guided.least(kind, found, tmp_path)
+    assert least[0] == b"a = ["
+    assert b"b = [[" not in least
+    assert PARSERS[kind].good()[0] in least
+    guided.keep(kind, tmp_path / "corpus.zip", least)
+    guided.keep("another", tmp_path / "corpus.zip", [b"1"])
+    assert guided.kept(tmp_path / "corpus.zip") == {kind: least, "another": [b"1"]}
 
 
 @pytest.mark.slow
@@ -68,7 +82,7 @@ def test_good_inputs_are_read_and_those_that_reached_more_of_a_parser_do_no_harm
 )
 @given(st.sampled_from(QUICK), st.data())
 def test_edited_inputs_are_read_or_refused(folder, kind, data):
-    content = data.draw(st.sampled_from(seeds(kind, CORPUS)))
+    content = data.draw(st.sampled_from(guided.seeds(kind, CORPUS)))
     for place, length, piece in data.draw(EDITS):
         at = int(place * len(content))
         content = content[:at] + piece + content[at + length :]
@@ -77,8 +91,8 @@ def test_edited_inputs_are_read_or_refused(folder, kind, data):
 
 @pytest.mark.slow
 def test_kinds_are_tried_in_a_process_that_is_watched():
-    found = [*watched(7, tasks(2, "recordings: csv")), *watched(7, tasks(2, "surfaces"))]
-    assert len(found) == 5
+    found = list(watched(7, tasks(2, "recordings: csv; surfaces"), workers=2))
+    assert len({each[:2] for each in found}) == 5
     assert not [each for each in found if each[2] not in OUTCOMES[:2]]
 
 
