@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 from eitskin.geometry.design.surface import Surface
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.observations import UNKNOWN_AGE, Observations
+from eitskin.training.method.observations import Observations
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -169,7 +169,7 @@ class KnownFrames:
             frames=np.ones(len(frames)),
             static_frames=np.full(len(frames), float(count)),
             dynamic_frames=np.array([float(len(rows) or count) for rows in befores]),
-            age=_ages(time, since),
+            age=np.maximum(time - since, 0.0),
             dynamic_age=np.array(
                 [
                     max(now - (time[rows].max() if rows else since), 0.0)
@@ -280,16 +280,6 @@ def _touches(labels: Sequence[FrameLabel]) -> Array:
         for k, touch in enumerate(touches):
             table[row, k] = touch.x, touch.y, _or_nan(touch.force)
     return table
-
-
-def _ages(time: Array, since: float) -> Array:
-    """Ages (n,) of frames taken at `time` (n,), against the first flat one [s].
-
-    Frames of one time have no times, as single frames of a dataset: their ages are unknown.
-    """
-    if len(np.unique(time)) < len(time):
-        return np.full(len(time), UNKNOWN_AGE)
-    return np.maximum(time - since, 0.0)
 
 
 def _require_on_sensor(labels: Sequence[FrameLabel], spec: InputSpec) -> None:

@@ -12,7 +12,6 @@ from eitskin.simulator import Frame
 from eitskin.training import FrameLabel, Pipeline, TouchLabel
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import KnownFrames
-from eitskin.training.method.observations import UNKNOWN_AGE
 
 from smooth_sensor import FLAT, PROTOCOL
 
@@ -39,12 +38,6 @@ def test_changes_are_from_the_mean_of_the_flat_frames():
     assert seen.static_frames.tolist() == [2, 2, 2]
     assert found.bent.tolist() == [False, False, True]
     assert found.flat.tolist() == [True, True, False]
-
-
-def test_frames_of_one_time_have_unknown_ages():
-    frame = Frame(FLAT + 0j, PROTOCOL, 7.0)
-    found = KnownFrames.of([frame] * 3, [REST, BENT, BENT], SPEC)
-    assert found.observations.age.tolist() == [UNKNOWN_AGE] * 3
 
 
 def test_a_touch_is_compared_with_the_latest_untouched_frames_of_its_angle():
