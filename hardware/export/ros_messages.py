@@ -67,7 +67,7 @@ class RosMessages:
             "units": {
                 self.topic("impedance"): "ohm; real, imaginary",
                 self.topic("bend"): "rad",
-                self.topic("touch_map"): "probability 0 to 1; rows and columns grow with y and x",
+                self.topic("touch_map"): "touched share 0 to 1; rows and columns grow with y and x",
                 self.topic("touches"): "x, y, z, deviation: m; force: N; strength: 0 to 1",
             },
         }

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import kernels
+from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import (
@@ -243,12 +244,11 @@ class JointMethod(Method):
         """One frame's predictions from its fit."""
         angle_deg, deviation_deg = bend.angle_deg, bend.deviation_deg
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
+        x, y = found.touches[None, :, :2].transpose(2, 0, 1)
         map_ = (
-            disc_map(
-                found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
-            )
+            touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)
             if self.touches
-            else np.full(self.shape, np.nan, np.float32)
+            else np.full((1, *self.shape), np.nan, np.float32)
         )
         surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
@@ -258,7 +258,7 @@ class JointMethod(Method):
             self._probabilities(found, angle_deg, deviation_deg)[None],
             np.array([angle_deg]),
             np.array([deviation_deg]),
-            map_[None],
+            map_,
             (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
             (problems + fit_problems(found, bend, self.touches),),
         )
@@ -388,12 +388,18 @@ class JointMethod(Method):
         return output, TwinTrial(len(touched), *left)
 
     def outputs(self, observations: Observations) -> Arrays:
-        """Arrays of predictions for n frames, by which a saved copy is checked."""
+        """Arrays of predictions for n frames, by which a saved copy is checked.
+
+        Places and their standard errors are checked as one picture, as version 0.1 saved them.
+        """
         predictions = self.predict(observations)
+        scale = np.sqrt(2.0) * self.error_scale * self.own_error_scale
+        drawn = (self.radius, self.size, self.shape)
+        maps = [disc_map(t.place, t.deviation / scale, *drawn) for t in predictions.touches]
         return {
             "probabilities": predictions.probabilities,
             "bend_angle_deg": predictions.bend_angle_deg,
-            "touch_map": predictions.touch_map,
+            "touch_map": np.array(maps) if self.touches else predictions.touch_map,
         }
 
     def arrays(self) -> Arrays:

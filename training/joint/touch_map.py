@@ -1,4 +1,4 @@
-"""Touch map of located touches: discs of the indenter's radius, blurred by standard errors."""
+"""Picture of places with their standard errors, by which saved pipelines are checked."""
 
 import numpy as np
 from numpy.typing import NDArray

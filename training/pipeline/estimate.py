@@ -24,8 +24,8 @@ class Estimate:
         bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
             the paper's method gives the angle just before the touch.
         bend_deviation_deg: standard error of the angle [deg]; None for a method without one.
-        touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
-            columns grow with y and x. Zero unless the state is touch.
+        touch_map: how much of each pixel is touched, as estimated, (rows, columns), 0 to 1; rows
+            and columns grow with y and x. Zero unless the state is touch.
         found: the touches, with forces and standard errors where the method gives them.
         problems: faults of the frame or the references, in words; empty without any.
         number: number of the frame.

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
+from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import ConfigurationError
 from eitskin.provenance import Provenance
 from eitskin.training.evaluation import matching, metrics
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import network_inputs
-from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -160,9 +160,9 @@ def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:
             start = time.process_time()
             run(frame)
             seconds[name].append(time.process_time() - start)
-        found = whole(frame).touches[0]
+        x, y = whole(frame).touches[0].place.T[:, None]
         start = time.process_time()
-        disc_map(found.place, found.deviation, method.radius, method.size, method.shape)
+        touch_maps(x, y, np.full_like(x, method.radius), method.size, method.shape)
         seconds["map of touches"].append(time.process_time() - start)
     rest = zip(
         *(seconds[name] for name in ("whole frame", "proposals", "map of touches")), strict=True

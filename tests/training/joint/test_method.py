@@ -8,6 +8,7 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
+from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import error_scale, widened
 from eitskin.training.joint.method import JointMethod
@@ -108,6 +109,23 @@ def test_touch_map_is_where_the_touch_is(method):
     assert np.hypot(x - TOUCH[0], y - TOUCH[1]) < 0.0075
     area = said.touch_map[0].sum() * 0.150 * 0.060 / 2560
     assert area == pytest.approx(np.pi * 0.0075**2, rel=0.15)
+
+
+def test_touch_map_is_drawn_like_the_true_one(method):
+    """Discs without blur, at the places that were found."""
+    said = method.predict(observed(method, [TOUCH, (0.110, 0.040, 6.0)]))
+    x, y = said.touches[0].place.T[:, None]
+    radius = np.full_like(x, method.radius)
+    np.testing.assert_array_equal(said.touch_map, touch_maps(x, y, radius, method.size))
+
+
+def test_saved_copies_are_checked_by_places_and_standard_errors(method):
+    """`scaled` states other standard errors of places, which its checks undo."""
+    frame = observed(method, [TOUCH], rng=np.random.default_rng(0))
+    scaled = replace(method, error_scale=2.0, own_error_scale=1.5)
+    once, again = (each.outputs(frame)["touch_map"] for each in (method, scaled))
+    np.testing.assert_allclose(once, again, atol=1e-6)
+    assert not np.array_equal(once, method.predict(frame).touch_map)  # blurred
 
 
 def test_probabilities_add_up_and_follow_the_evidence(method):
