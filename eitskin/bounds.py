@@ -4,8 +4,12 @@ A length beyond the bounds was most likely given in another unit.
 """
 
 import math
+from typing import TYPE_CHECKING, Any
 
 from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 SHORTEST, LONGEST = 1e-6, 10.0
 LEAST, MOST = 1e-15, 1e15
@@ -41,3 +45,12 @@ def require_count(name: str, value: int, least: int, most: int) -> None:
     """Raise ConfigurationError unless `value` is from `least` to `most`."""
     if not least <= value <= most:
         raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")
+
+
+def drawn(rng: "np.random.Generator", limits: tuple[float, float], size: int | None = None) -> Any:
+    """Uniform random numbers between limits, of which the second may be -0.0.
+
+    For NumPy the range from 0.0 to -0.0 is none.
+    """
+    low, high = limits
+    return rng.uniform(low, high + 0.0, size)

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from eitskin.bounds import drawn
 from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
@@ -243,21 +244,21 @@ class RandomEpisodes:
         end = self.frames * self.period
         times, angles = [0.0], [0.0]
         while times[-1] < end:
-            rest, angle = moves.uniform(*self.rest_s), moves.uniform(*self.angle_deg)
-            lasts = abs(angle - angles[-1]) / moves.uniform(*self.speed_deg_s)
+            rest, angle = drawn(moves, self.rest_s), drawn(moves, self.angle_deg)
+            lasts = abs(angle - angles[-1]) / drawn(moves, self.speed_deg_s)
             times += [times[-1] + rest, times[-1] + rest + lasts]
             angles += [angles[-1], angle]
         return Timeline(tuple(times), tuple(angles), tuple(self._touches(outline, touches)))
 
     def _touches(self, outline: PlaneOutline, rng: np.random.Generator) -> Iterator[HeldTouch]:
-        time = rng.uniform(*self.pause_s)
+        time = drawn(rng, self.pause_s)
         while time < self.frames * self.period:
             amount = int(rng.integers(*self.touches, endpoint=True))
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng).tolist()
-            end = time + rng.uniform(*self.hold_s)
+            end = time + drawn(rng, self.hold_s)
             for x, y in positions:
-                yield HeldTouch(EpisodeTouch(x, y, rng.uniform(*self.force)), time, end)
-            time = end + rng.uniform(*self.pause_s)
+                yield HeldTouch(EpisodeTouch(x, y, drawn(rng, self.force)), time, end)
+            time = end + drawn(rng, self.pause_s)
 
 
 Episodes = ScriptedEpisode | RandomEpisodes

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from eitskin.bounds import drawn
 from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.state import State
 from eitskin.geometry.deformation.fixtures import Bend
@@ -115,8 +116,8 @@ class SceneGroup:
 
     def draw_untouched(self, rng: np.random.Generator) -> Scene:
         """Random bend and roll of one block of frames."""
-        bend = Bend(float(rng.uniform(*self.angle_deg)))
-        roll = Roll(float(rng.uniform(*self.roll_deg))) if self.roll_deg and self.rolls else None
+        bend = Bend(float(drawn(rng, self.angle_deg)))
+        roll = Roll(float(drawn(rng, self.roll_deg))) if self.roll_deg and self.rolls else None
         return Scene(bend=bend, roll=roll, support=self.support)
 
     def draw(
@@ -130,7 +131,7 @@ class SceneGroup:
         else:
             amount = int(rng.integers(self.touches[0], self.touches[1], endpoint=True))
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng)
-        forces = rng.uniform(*self.force, size=len(positions))
+        forces = drawn(rng, self.force, len(positions))
         touches = tuple(
             Touch(float(x), float(y), float(force), self.pressed_by)
             for (x, y), force in zip(positions, forces, strict=True)

@@ -14,6 +14,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 
 Lines = NDArray[np.float64]
 
+_NEAREST = 1e-9  # of two lines [m]
 _MOST_POINTS = 1_000_000
 
 
@@ -68,9 +69,17 @@ def require_possible(points: float, grading: Grading) -> None:
 def graded_lines(
     extent: float, edges: Iterable[float], breaks: Iterable[float], grading: Grading
 ) -> Lines:
-    """Grid lines from 0 to `extent`, through all edges and breaks, graded to the edges [m]."""
+    """Grid lines from 0 to `extent`, through all edges and breaks, graded to the edges [m].
+
+    Raises ConfigurationError where two of these are nearly the same, which no mesh can resolve.
+    """
     near = np.array(sorted(edges))
     fixed = np.unique(np.clip([0.0, extent, *near, *breaks], 0.0, extent).round(12))
+    if np.diff(fixed).min() < _NEAREST:
+        raise ConfigurationError(
+            f"lines of a mesh must be {_NEAREST:g} m apart, got {np.diff(fixed).min():g} m between "
+            "edges of electrodes, ends of the sensor and breaks; move one of them"
+        )
     attractors = near if len(near) else np.array([-np.inf])
     pieces = [fixed[:1]]
     for start, end in itertools.pairwise(fixed):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from eitskin.bounds import drawn
 from eitskin.config import Location, read_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
@@ -239,7 +240,7 @@ class Instrument:
         return Session(
             pairs=pairs,
             unsensed=None if sensed.all() or not self.needs_drive else int(sensed.argmin()),
-            capacitance=stray.uniform(low, high, len(protocol))[pairs],
+            capacitance=drawn(stray, (low, high), len(protocol))[pairs],
             factor=error * np.exp(1j * turn) * (1.0 + mismatch),
             drift=RandomWalk(self.drift, int(electronics.integers(2**63))),
             gel_drift=RandomWalk(self.gel_drift, int(gel.integers(2**63))),

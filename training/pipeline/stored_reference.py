@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import LARGEST_READING
+from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file
@@ -81,11 +81,11 @@ class StoredReference:
 
         Raises:
             ConfigurationError: for no frames.
-            DataError: for a sensor that moves.
+            DataError: for a sensor that moves, and for frames without a good channel.
         """
         if not len(impedance):
             raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
-        impedance = [np.where(np.abs(each) <= LARGEST_READING, each, np.nan) for each in impedance]
+        impedance = [_usable(each) for each in impedance]
         mean = RunningMean(still, longest=len(impedance))
         for number, values in enumerate(impedance, 1):
             if mean.add(values):
@@ -94,6 +94,11 @@ class StoredReference:
                     f"{len(impedance)}; hold it still and take the reference again"
                 )
         average = np.asarray(mean.mean)
+        if not np.isfinite(average).any():
+            raise DataError(
+                "expected readings of the untouched sensor, but every channel is bad; check the "
+                "board and its cable"
+            )
         count, noise = len(impedance), None
         if count > 1:
             departures = relative_difference(np.asarray(impedance), average)
@@ -213,6 +218,12 @@ def _complex(
 ) -> NDArray[np.complex128]:
     parts = np.array([real, imaginary], dtype=float)  # None becomes NaN
     return np.asarray(parts[0] + 1j * parts[1], dtype=np.complex128)
+
+
+def _usable(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Readings, NaN where they are none of any sensor."""
+    size = np.abs(values)
+    return np.where((size >= LEAST_READING) & (size <= LARGEST_READING), values, np.nan)
 
 
 def _plain(value: float) -> float | None:

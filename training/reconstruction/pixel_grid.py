@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
+from eitskin.bounds import MOST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Outline, PlaneOutline
 from eitskin.geometry.design.surface import Surface
@@ -140,7 +141,11 @@ class PixelGrid:
 
         Exact for pixels far from the rim of the disc; at the rim linear in the distance over one
         pixel's side, and of the disc's area in sum where the disc lies inside the outline.
+        Raises ConfigurationError for numbers that are no place or radius.
         """
-        away = np.linalg.norm(np.asarray(centres, dtype=float)[:, None] - self.centres, axis=2)
+        places = np.asarray(centres, dtype=float)
+        if not (np.all(np.abs(places) <= MOST) and 0.0 <= radius <= MOST):
+            raise ConfigurationError(f"discs need finite centres and a radius in m, got {radius}")
+        away = np.linalg.norm(places[:, None] - self.centres, axis=2)
         shares: Array = np.clip((radius - away) / math.sqrt(self.area) + 0.5, 0.0, 1.0)
         return shares
