@@ -74,9 +74,10 @@ def _table(given: argparse.Namespace) -> int:
                 print(f"{kind}, trial {number}: {outcome}: {message}", flush=True)
             if not left[kind]:
                 _print_row(kind, counts[kind])
-    finally:  # after Ctrl-C and SIGTERM, too: as many as were tried
-        tried = {kind: found for kind, found in counts.items() if found}
-        _write(given, tried, round(time.perf_counter() - began))
+    except KeyboardInterrupt:
+        print("interrupted; what was tried is kept", flush=True)
+    tried = {kind: found for kind, found in counts.items() if found}
+    _write(given, tried, round(time.perf_counter() - began))
     return int(any(found[bad] for found in counts.values() for bad in OUTCOMES[2:]))
 
 

@@ -88,7 +88,12 @@ class _Lane:
 
 
 def _perform(seed: int, tasks: Sequence[Task], end: int) -> None:
-    """Perform tasks in this process and write their outcomes, a line each."""
+    """Perform tasks in this process and write their outcomes, a line each.
+
+    Whatever else is open is closed, so that a process whose reader has gone ends.
+    """
+    os.closerange(3, end)
+    os.closerange(end + 1, 1024)
     nothing = os.open(os.devnull, os.O_RDWR)
     for number in (0, 1):  # what a library prints is no answer
         os.dup2(nothing, number)
