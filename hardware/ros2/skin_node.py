@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 from eitskin.closeable import Closeable
+from eitskin.extras import require_all
 from eitskin.hardware.export.ros_messages import NAME, RosMessages
 from eitskin.hardware.live import Reading
 from eitskin.hardware.ros2.names import require_name
@@ -46,6 +47,7 @@ class SkinNode(Closeable):
             ImportError: naming the extra, where cyclonedds or rosbags is missing.
             ConfigurationError: for an impossible name, or a domain that cannot be joined.
         """
+        require_all(ros2="cyclonedds rosbags")
         self.name, self.refused, self._now = require_name(name), 0, now
         self._messages = RosMessages(self.name)
         self._participant = RosParticipant(domain, self.name, NODE, self._messages.store)
