@@ -123,11 +123,13 @@ def test_a_drop_is_30_percent_where_it_is_touched_and_smooth() -> None:
     assert drop(points) == pytest.approx([1.4, 2.0 * (1 - 0.3 / np.e), 2.0])
 
 
+@pytest.mark.slow
 def test_the_published_error_is_that_of_the_published_contact_impedance() -> None:
     fine = cases.ModelCase("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
     assert published_error(fine) < 3e-5
 
 
+@pytest.mark.slow
 def test_superposed_drives_are_what_the_peer_says_of_each_pair(truth) -> None:
     pytest.importorskip("pyeit")
     mesh = ForwardModel(truth.design, ((1, 1), Grading(8e-3, 8e-3, 1.0, 2))).mesh

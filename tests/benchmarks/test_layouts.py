@@ -100,6 +100,7 @@ def test_a_ring_guesses_what_a_layout_of_its_electrodes_has(tmp_path):
     assert ring.guess(range(8)) == pytest.approx(score(bound), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_exchanges_leave_no_better_exchange():
     ring, plan = likely_ring(), FreePlan(starts=2)
     found = exchanged(ring, plan)

@@ -58,6 +58,7 @@ def made_today():
     }
 
 
+@pytest.mark.slow
 def test_recipes_are_frozen():
     for track, made in made_today().items():
         kept = {path.stem: Recipe.from_toml(path) for path in (FROZEN / track).iterdir()}

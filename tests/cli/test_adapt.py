@@ -106,6 +106,7 @@ def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):
     assert all(each.place_mm > 70.0 and each.found == 1.0 for each in points)
 
 
+@pytest.mark.slow
 def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_path):
     monkeypatch.setattr(adaptation_curve, "learn_places", nearest)
     save_dataset(toy_recording(), tmp_path / "presses")
@@ -144,6 +145,7 @@ def test_the_sentence_tells_whether_the_twin_was_taken():
     assert "not taken" in twin_in_words(dataclasses.asdict(worse))
 
 
+@pytest.mark.slow
 def test_recordings_of_other_measurements_are_refused():
     known = RecordedTouches.fit(toy_recording(), share=1.0)
     assert known.described(toy_recording(5)).protocol is None

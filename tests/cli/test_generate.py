@@ -63,6 +63,7 @@ def test_one_shard_says_what_is_missing(recipe, tmp_path, monkeypatch):
         run("generate", recipe, "--out", tmp_path / "set", "--shard", 3)
 
 
+@pytest.mark.slow
 def test_dry_run_writes_nothing(recipe, tmp_path):
     found = printed_json("generate", recipe, "--out", tmp_path / "set", "--dry-run")
     assert (found["frames"], found["shards"]) == (24, 3)

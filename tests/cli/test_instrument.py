@@ -35,6 +35,7 @@ def run(folder, *arguments):
     return CliRunner().invoke(app, [*options, *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
     folder, flat = rig
     out = tmp_path / "rig.toml"
@@ -73,6 +74,7 @@ def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path
     assert isinstance(run(folder, tmp_path / "x", *options).exception, DataError)
 
 
+@pytest.mark.slow
 def test_protocols_that_are_not_known_or_do_not_fit_are_refused(rig, tmp_path):
     folder, _ = rig
     values = (folder / "flat.npz", "--values", "u", "--out", tmp_path / "rig.toml")

@@ -21,6 +21,7 @@ def test_version():
     assert eitskin("--version") == f"eitskin {version('eitskin')}\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "expected"),
     [("eitskin si", {"simulate"}), ("eitskin simulate --se", {"--sensor", "--seed"})],

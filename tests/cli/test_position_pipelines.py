@@ -86,6 +86,7 @@ def test_evaluate_and_train_write_a_report(folder, tmp_path):
     assert again["report"] == report["report"]
 
 
+@pytest.mark.slow
 def test_the_zero_of_a_session_may_be_stored(folder, tmp_path):
     zero = tmp_path / "zero.json"
     run("tare", folder / "mine.eitmodel", "--board", BOARD, "--out", zero, "--frames", 8)
@@ -117,6 +118,7 @@ def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):
     assert any(PROTOCOL.labels[3] in each["channels"] for each in found)
 
 
+@pytest.mark.slow
 def test_mcap_has_the_estimates(folder, tmp_path):
     pytest.importorskip("rosbags")
     out = tmp_path / "mine.mcap"

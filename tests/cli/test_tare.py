@@ -64,6 +64,7 @@ def test_a_bent_sensor_is_no_flat_reference_but_a_mounted_one(bent, tmp_path):
     assert (said["zero"], said["frames"]) == ("as mounted", 4)
 
 
+@pytest.mark.slow
 def test_check_tells_a_sensor_that_does_not_start_flat(bent, reference):
     check = ("check", "--frames", 4, "--json", "--board")
     (finding,) = json.loads(run(*check, bent, code=4).stdout)["findings"]
@@ -74,6 +75,7 @@ def test_check_tells_a_sensor_that_does_not_start_flat(bent, reference):
     assert run(*check, FLAT, "--reference", reference)
 
 
+@pytest.mark.slow
 def test_live_estimates_a_bent_start_by_its_reference(bent, reference):
     live = ("live", "reference.eitmodel", "--board", bent, "--frames", 2, "--every-frame", "--json")
     lines = [json.loads(line) for line in run(*live).stdout.splitlines()]
@@ -98,6 +100,7 @@ def test_the_reference_of_a_dataset_and_none(tmp_path):
         raise run("tare", "reference.eitmodel", "--out", path, code=1).exception
 
 
+@pytest.mark.slow
 def test_calibration_with_a_reference_needs_no_flat_sensor(reference, tmp_path):
     angles = [-20, 15, 30, 50]
     script = tmp_path / "bends.toml"

@@ -95,6 +95,7 @@ def test_an_address_where_nothing_answers_leaves_no_folder(tmp_path, address):
 # and who completes a folder; tests of the command make a shard with a worker.
 
 
+@pytest.mark.slow
 def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     folder = tmp_path / "set"

@@ -21,6 +21,7 @@ def data():
     return make(47, specimens=5, specimen=np.arange(47) // 10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cut", "counts"), [(20, [20, 20, 7]), (7, [7] * 6 + [5]), (100, [47])])
 def test_a_set_of_version_one_becomes_one_of_version_two(tmp_path, data, cut, counts):
     folder, seen = save_version_one(data, tmp_path / "old", frames_per_shard=12), []

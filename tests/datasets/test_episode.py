@@ -210,6 +210,7 @@ def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     assert without > 40 * error
 
 
+@pytest.mark.slow
 def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
     told = script(
         Keyframe(0.0),

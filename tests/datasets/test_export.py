@@ -71,6 +71,7 @@ def in_order(frames):
 
 
 class TestParquet:
+    @pytest.mark.slow
     def test_pandas_reads_the_same_numbers(self, saved, parquet):
         data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
         for name, part in itertools.product(FLOATS, ("real", "imag")):

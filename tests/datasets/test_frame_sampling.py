@@ -179,6 +179,7 @@ def test_more_specimens_than_blocks_leave_some_out():
     assert all(each.session_time < 8 * 0.297 for each in drawn)
 
 
+@pytest.mark.slow
 def test_angles_are_spread_evenly_with_or_without_blocks():
     for per_bend in (1, 4):
         group = dataclasses.replace(BENT, count=4000, per_bend=per_bend)

@@ -67,6 +67,7 @@ def test_two_workers_make_the_same_bytes_and_report_every_shard(whole, tmp_path)
     assert contents(tmp_path / "set") == contents(whole)
 
 
+@pytest.mark.slow
 def test_dataset_holds_what_the_recipe_says(whole):
     data = open_dataset(whole)
     samples = [sample(RECIPE, index) for index in range(RECIPE.frames)]
@@ -149,6 +150,7 @@ def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, 
     assert contents(folder) == contents(whole)
 
 
+@pytest.mark.slow
 def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     folder = tmp_path / "damaged"
@@ -338,6 +340,7 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
     assert asked == {(None, "tabulated"), (Plates(), "solved")}
 
 
+@pytest.mark.slow
 def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, monkeypatch):
     def interrupt(_finished):
         raise KeyboardInterrupt

@@ -64,6 +64,7 @@ def frames(out):
     return pd.concat([pd.read_parquet(path) for path in paths], ignore_index=True)
 
 
+@pytest.mark.slow
 def test_frames_are_numbered_from_zero_and_episodes_whole(info, episodes, frames):
     assert info["total_frames"] == len(frames) == EPISODES * LENGTH
     assert info["total_episodes"] == len(episodes) == EPISODES

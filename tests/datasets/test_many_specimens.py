@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from eitskin.datasets import Recipe, generate, read_shard
 from eitskin.datasets.generation.preparation import deciding_specimens
@@ -49,6 +50,7 @@ def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
     assert len(np.unique(data.reference, axis=0)) == 2
 
 
+@pytest.mark.slow
 def test_few_specimens_decide_for_many_which_tables_are_needed():
     few = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=2))
     assert deciding_specimens(few) == (0, 1)

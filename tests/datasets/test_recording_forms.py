@@ -149,6 +149,7 @@ def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
     assert data.number.tolist() == list(range(8))
 
 
+@pytest.mark.slow
 def test_rows_without_a_partner_and_in_the_other_order_are_refused(tmp_path):
     header = ["v0", "x", "y"]
     csv_file(tmp_path / "odd.csv", header, [[1, "", ""], [2, 0.1, 0.1], [3, "", ""]])
@@ -186,6 +187,7 @@ def test_labels_have_places_units_and_several_touches(tmp_path):
     assert data.specimen_number.tolist() == [7, 9]
 
 
+@pytest.mark.slow
 def test_patterns_of_a_file_make_the_protocol_and_divide_by_the_current(tmp_path):
     protocol = Protocol.from_rows([(0, 1, 1, 2), (0, 1, 2, 3), (2, 1, 1, 2), (2, 1, 2, 3)], 4)
     drive = np.array([[2.0, 0], [-2, -4], [0, 4], [0, 0]])

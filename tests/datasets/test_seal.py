@@ -55,6 +55,7 @@ def looping(image):
     return image[:start] + bytes(512) + image[start + 512 :]
 
 
+@pytest.mark.slow
 def test_a_shard_that_harms_hdf5_harms_only_a_child(shard, monkeypatch):
     """The seal of somebody else tells nothing of what he meant."""
     monkeypatch.setattr(shard_reader, "SECONDS", 1)

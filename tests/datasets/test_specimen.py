@@ -200,6 +200,7 @@ def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
 # Presses
 
 
+@pytest.mark.slow
 def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     for store in (press_store, table_files):

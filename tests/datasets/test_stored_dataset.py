@@ -61,6 +61,7 @@ def test_opening_reads_the_first_shard_alone_and_use_reads_a_column_once(folder,
     assert_same(found, data)
 
 
+@pytest.mark.slow
 def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data, tmp_path):
     assert_same(open_dataset(folder), data)
     for chosen in (slice(3, 40, 5), [45, 2, 2, -1], data.state == 1, []):

@@ -60,6 +60,7 @@ def test_files_are_read_in_each_process_of_its_own(folder):
     assert torch.equal(pickle.loads(sent)[7]["impedance"], frames[7]["impedance"])  # noqa: S301
 
 
+@pytest.mark.slow
 def test_batches_with_and_without_workers(folder, data):
     for workers in (0, 2):
         loader = DataLoader(TorchDataset(folder), batch_size=16, num_workers=workers)
@@ -77,6 +78,7 @@ def test_a_set_above_the_limit_says_what_to_take(folder, data):
         TorchDataset(folder, memory_limit=size - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, 2])
 def test_shuffled_shards_give_every_frame_once(folder, data, workers):
     loader = DataLoader(ShuffledShards(folder, seed=3), batch_size=None, num_workers=workers)
@@ -95,6 +97,7 @@ def test_specimens_are_those_of_the_set_in_every_shard(tmp_path):
             assert np.array_equal(item["reference"].numpy(), made.reference[number])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_are_the_same_frames_in_the_same_order(folder, workers):
     single = ShuffledShards(folder, seed=3)
@@ -111,6 +114,7 @@ def test_batches_are_the_same_frames_in_the_same_order(folder, workers):
         ShuffledShards(folder, batch=0)
 
 
+@pytest.mark.slow
 def test_order_follows_from_seed_and_epoch(folder):
     def order(seed, epoch):
         shards = ShuffledShards(folder, names=("time",), seed=seed)

@@ -125,6 +125,7 @@ def test_angles_are_at_least_28_degrees():
         assert angles(points, triangles).min() > 28
 
 
+@pytest.mark.slow
 def test_any_star_shaped_polygon_is_filled():
     rng = np.random.default_rng(4)
     for sides in (3, 5, 8, 13):

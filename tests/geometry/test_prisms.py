@@ -72,6 +72,7 @@ def test_triangles_are_fine_around_pads_and_coarse_elsewhere():
     assert 0.5 * GRADING.coarsest < longest[far].mean() < GRADING.coarsest
 
 
+@pytest.mark.slow
 def test_arcs_are_approached_by_chords_and_weighed_by_their_true_area():
     disc = Disc(0.115)
     design = SensorDesign(disc, 0.07, uniform(disc, 32, width=0.0125), encapsulated_thickness=0.1)

@@ -181,6 +181,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["check", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_checks_recordings_of_any_protocol(tmp_path):
     meter = FourTerminalMeter(sink=0.2, idle=0.05, sense_plus=0.1, reads="magnitude")
     np.savez(tmp_path / "rig.npz", u=frames(OPPOSITE, meter).real)

@@ -215,6 +215,7 @@ def test_pairs_that_are_all_shorted_are_findings(ohm):
     assert not check_sensor(frames(np.full(28, ohm)), expected()).healthy
 
 
+@pytest.mark.slow
 def test_whatever_is_wrong_is_a_finding_and_no_error():
     rng = np.random.default_rng(8)
     for _ in range(150):

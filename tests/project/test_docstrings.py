@@ -102,6 +102,7 @@ def overrides_a_documented_one(module, owner, method):
     return any(inspect.getdoc(vars(base).get(method)) for base in bases if method in vars(base))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_public_method_or_the_one_it_overrides_is_documented(room):
     missing = [names for names in undocumented(room) if not overrides_a_documented_one(*names)]

@@ -70,6 +70,7 @@ def test_errors_keep_their_kind():
         answers("fail(KeyError('why'))")
 
 
+@pytest.mark.slow
 def test_a_reader_that_dies_loops_or_fills_up_is_one_error():
     with pytest.raises(DataError, match=f"signal {int(signal.SIGSEGV)}"):
         answers("[os.kill(os.getpid(), signal.SIGSEGV)]")

@@ -42,6 +42,7 @@ def imported_at_the_top(path: Path) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
+@pytest.mark.slow
 def test_modules_import_only_what_is_installed_without_extras() -> None:
     """Packages that others happen to bring along may go: a new typer no longer brings click."""
     given, own = packages_distributions(), {"eitskin", *sys.stdlib_module_names}

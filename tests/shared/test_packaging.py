@@ -65,6 +65,7 @@ def test_type_checkers_see_every_module() -> None:
     assert links == shared | {room: ROOT / room for room in ROOMS}
 
 
+@pytest.mark.slow
 def test_imports_load_only_the_packages_that_they_need() -> None:
     """Modules in memory after each step of one process: rooms load nothing, torch comes last."""
     told = "import sys; print(*sys.modules)"

@@ -27,6 +27,7 @@ EDITS = st.lists(
 CHEAP = ("TOML", "manifests", "protocols", "stored", "tables", "bytes", "messages", "lines")
 
 
+@pytest.mark.slow
 def test_every_cheap_kind_is_read_or_refused_in_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     for kind in KINDS:
@@ -48,6 +49,7 @@ def parsed(kind, content, folder):
         PARSERS[kind].parse(content, folder)
 
 
+@pytest.mark.slow
 def test_good_inputs_are_read_and_those_that_reached_more_of_a_parser_do_no_harm(folder):
     corpus = guided.kept(CORPUS)
     assert set(corpus) == set(PARSERS)

@@ -297,6 +297,7 @@ def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
         assert made.stale_after() == np.inf
 
 
+@pytest.mark.slow
 def test_scripts_are_valid_modules(tmp_path) -> None:
     node = shutil.which("node")
     if node is None:

@@ -29,6 +29,7 @@ from loopback import PROTOCOL, connected, take
 # ---- who it is ----
 
 
+@pytest.mark.slow
 def test_it_says_who_it_is_on_boot_and_when_asked():
     board = compiled_board()
     (info,) = messages(board.boot())

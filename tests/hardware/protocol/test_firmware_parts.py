@@ -109,6 +109,7 @@ def test_a_frame_that_is_stopped_is_not_joined_with_the_next():
     assert host.lost == 0
 
 
+@pytest.mark.slow
 def test_a_slow_line_loses_frames_whole():
     host, port = connected(small())
     stream, found = host.frames(), port.firmware

@@ -282,6 +282,7 @@ def test_a_board_of_large_frames_refuses_the_whole_table():
     assert answers(large, pack(GetTable(928), 3)) == [Ack(3, MessageType.GET_TABLE, 2)]
 
 
+@pytest.mark.slow
 def test_a_round_sensor_bends_on_the_fixture_that_is_given(tmp_path):
     disc = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 8))
     disc.to_toml(tmp_path / "disc.toml")

@@ -70,6 +70,7 @@ def test_gradient_is_the_derivative_of_positions_and_keeps_volume(bent) -> None:
     assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.005
 
 
+@pytest.mark.slow
 def test_left_mirrors_right_and_front_mirrors_back(bent) -> None:
     centre = np.array([0.075, 0.030, 0.0])
     for signs in (np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])):
@@ -107,6 +108,7 @@ def layered(length):
     return design, Mechanics(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "faces"), [(0.0, "both"), (0.010, "both"), (0.010, "bottom")])
 def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset, faces) -> None:
     """U = (E I + E A d^2) theta^2 / (2 s); what clamps add to s is the same for every span."""

@@ -114,6 +114,7 @@ def test_energy_is_the_work_of_the_moments(table) -> None:
     assert table.energies[-1] == pytest.approx(work, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_reference_sensor_bends_as_an_independent_solution_has_it() -> None:
     sim = Simulator(SensorDesign.reference(), "standard")
     flat = sim.protocol.measure(sim.model.impedance()).real
@@ -122,6 +123,7 @@ def test_the_reference_sensor_bends_as_an_independent_solution_has_it() -> None:
     assert np.linalg.norm(change - INDEPENDENT) < 0.005 * np.linalg.norm(INDEPENDENT)
 
 
+@pytest.mark.slow
 def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     design, materials = short()
     reports: list[tuple[int, int]] = []

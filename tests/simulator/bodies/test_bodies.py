@@ -239,6 +239,7 @@ def test_a_body_is_bent_pressed_and_both(sim, tmp_path, monkeypatch) -> None:
     assert 0.0 < found.thinning < 0.3
 
 
+@pytest.mark.slow
 def test_scenes_that_a_body_cannot_have_are_refused(sim, design) -> None:
     beside = Touch(0.050, 0.010, force=1.0, indenter=Sphere(0.002))
     with pytest.raises(ConfigurationError, match="above the body"):

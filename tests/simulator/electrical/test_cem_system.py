@@ -68,6 +68,7 @@ def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers
     assert pytest.approx(np.eye(3) - 1 / 3, abs=1e-9) == Y @ Z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("z", [1e-3, 2e-4 + 3e-4j])
 @pytest.mark.parametrize("solver", ["block Cholesky", "nested dissection"])
 def test_cholesky_equals_sparse_lu(solver, z) -> None:

@@ -129,6 +129,7 @@ HP = [530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.3249
 PAIRS = Protocol.pairwise(8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
 @pytest.mark.parametrize(
     ("resolution", "close"),

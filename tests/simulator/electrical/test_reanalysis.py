@@ -131,6 +131,7 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
     assert signal_errors(sim, near, tolerance=1e-8).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", ["prisms", "hexahedra"])
 @pytest.mark.parametrize("solver", ["block Cholesky", "nested dissection", "sparse LU"])
 def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
@@ -201,6 +202,7 @@ def test_a_scene_that_differs_too_much_is_solved_by_itself(small) -> None:
 # Work
 
 
+@pytest.mark.slow
 def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
     never_seen = dataclasses.replace(SensorDesign.reference(), conductivity=0.987)
     sim = Simulator(never_seen, COARSE)

@@ -48,6 +48,7 @@ def signal(resolution, name):
     return frame.impedance.real / flat(resolution) - 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(SCENES))
 @pytest.mark.parametrize(
     "resolution", ["coarse", "fast", pytest.param("standard", marks=pytest.mark.slow)]
@@ -82,6 +83,7 @@ def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -
     assert own._impedances.own.suited([Sphere(0.003)]) is own.model
 
 
+@pytest.mark.slow
 def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     """Light presses stand for those of small indenters, whose dents take minutes to solve."""
     sim = Simulator(SensorDesign.reference(), "fast")
@@ -108,6 +110,7 @@ def test_a_model_beyond_the_bound_is_refused_before_it_is_assembled() -> None:
         ForwardModel(DESIGN, ((10,) * 6, Grading(5e-3, 1e-2, 1.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "size", "cells"),
     [((3, 3, 2, 1), 2.5e-3, None), ((5, 5, 4, 3), 7e-3, None), ((3, 2, 1), 4e-3, "prisms")],
@@ -128,6 +131,7 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
 # Kinds of cells
 
 
+@pytest.mark.slow
 def test_many_electrodes_have_prisms_and_as_many_unknowns_as_they_need() -> None:
     """Lines of hexahedra through 32 electrodes would make five times the reference's unknowns."""
     models = [
@@ -149,6 +153,7 @@ def test_hexahedra_stay_where_they_are_needed_or_asked_for() -> None:
     assert suited_cells("fast", pads) == "hexahedra"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution", ["coarse", "fast"])
 def test_prisms_are_as_exact_as_promised(resolution) -> None:
     truth = signal(CONVERGED[resolution], "sheared")

@@ -28,6 +28,7 @@ def layer(thickness, law=None) -> Stack:
 # Against closed forms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "published"),
     [

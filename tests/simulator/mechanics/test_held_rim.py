@@ -33,6 +33,7 @@ def test_small_presses_bend_the_sheet_as_a_clamped_plate() -> None:
     assert -found.displacement[0, 0, 1] == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [0.001, 0.002])
 def test_deep_presses_stretch_the_sheet_as_a_slack_membrane(depth) -> None:
     """Ten and twenty times deeper than the sheet is thick, with nu = 1/3."""
@@ -54,6 +55,7 @@ def test_small_presses_of_a_stretched_sheet_are_those_of_a_taut_membrane(stretch
     assert w + sunk == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_rough_punch_on_a_stretched_sheet_holds_it_where_it_is() -> None:
     """At a touch without depth, nothing but the stretch has moved the sheet."""
     press = held(0.001, HeldRim(0.02, 1.1), indenter=Cylinder(0.002, edge=0.2))

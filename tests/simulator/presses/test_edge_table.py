@@ -113,6 +113,7 @@ def test_sides_are_seen_within_reach_and_from_the_front() -> None:
 # The table
 
 
+@pytest.mark.slow
 def test_a_solved_press_is_the_solved_one_and_far_from_the_side_there_is_none(table) -> None:
     for k in (0, 4, 8):
         for j, depth in enumerate(table.depths[1:]):

@@ -59,6 +59,7 @@ def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
     assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
 
 
+@pytest.mark.slow
 def test_the_base_carries_the_force_of_the_indenter(stack, pressed, dents) -> None:
     """Dents and correction together; 3 % is the quadrature of the dent on coarse cells."""
     stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])], pressed.unknowns)
@@ -79,6 +80,7 @@ def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
 
 
+@pytest.mark.slow
 def test_mirrored_presses_have_mirrored_corrections(pressed, dents) -> None:
     there = (LENGTH - X, WIDTH - Y)
     image = FiniteStack(meshed(*there)).correction([DentField(*there, PUNCH, dents[DEPTH])])
@@ -90,6 +92,7 @@ def test_mirrored_presses_have_mirrored_corrections(pressed, dents) -> None:
     assert found == pytest.approx(expected, abs=1e-4 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_corrections_of_small_presses_scale_with_the_force(stack, dents) -> None:
     one, two = (
         stack.correction([DentField(X, Y, PUNCH, dents[depth])]) for depth in (SMALL, 2 * SMALL)
@@ -121,6 +124,7 @@ def test_nothing_is_corrected_far_from_the_sides(pressed, dents) -> None:
     assert largest < 0.1 * np.abs(pressed.displacement.values).max()
 
 
+@pytest.mark.slow
 def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
     many = [DentField(X, Y, PUNCH, dents[DEEP])] * 6
     with pytest.raises(SolidError, match="inside out where they overlap"):
@@ -143,6 +147,7 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
 
 
+@pytest.mark.slow
 def test_a_contact_smaller_than_a_cell_is_held() -> None:
     ball = Sphere(0.0075)
     dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
@@ -170,6 +175,7 @@ def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
 # Supports
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("support", [Plates(0.020), Free()], ids=["plates", "free"])
 def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, support) -> None:
     stack = FiniteStack(meshed(x=LENGTH / 2, y=WIDTH / 2, support=support))

@@ -129,6 +129,7 @@ def test_errors_of_the_signal_are_stated_on_every_support(monkeypatch) -> None:
         assert found.signal_error == 0.04
 
 
+@pytest.mark.slow
 def test_presses_that_are_bent_afterwards_say_so(monkeypatch) -> None:
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
@@ -277,6 +278,7 @@ def test_a_scanned_ball_is_a_sphere(ball) -> None:
     assert scanned.rims[1] == pytest.approx(0.0075, rel=0.01)
 
 
+@pytest.mark.slow
 def test_scene_files_name_meshes(ball) -> None:
     path = ball.with_suffix(".toml")
     path.write_text(

@@ -47,6 +47,7 @@ def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
     assert signal[10] == pytest.approx(4 * signal[5], rel=0.05, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_composing_with_what_does_nothing_changes_nothing(sim) -> None:
     touch = (Touch(0.06, 0.02, 8.0),)
     plain = sim.measure(Scene(Bend(20.0), touch)).impedance

@@ -227,6 +227,7 @@ def test_a_flat_sensor_is_drawn_in_every_colour(tmp_path) -> None:
         assert (colours(tmp_path / f"{colour}.png").min(axis=2) < 250).mean() > 0.05
 
 
+@pytest.mark.slow
 def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -> None:
     scenes = [("flat", Scene())]
     for wanted, message in (

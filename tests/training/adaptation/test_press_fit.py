@@ -25,6 +25,7 @@ def learned():
     return learn_places(LabelledPresses(ratio, places, depth))
 
 
+@pytest.mark.slow
 def test_places_strength_and_standard_errors(learned):
     ratio, places, depth = toy_presses(30, seed=1)
     found, left_out = learned.locator.locate(ratio)
@@ -87,6 +88,7 @@ def test_what_cannot_be_learned_is_refused(learned):
         learned.locator.apply(ratio[:, :7])
 
 
+@pytest.mark.slow
 def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
     ratio, places, _ = toy_presses(40)
     x, y = np.full((2, 40, 4), np.nan)

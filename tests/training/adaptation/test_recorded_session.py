@@ -54,6 +54,7 @@ def frame(values, number, **changes):
     return Frame(values, PROTOCOL, 0.1 * number, number, **changes)
 
 
+@pytest.mark.slow
 def test_a_press_has_a_position_and_nothing_else(learned):
     assert learned.targets.missing == ("the state", "the bend angle", "forces")
     noise = 1.0 + 1e-4 * np.random.default_rng(1).standard_normal((5, 15))

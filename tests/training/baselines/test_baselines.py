@@ -33,6 +33,7 @@ def settings(name):
     return replace(TrainingSettings.preset(name), options=SMALL[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_a_baseline_learns_states_angles_and_touches(dataset, name, tmp_path):
     pipeline = Pipeline.fit(dataset, settings(name))

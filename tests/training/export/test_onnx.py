@@ -91,6 +91,7 @@ def joint() -> Pipeline:
 # Equality
 
 
+@pytest.mark.slow
 def test_the_paper_graph_gives_what_the_method_gives(paper) -> None:
     (graph,), _ = graphs_of(paper)
     said = run_graph(graph.model, graph.feeds)
@@ -224,6 +225,7 @@ def test_the_command_writes_graphs_and_a_page_that_says_what_they_take(tmp_path)
     assert isinstance(CliRunner().invoke(app, words).exception, ConfigurationError)
 
 
+@pytest.mark.slow
 def test_the_same_pipeline_gives_the_same_bytes(paper, tmp_path) -> None:
     first, second = (export_onnx(paper, tmp_path / name) for name in ("a", "b"))
     assert [g["sha256"] for g in first["graphs"]] == [g["sha256"] for g in second["graphs"]]

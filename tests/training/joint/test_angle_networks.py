@@ -129,6 +129,7 @@ def test_the_curve_counts_near_zero(by_networks, expected):
     assert deviation == pytest.approx(0.1 + share * 0.4)
 
 
+@pytest.mark.slow
 def test_stored_networks_estimate_the_same(trained):
     networks = trained[0]
     again = AngleNetworks.from_arrays(networks.arrays())

@@ -159,6 +159,7 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
         np.testing.assert_allclose(after.deviation, method.error_scale * before.deviation)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_never_bent():
     """No bend curve, no references either: the flat sensor is the reference of every frame."""
     data = dataset(700)
@@ -240,6 +241,7 @@ def test_strength_of_touches_follows_their_force_and_number():
     assert pair[0, 0] == pair[0, 1]
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_never_touched():
     """Idle or bent, and the angle; nothing of touches, with no network."""
     data = dataset(600)

@@ -149,6 +149,7 @@ def test_classifier_is_the_papers(embedding):
     assert not whole.bend_squares
 
 
+@pytest.mark.slow
 def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding):
     dV, state = states
     settings = NetworkSettings(1e-3, epochs=1)

@@ -292,6 +292,7 @@ def test_real_frame_of_another_board_is_refused(pipeline):
         pipeline.process(scaled)
 
 
+@pytest.mark.slow
 def test_training_needs_geometry_and_labels(dataset):
     with pytest.raises(DataError, match=r"design and table.*touch positions"):
         Pipeline.fit(dataclasses.replace(dataset, design=None))
@@ -310,6 +311,7 @@ def test_evaluation_of_other_measurements_is_refused(trained, dataset):
         evaluate(trained, other)
 
 
+@pytest.mark.slow
 def test_recorded_touches_are_tested_on_the_last_of_them(dataset):
     recording = dataclasses.replace(dataset, time=np.arange(240.0)[::-1])
     learned = RecordedTouches.fit(recording)

@@ -54,6 +54,7 @@ def test_it_says_where_a_bent_sensor_is_touched(session):
     assert session(Scene(bend)).state is State.BEND
 
 
+@pytest.mark.slow
 def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(session):
     """The frames' likeliest bends without touches lie at the end of the range."""
     for angle_deg, places in (
@@ -116,6 +117,7 @@ def test_it_runs_without_torch():
     assert done.stdout.split() == ["IDLE", "False"]
 
 
+@pytest.mark.slow
 def test_it_tells_angles_of_another_clamp_and_how_surely():
     """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""
     held_below = Simulator(SensorDesign.reference(), "coarse", fixture=Clamp(faces="bottom"))

@@ -73,6 +73,7 @@ def reseal(folder):
     (folder / SUMS).write_text("".join(sums))
 
 
+@pytest.mark.slow
 def test_loaded_pipeline_is_the_one_that_was_saved(dataset, pipeline, folder):
     loaded = Pipeline.load(folder)
     np.testing.assert_array_equal(loaded.held_out(dataset), pipeline.held_out(dataset))
@@ -254,6 +255,7 @@ def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     assert all(figure in table for figure in ("4.8 +- 2.8 mm", "0.94", "> 97 %", "606.6 ms"))
 
 
+@pytest.mark.slow
 def test_commands_learn_touch_positions_without_geometry(dataset, tmp_path, capsys):
     recording = dataclasses.replace(dataset, design=None).select(
         np.repeat(np.flatnonzero(dataset.state == State.TOUCH), 2)
@@ -271,6 +273,7 @@ def test_a_place_that_cannot_be_is_refused_before_training(tmp_path):
         train.command(tmp_path / "absent", out=tmp_path / "model.zip")
 
 
+@pytest.mark.slow
 def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     rng = np.random.default_rng(0)
     places = rng.uniform(-0.05, 0.05, size=(40, 2))

@@ -20,6 +20,7 @@ def nominal_jacobian(layout, angle_deg, resolution):
     return linear_model(*spec, resolution=resolution).relative
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0.0, 40.0])
 def test_agrees_with_central_differences_at_any_angle(angle_deg):
     """The relative change of every measurement, for a gel that conducts a little more somewhere."""

@@ -104,6 +104,7 @@ def test_every_step_lowers_the_objective(fitted):
     assert all(after < before for before, after in twin.posterior.objectives)
 
 
+@pytest.mark.slow
 def test_readings_change_as_their_derivatives_say():
     x, scenes = hidden(1), [FLAT]
     model = forward()

@@ -46,6 +46,7 @@ def test_standard_errors_are_over_sensors_and_not_over_frames():
     assert np.isnan(ratio_error(off, np.ones(4), np.zeros(4, int)))
 
 
+@pytest.mark.slow
 def test_results_have_scores_errors_and_a_picture(tmp_path, monkeypatch):
     scores = [result("paper", 1.0, 2.0), result("poor", 10.0, None)]
     monkeypatch.setattr(layouts_trained, "learn_all", lambda *_, **__: scores)

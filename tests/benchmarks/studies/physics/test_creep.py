@@ -46,6 +46,7 @@ def test_shares_are_what_moduli_do_to_the_force():
     assert shares == pytest.approx(slopes, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_long_time_force_is_that_of_relaxed_moduli():
     shares = shares_under_a_ball()
     relaxed = pressed(0.9, 0.75) / pressed(1, 1)

@@ -83,6 +83,7 @@ def dissipated(history, prony):
     return work
 
 
+@pytest.mark.slow
 @steady
 @given(histories(closed=True), st.sampled_from([GEL, ECOFLEX, Prony((0.3, 0.4), (0.2, 5.0))]))
 def test_closed_cycles_dissipate(history, prony):
