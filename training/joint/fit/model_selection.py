@@ -25,7 +25,16 @@ from eitskin.training.joint.fit.objective import (
     Unknowns,
     levenberg_marquardt,
 )
-from eitskin.training.joint.fit.pruning import FINE, TOUCH_THRESHOLD, gain_of, gains_of, pruned
+from eitskin.training.joint.fit.pruning import (
+    FINE,
+    FURTHER_THRESHOLD,
+    TOUCH_THRESHOLD,
+    gain_of,
+    gains_of,
+    improbability,
+    pruned,
+    threshold,
+)
 from eitskin.training.joint.fit.touch_search import (
     TouchCandidates,
     initial_touches,
@@ -81,7 +90,7 @@ class FrameFit:
 
         Every touch is as improbable as its threshold says.
         """
-        return _improbability(self.estimate)
+        return improbability(self.estimate)
 
 
 def fit_frame(
@@ -109,11 +118,6 @@ def fit_frame(
         untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
         evidence = gain_of(objective, untouched, found)
     return _frame_fit(found, evidence, tuple(faults))
-
-
-def _improbability(found: MapEstimate) -> float:
-    """Minus twice the logarithm of a model's posterior density, but for a constant."""
-    return found.improbability + TOUCH_THRESHOLD * len(found.unknowns.touches)
 
 
 def _likeliest(
@@ -146,7 +150,7 @@ def _likeliest(
     trials = [found, *(_fit(objective, candidates, untouched, each)[0] for each in starts)]
     best = min(
         trials,
-        key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, _improbability(trial)),
+        key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, improbability(trial)),
     )
     return untouched, best, evidence if best is found else gain_of(objective, untouched, best)
 
@@ -163,7 +167,8 @@ def _fit(
             found = started
     most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
     while len(found.unknowns.touches) < most and _may_gain(found):
-        starts = single_starts(objective, found, candidates, START_THRESHOLD * TOUCH_THRESHOLD)
+        needed = threshold(len(found.unknowns.touches))
+        starts = single_starts(objective, found, candidates, START_THRESHOLD * needed)
         if not starts:
             break
         trials = [
@@ -172,7 +177,7 @@ def _fit(
         more = min(trials, key=lambda trial: trial.misfit)
         gain = gain_of(objective, found, more)
         evidence = max(evidence, gain)
-        if gain < TOUCH_THRESHOLD:
+        if gain < needed:
             break
         found = more
     found = pruned(objective, found)
@@ -195,7 +200,7 @@ def _may_gain(found: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
     degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
-    return found.misfit - lowest > TOUCH_THRESHOLD
+    return found.misfit - lowest > threshold(len(found.unknowns.touches))
 
 
 def _split(
@@ -214,7 +219,7 @@ def _split(
         at = objective.linearised(start)
         whitening = objective.whitening(at)
         more = len(start.touches) - len(best.unknowns.touches)
-        goal = objective.misfit(best.at, whitening) - TOUCH_THRESHOLD * more
+        goal = objective.misfit(best.at, whitening) - FURTHER_THRESHOLD * more
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial
