@@ -2,11 +2,14 @@
 
 import json
 import os
+import runpy
 import select
 import signal
 import subprocess
 import sys
+import types
 import uuid
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,7 @@ from eitskin.hardware.ros2.skin_node import SkinNode
 
 pytestmark = pytest.mark.slow
 LISTENER = Path(__file__).parents[1] / "support" / "ros2_listener.py"
+RCLPY_NODE = Path(__file__).parents[2] / "docs" / "clients" / "rclpy_node.py"
 NAME = "left_hand/skin"
 FRAMES = 6
 PROTOCOL = Protocol.pairwise(8)
@@ -220,3 +224,48 @@ def test_the_missing_extra_is_named(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     with pytest.raises(ImportError, match=r"eitskin\[ros2\]"):
         SkinNode()
+
+
+class StandInForNode:
+    """What `rclpy_node.py` uses of a node of rclpy."""
+
+    def __init__(self, name, namespace):
+        self.node, self.published, self.latched = (namespace, name), [], set()
+
+    def create_publisher(self, kind, topic, profile):
+        if profile.get("durability") == "latched":
+            self.latched.add(topic)
+
+        def publish(data):
+            self.published.append((topic, kind, data))
+
+        return types.SimpleNamespace(publish=publish)
+
+
+def test_the_node_of_rclpy_publishes_what_the_mcap_files_have(monkeypatch):
+    durability = types.SimpleNamespace(TRANSIENT_LOCAL="latched")
+    names = {
+        "rclpy": {},
+        "rclpy.node": {"Node": StandInForNode},
+        "rclpy.qos": {"DurabilityPolicy": durability, "QoSProfile": dict},
+        "rosidl_runtime_py": {},
+        "rosidl_runtime_py.utilities": {"get_message": str},
+    }
+    for name, contents in names.items():
+        module = types.ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+    node = runpy.run_path(str(RCLPY_NODE))["Skin"](NAME)
+    readings = [replace(reading(number), wall_time=10.0 + number) for number in range(2)]
+    for each in readings:
+        node.publish(each)
+    messages = RosMessages(NAME)
+    expected = list(messages.of(readings[0], 10 * 10**9).items())
+    expected += messages.sensor(readings[0].frame).items()
+    expected += messages.of(readings[1], 11 * 10**9).items()
+    assert node.published == [
+        (topic, messages.types[topic], messages.serialised(topic, message))
+        for topic, message in expected
+    ]
+    assert node.node == (NAME, "skin")
+    assert node.latched == {f"/{NAME}/sensor"}
