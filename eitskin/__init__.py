@@ -7,6 +7,6 @@ rooms in one direction: geometry -> simulator -> datasets -> training -> hardwar
 
 from eitskin.lazy import lazy_exports
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)
