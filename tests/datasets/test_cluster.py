@@ -12,10 +12,10 @@ from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 
 from killed_writers import killed_in_cluster, was_killed
+from on_demand import OnDemand
 from shards_here import contents, in_this_process, made_here
 
-distributed = pytest.importorskip("distributed")
-dask = pytest.importorskip("dask")
+distributed, dask = OnDemand("distributed"), OnDemand("dask")
 
 RECIPE = Recipe(
     "cheap",

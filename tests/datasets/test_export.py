@@ -8,8 +8,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from command_line import printed_json, run
@@ -20,7 +18,10 @@ from eitskin.datasets.export.statistics import RunningStatistics
 from eitskin.datasets.store.names import Names
 from eitskin.errors import ConfigurationError, DataError, PartialError
 
+from on_demand import OnDemand
 from small_dataset import make
+
+pd, pq = OnDemand("pandas"), OnDemand("pyarrow.parquet")
 
 FRAMES, SPECIMENS = 90, 30
 PUBLISHED = [  # of the specimens 0 to 11 of seed 7: others may have split their sets by these

@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from eitskin.datasets import export_dataset, open_dataset, save_dataset
@@ -12,7 +11,10 @@ from eitskin.datasets.export.episode_table import EpisodeTable
 from eitskin.datasets.export.splits import SPLITS, specimen_splits
 from eitskin.errors import DataError
 
+from on_demand import OnDemand
 from small_dataset import make
+
+pd = OnDemand("pandas")
 
 EPISODES, LENGTH, SINGLE = 24, 10, 5
 

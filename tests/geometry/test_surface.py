@@ -4,10 +4,13 @@ import os
 
 import numpy as np
 import pytest
-import trimesh
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Surface
+
+from on_demand import OnDemand
+
+trimesh = OnDemand("trimesh")
 
 
 def save(mesh, path):

@@ -15,11 +15,12 @@ from eitskin.geometry.meshing.quality import quality, volumes
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 
 from cut_blocks import covered
+from on_demand import OnDemand
 
 GRADING = Grading(finest=3e-3, coarsest=12e-3, growth=0.7)
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
 
-pytest.importorskip("pytetwild")
+OnDemand("pytetwild")
 
 
 @pytest.fixture(scope="module")

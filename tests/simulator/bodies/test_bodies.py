@@ -22,8 +22,10 @@ from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 from eitskin.simulator.scene.touch import Touch
 
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("pytetwild")
+from on_demand import OnDemand
+
+trimesh = OnDemand("trimesh")
+OnDemand("pytetwild")
 
 SIZE = np.array([0.040, 0.020, 0.010])
 RUBBER = NeoHookean(20e3)

@@ -10,14 +10,13 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Instrument, Scene, Simulator, Sphere
-
-pytest.importorskip("mujoco")
-
-import mujoco
-
 from eitskin.simulator.robots.mujoco_skin import MujocoSkin
 from eitskin.simulator.robots.touch_rules import TouchRules
 from eitskin.simulator.robots.touch_table import TouchTable
+
+from on_demand import OnDemand
+
+mujoco = OnDemand("mujoco")
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "mujoco" / "press.py"
 SKIN = '<geom name="skin" type="box" size=".075 .03 .006" mass="1"/>'

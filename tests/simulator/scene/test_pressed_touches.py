@@ -142,7 +142,7 @@ def test_presses_that_are_bent_afterwards_say_so(monkeypatch) -> None:
         (Rigid(), Scene(touches=touches), 0.04),
         (Rigid(), Scene(bend, touches), None),
     ):
-        sim = Simulator(dataclasses.replace(DESIGN, support=support))
+        sim = Simulator(dataclasses.replace(DESIGN, support=support), "coarse")
         (found,) = sim.presses(scene)
         assert found.signal_error == error
         assert ("bent" in found.caution) == (error is None)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import pyvista
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
@@ -25,7 +24,10 @@ from eitskin.simulator.view.vtu import (
     write_grids,
 )
 
+from on_demand import OnDemand
 from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes
+
+pyvista = OnDemand("pyvista")
 
 CONDUCTIVITY = 2.0
 CELL = 0.008

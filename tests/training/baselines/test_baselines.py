@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sklearn.ensemble import ExtraTreesRegressor
-from sklearn.linear_model import Ridge
 
 from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError
@@ -20,6 +18,9 @@ from eitskin.training.method.training_frames import TrainingFrames
 
 from linear_sensor import linear_sensor
 from made_up_sensor import FLAT, frames, touch_change
+from on_demand import OnDemand
+
+ensemble, linear_model = OnDemand("sklearn.ensemble"), OnDemand("sklearn.linear_model")
 
 SMALL = {"ridge": {}, "mlp": {"epochs": 25, "width": 64}, "extra-trees": {"trees": 10}}
 
@@ -99,7 +100,7 @@ def test_ridge_is_that_of_scikit_learn_at_the_least_generalised_error(table):
     features, truth = table
     errors, fits = [], []
     for parameter in len(features) * PARAMETERS:
-        model = Ridge(alpha=parameter).fit(features, truth)
+        model = linear_model.Ridge(alpha=parameter).fit(features, truth)
         X = features - features.mean(axis=0)
         hat = X @ np.linalg.solve(X.T @ X + parameter * np.eye(6), X.T)
         misfit = np.sum((truth - model.predict(features)) ** 2)
@@ -117,7 +118,7 @@ def test_trees_are_those_of_scikit_learn(table):
     features = np.round(features, 1)  # many values on thresholds' own ground
     for wanted in (truth, truth[:, :1]):
         arrays = ExtraTreesMethod.learn(features, wanted, TreeOptions(7, 3), 4, silent)
-        forest = ExtraTreesRegressor(7, min_samples_leaf=3, random_state=4)
+        forest = ensemble.ExtraTreesRegressor(7, min_samples_leaf=3, random_state=4)
         forest.fit(features, wanted if wanted.shape[1] > 1 else wanted[:, 0])
         unseen = np.round(np.random.default_rng(1).normal(size=(200, 6)), 1)
         expected = forest.predict(unseen).reshape(200, -1)
