@@ -4,9 +4,11 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
+from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.worker_processes import each_in_turn
 from eitskin.errors import PartialError
 
@@ -31,21 +33,28 @@ def heard():
     signal.signal(signal.SIGINT, before)
 
 
+class InterruptedAgain(ProcessPoolExecutor):
+    """A pool during whose end Ctrl-C is pressed again; from a thread it might come too late."""
+
+    ended = False
+
+    def shutdown(self, *arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        super().shutdown(*arguments, **options)
+        InterruptedAgain.ended = True
+
+
 @pytest.mark.usefixtures("heard")
-def test_an_interrupt_ends_tasks_that_would_take_long_once_and_leaves_no_process():
+def test_an_interrupt_ends_tasks_that_would_take_long_once_and_leaves_no_process(monkeypatch):
     """As Ctrl-C twice: the second interrupt does not disturb the end."""
+    monkeypatch.setattr(worker_processes, "ProcessPoolExecutor", InterruptedAgain)
     before = signal.getsignal(signal.SIGINT)
-
-    def interrupt():
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
-
     results = each_in_turn(time.sleep, [0.0, 600.0, 600.0], 2)
     assert next(results) is None
-    threading.Timer(0.1, interrupt).start()
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         next(results)
     assert time.monotonic() - start < 10
+    assert InterruptedAgain.ended
     assert signal.getsignal(signal.SIGINT) is before
