@@ -92,6 +92,8 @@ class WebSocketOutlet:
             while (newest := self._messages.after(number)) is not None:
                 number, message = newest
                 client.send(message)
+                # The next only when this one has arrived: buffers between would fill with old ones.
+                client.ping(ack_on_close=True).wait()
         except Exception:  # gone, or stalled for too long, in any of the ways of the library
             log.debug("a client has gone", exc_info=True)
             with contextlib.suppress(OSError):

@@ -137,6 +137,17 @@ def test_clients_get_the_newest_and_no_old_reading(served):
         assert got == sorted(set(got))
 
 
+def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
+    with connect(served.url, max_queue=1) as late, connect(served.url) as lively:
+        for number in range(200):
+            served.send(str(number))
+            assert lively.recv(20.0) == str(number)
+        got = [late.recv(20.0)]
+        while got[-1] != "199":
+            got.append(late.recv(20.0))
+        assert len(got) < 10
+
+
 def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
     monkeypatch.setattr("eitskin.hardware.streams.websocket.STALLED", 0.05)
     big = "x" * 2**20
