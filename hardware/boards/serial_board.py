@@ -338,16 +338,22 @@ class SerialBoard(Closeable):
         if ack.status != AckStatus.DONE:
             known = ack.status in AckStatus.__members__.values()
             reason = AckStatus(ack.status).name.lower() if known else f"status {ack.status}"
+            # A board that failed has an event that says what to check.
+            failed = ack.status == AckStatus.FAILED and self._complaint()
+            remedy = "" if failed else "; check that its firmware fits this eitskin"
             raise DeviceError(
                 f"{self.uri}: the board refused {type(request).__name__.upper()}: "
-                f"{reason.replace('_', ' ')}{self._received_instead()}; check that its firmware "
-                "fits this eitskin"
+                f"{reason.replace('_', ' ')}{self._received_instead()}{remedy}"
             )
+
+    def _complaint(self) -> str:
+        """Text of the newest event, where that is a warning or an error."""
+        return self.events[-1].text if self.events and self.events[-1].level > 0 else ""
 
     def _received_instead(self) -> str:
         """Hint, in parentheses, at data that came instead of a frame or an answer."""
-        if self.events and self.events[-1].level > 0:
-            return f" (its firmware says: {self.events[-1].text})"
+        if complaint := self._complaint():
+            return f" (its firmware says: {complaint})"
         drops = self._decoder.drops
         if drops[PacketDrop.VERSION]:
             return " (it speaks another version of the protocol: update eitskin or the firmware)"

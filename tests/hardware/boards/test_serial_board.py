@@ -151,7 +151,12 @@ def answering(response):
         (encode(Packet(MessageType.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
         (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
         (encode(pack(Ack(1, MessageType.HELLO, 3), 0)), "refused HELLO: busy"),
-        (encode(pack(Ack(1, MessageType.HELLO, 77), 0)), "refused HELLO: status 77"),
+        (encode(pack(Ack(1, MessageType.HELLO, 77), 0)), "status 77; check that its firmware fits"),
+        (
+            encode(pack(Event(2, 1, "check the SPI"), 0))
+            + encode(pack(Ack(1, MessageType.HELLO, 4), 1)),
+            r"refused HELLO: failed \(its firmware says: check the SPI\)$",
+        ),
     ],
 )
 def test_a_board_that_speaks_otherwise_is_told_apart(response, complaint):
