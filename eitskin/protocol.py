@@ -14,6 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin import bounds
+from eitskin.bounds import require_count
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.files import atomic_file
 from eitskin.input_files import read_text, shortened
@@ -46,6 +48,7 @@ class Protocol:
     @classmethod
     def pairwise(cls, n_electrodes: int) -> "Protocol":
         """Two-terminal measurements of all pairs of electrodes: (0,1), (0,2) ... in order."""
+        require_count("n_electrodes", max(n_electrodes, 0), 0, bounds.MOST_ELECTRODES)
         pairs = combinations(range(n_electrodes), 2)
         return cls(tuple((i, j, i, j) for i, j in pairs), n_electrodes)
 
@@ -64,6 +67,7 @@ class Protocol:
             shared: keep sense pairs that share an electrode with the drive pair, whose voltages
                 contain that electrode's contact impedance.
         """
+        require_count("n_electrodes", max(n_electrodes, 0), 0, bounds.MOST_ELECTRODES)
         drives = _ring_pairs(n_electrodes, skip)
         senses = _ring_pairs(n_electrodes, skip if sense_skip is None else sense_skip)
         table = tuple(d + s for d in drives for s in senses if shared or not set(d) & set(s))

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from eitskin.bounds import LONGEST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
 from eitskin.geometry.design.sensor import SensorDesign
@@ -114,8 +115,10 @@ class Hinge:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.span) and self.span > 0):
             raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
-        if not math.isfinite(self.offset):
-            raise ConfigurationError(f"hinge offset must be finite, in m, got {self.offset}")
+        if not abs(self.offset) <= LONGEST:
+            raise ConfigurationError(
+                f"hinge offset must be within {LONGEST:g} m, got {self.offset}"
+            )
         if not (math.isfinite(self.give) and self.give >= 0):
             raise ConfigurationError(f"hinge give must be a length in m, got {self.give}")
         _check_profile("hinge", self.bent_length, self.transition, self.contraction)

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.bounds import require_positive
+from eitskin.bounds import drawn, require_positive
 from eitskin.datasets import touch_maps
 from eitskin.errors import ConfigurationError, DataError, EitskinError
-from eitskin.geometry import Rectangle, SensorDesign
+from eitskin.geometry import Hinge, Rectangle, SensorDesign
 from eitskin.hardware.diagnosis.reading_check import check_readings
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.simulator import ForwardModel, Frame, Mechanics, Protocol
@@ -84,6 +84,14 @@ def test_arguments_that_no_map_picture_or_prior_can_have_are_refused():
         "integral": lambda: figures_of_merit(picture, grid, (0.0, 0.0), 5e-324),
         "prior": lambda: TwinPrior(conductivity=1.7e308),
         "margin": lambda: Mechanics(margin=1e300),
+        "discs need": lambda: grid.discs([[float("nan"), 0.03]], 0.01),
+        "lines of a mesh": lambda: ForwardModel(SensorDesign.reference(), "coarse", (1e-12,)),
+        "every channel is bad": lambda: StoredReference.of(
+            [np.full(28, 1e300)], PROTOCOL, 40e3, Zero.FLAT
+        ),
+        "hinge offset": lambda: Hinge(offset=1.7e308),
+        "n_electrodes": lambda: Protocol.pairwise(10**12),
+        "n_electrodes must": lambda: Protocol.skip(65536, 2),
         "number from": lambda: Regularisation("lambda", 1.7e308),
     }
     for words, call in calls.items():
@@ -104,3 +112,10 @@ def test_readings_beyond_all_sensors_are_no_part_of_a_stored_reference():
     stored = StoredReference.of(list(values), PROTOCOL, 40e3, Zero.FLAT)
     assert np.isfinite(stored.noise)
     assert np.all(np.isfinite(stored.impedance[1:]))
+
+
+def test_a_range_may_end_at_minus_zero():
+    rng = np.random.default_rng(0)
+    assert drawn(rng, (0.0, -0.0)) == 0.0
+    same = [np.random.default_rng(1).uniform(2.0, 3.0), drawn(np.random.default_rng(1), (2.0, 3.0))]
+    assert same[0] == same[1]
