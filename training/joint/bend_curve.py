@@ -35,6 +35,7 @@ class BendCurve:
         covariance: of w (R K, R K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
         coefficients: of the expected curve, b_k + w_k (M, K); follow from the above.
+        blocks: covariances of w_j and w_k (R^2, K^2); follow as well.
     """
 
     mean: Array
@@ -42,7 +43,7 @@ class BendCurve:
     covariance: Array
     angle_deg: tuple[float, float]
     coefficients: Array = field(init=False, repr=False)
-    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (R^2, K^2)
+    blocks: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Arrange coefficients and covariances for evaluation."""
@@ -51,7 +52,7 @@ class BendCurve:
         powers = self.covariance.reshape(random, channels, random, channels)
         blocks = powers.transpose(0, 2, 1, 3).reshape(random**2, channels**2)
         object.__setattr__(self, "coefficients", coefficients)
-        object.__setattr__(self, "_blocks", blocks)
+        object.__setattr__(self, "blocks", blocks)
 
     def arrays(self) -> dict[str, Array]:
         """Arrays from which `from_arrays` restores the curve, by name."""
@@ -97,7 +98,7 @@ class BendCurve:
         u, reference = angle_deg / SCALE, reference_deg / SCALE
         random, channels = self.effects.shape
         weights = np.array([u**k - reference**k for k in range(1, random + 1)])
-        covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
+        covariance: Array = (weights[:, None] * weights).reshape(-1) @ self.blocks
         return covariance.reshape(channels, channels)
 
     def conditioned(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":

@@ -85,13 +85,20 @@ class Combinations:
         return np.eye(len(self)) if self.basis is None else self.basis * self.noise[:, None]
 
     @cached_property
+    def both_ways(self) -> tuple[Array, Array]:
+        """`matrix` and the way back (K, C), contiguous; empty where both change nothing."""
+        if self.basis is None:
+            return np.zeros((0, 0)), np.zeros((0, 0))
+        return np.ascontiguousarray(self.matrix), np.ascontiguousarray(self._backward.T)
+
+    @cached_property
     def _squares(self) -> Array:
         """Sum over the combinations of the squared weights of each measurement (C,)."""
         squares: Array = np.einsum("kc,kc->c", self.matrix, self.matrix)
         return squares
 
     @cached_property
-    def _lateness(self) -> Array:
+    def lateness(self) -> Array:
         """Weights (K, K) of the times at which a frame's measurements are taken, -0.5 to 0.5."""
         count = len(self.noise)
         late: Array = self.matrix * (np.arange(count) / count - 0.5) @ self._backward
@@ -111,7 +118,7 @@ class Combinations:
         Args:
             slope: combinations of the change (K,).
         """
-        late: Array = self._lateness @ slope
+        late: Array = self.lateness @ slope
         return late
 
     def add_independent(self, covariance: Array, variance: Array) -> None:

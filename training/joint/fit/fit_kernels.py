@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import kernel
 from eitskin.training.joint.bend_curve import SCALE
-from eitskin.training.joint.fit.objective import OPTIMISM
+from eitskin.training.joint.fit.objective import OPTIMISM, STILL_DEG
 from eitskin.training.joint.fit.quadratic_model import (
     FIRST_DAMPING,
     GOOD,
@@ -31,6 +31,7 @@ Sensor: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]
 Frame: TypeAlias = tuple[Array, Array, Array]
 Flags: TypeAlias = NDArray[np.bool_]
 Point: TypeAlias = tuple[Array, float, Array, Array, Array]
+Spread: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, float]
 
 # First layer of the response network (3, h), the others (layers - 1, h, h), biases (layers, h), the
 # first layer's by the angle (h,); last layer (h, K) and its constant (K,); bend curve (powers, K).
@@ -41,6 +42,10 @@ SENSOR = "Tuple((f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1],
 FRAME = "Tuple((f8[::1], f8[::1], f8[:,::1]))"
 # Touches (k, 3), angle [deg], rows (1 + n, K), changes (k, K), hidden (k, h).
 POINT = "Tuple((f8[:,::1], f8, f8[:,::1], f8[:,::1], f8[:,::1]))"
+# Covariances of noise (K, K) and of the bend curve's random effects (powers^2, K^2), weights of the
+# times of measurements (K, K), derivatives of the last layer by each latent variable (Q, K, h + 1),
+# matrices from measurements and back (K, C), empty where they are the same; mismatch of a response.
+SPREAD = "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8))"
 
 
 @kernel("void(f8[:,::1], i8)")
@@ -105,6 +110,50 @@ def linearise(touches: Array, angle: float, sensor: Sensor, frame: Frame) -> Poi
             by_force = unit * TOUCH_UNITS[2] * shape
             rows[4 + 3 * t, c] = factor * shapes[3 * count + t, c] + by_force
     return touches, angle, rows, changes, hidden
+
+
+@kernel(f"f8[:,::1]({POINT}, {FRAME}, {SPREAD})")
+def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
+    """Covariance (K, K) of the residual at a point; plain twin: `TouchObjective.covariance`."""
+    touches, angle, rows, changes, hidden = at
+    noise, effects, lateness, latent_output, forward, back, mismatch = spread
+    total, size, moved = noise.copy(), len(noise), angle - frame[1][1]
+    if abs(moved) > STILL_DEG:
+        powers = round(math.sqrt(len(effects)))
+        u, reference, weights = angle / SCALE, frame[1][1] / SCALE, np.empty(len(effects))
+        for p in range(powers):
+            for q in range(powers):
+                weight = u ** (p + 1) - reference ** (p + 1)
+                weights[p * powers + q] = weight * (u ** (q + 1) - reference ** (q + 1))
+        total += np.dot(weights, effects).reshape(size, size)
+        late = np.dot(lateness, rows[1]) * (moved / ANGLE_UNIT)
+        for i in range(size):
+            for j in range(size):
+                total[i, j] += late[i] * late[j]
+    if len(touches) == 0:
+        return total
+    width, factor = hidden.shape[1], frame[1][0] * touches[:, 2]
+    summed = np.empty(width + 1)
+    summed[:width], summed[width] = np.dot(factor, hidden), factor.sum()
+    for q in range(len(latent_output)):
+        latent = np.dot(latent_output[q], summed)
+        for i in range(size):
+            for j in range(size):
+                total[i, j] += latent[i] * latent[j]
+    if len(forward) == 0:
+        for t in range(len(touches)):
+            for i in range(size):
+                total[i, i] += (mismatch * changes[t, i]) ** 2
+        return total
+    each, weighted = np.dot(changes, back), forward.copy()
+    for c in range(forward.shape[1]):
+        variance = 0.0
+        for t in range(len(touches)):
+            variance += (mismatch * each[t, c]) ** 2
+        for i in range(size):
+            weighted[i, c] *= variance
+    total += np.dot(weighted, forward.T)
+    return total
 
 
 @kernel(f"void(f8[:,::1], f8[:,::1], f8, {FRAME})")

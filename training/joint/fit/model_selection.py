@@ -7,6 +7,7 @@ than chance would.
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,8 @@ from eitskin.training.joint.fit.touch_search import (
 from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
 
 Array = NDArray[np.float64]
+Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]
+"""Estimates that fits came by, and those that they ended with."""
 
 ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
@@ -52,6 +55,7 @@ CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its
 # Motion since the reference from which touches are fitted from there as well, where the first fit
 # explains the frame and where it does not.
 FAR_DEG, NEAR_DEG = 5.0, 1.0
+SAME = 4.0  # rise of the misfit from one estimate to another, below which both are taken for one
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -128,7 +132,8 @@ def _likeliest(
     Touches that look like a large bend draw the fit far away, where the bend curve is uncertain
     and nothing leads back. So a fit that ends far from the reference, or explains the frame badly,
     is begun again at the reference's angle: a fit that explains the frame is better than one that
-    does not, else the likelier one is.
+    does not, else the likelier one is. Of several such starts the likeliest is fitted to the end,
+    and only where it leads elsewhere.
     """
     nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))
     untouched = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
@@ -138,8 +143,12 @@ def _likeliest(
             return []
         return [initial_touches(objective, proposed, at)]
 
-    (start,) = proposal(untouched.at) or [nothing]
-    found, evidence = _fit(objective, candidates, untouched, start)
+    def started(start: Unknowns) -> MapEstimate:
+        return levenberg_marquardt(objective, objective.linearised(start), *COARSE)
+
+    begun = [started(start) for start in proposal(untouched.at)] or [untouched]
+    seen: Seen = []
+    found, evidence = _fit(objective, candidates, untouched, begun[0], seen)
     moved = abs(found.unknowns.angle_deg - objective.reference_deg)
     least = NEAR_DEG if found.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
     if not len(found.unknowns.touches) or moved < least:
@@ -147,21 +156,30 @@ def _likeliest(
     still = replace(nothing, angle_deg=objective.reference_deg)
     starts = [replace(found.unknowns, angle_deg=objective.reference_deg)]
     starts += proposal(objective.linearised(still))
-    trials = [found, *(_fit(objective, candidates, untouched, each)[0] for each in starts)]
+    begun = [each for each in map(started, starts) if _met(each, seen) is None]
+    if not begun:
+        return untouched, found, evidence
+    again, _ = _fit(objective, candidates, untouched, min(begun, key=improbability), seen)
     best = min(
-        trials,
+        (found, again),
         key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, improbability(trial)),
     )
     return untouched, best, evidence if best is found else gain_of(objective, untouched, best)
 
 
 def _fit(
-    objective: TouchObjective, candidates: TouchCandidates, untouched: MapEstimate, start: Unknowns
+    objective: TouchObjective,
+    candidates: TouchCandidates,
+    untouched: MapEstimate,
+    started: MapEstimate,
+    seen: Seen,
 ) -> tuple[MapEstimate, float]:
-    """The best estimate from a start, with touches or without, and the evidence of any touch."""
+    """The best estimate from a first one, with touches or without, and the evidence of any touch.
+
+    A fit ends where it meets an estimate that an earlier one has `seen`, with what that led to.
+    """
     found, evidence = untouched, 0.0
-    if len(start.touches):
-        started = levenberg_marquardt(objective, objective.linearised(start), *COARSE)
+    if len(started.unknowns.touches):
         evidence = gain_of(objective, untouched, started)
         if evidence > TOUCH_THRESHOLD:
             found = started
@@ -180,10 +198,38 @@ def _fit(
         if gain < needed:
             break
         found = more
-    found = pruned(objective, found)
-    if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < most:
-        found = _split(objective, found, candidates)
-    return found, evidence
+    best = alone = pruned(objective, found)
+    if (known := _met(alone, seen)) is not None:
+        return known, evidence
+    if alone.misfit_sigma > CHI2_HIGH_SIGMA and len(alone.unknowns.touches) < most:
+        best = _split(objective, alone, candidates)
+    seen += [(alone, best), (best, best)]
+    return best, evidence
+
+
+def _met(found: MapEstimate, seen: Seen) -> MapEstimate | None:
+    """What an estimate led to that `found` cannot be told from, by its standard errors."""
+    for known, best in seen:
+        if apart(found, known) < SAME:
+            return best
+    return None
+
+
+def apart(found: MapEstimate, other: MapEstimate) -> float:
+    """Rise of the misfit from an estimate to another one, to second order.
+
+    Infinite to one with another number of touches, or with touches elsewhere.
+    """
+    mine, others = found.unknowns.touches, other.unknowns.touches
+    if len(mine) != len(others):
+        return math.inf
+    away = (others[:, None] - mine) / TOUCH_UNITS  # their order may differ
+    nearest = np.einsum("ijc,ijc->ij", away, away).argmin(axis=0) if len(mine) else np.arange(0)
+    if len(set(nearest.tolist())) < len(mine):
+        return math.inf
+    turned = (other.unknowns.angle_deg - found.unknowns.angle_deg) / ANGLE_UNIT
+    step = np.concatenate([[turned], away[nearest, np.arange(len(mine))].ravel()])
+    return float(step @ found.quadratic.hessian @ step)
 
 
 def _initial_angle(objective: TouchObjective) -> float:
@@ -210,10 +256,10 @@ def _split(
 
     The greedy search finds the middle of two touches instead of the pair.
     """
-    left_out = [found.unknowns.without_touch(i) for i in range(len(found.unknowns.touches))]
+    replaced: list[int | None] = list(range(len(found.unknowns.touches)))
     if len(found.unknowns.touches) <= MOST_TOUCHES - 2:
-        left_out.append(found.unknowns)
-    pairs = pair_starts(objective, left_out, found, candidates)
+        replaced.append(None)
+    pairs = pair_starts(objective, found, replaced, candidates)
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
         at = objective.linearised(start)

@@ -124,6 +124,7 @@ class TouchObjective:
     prior: TouchPrior
     kernels: ModuleType | None = field(init=False, repr=False)
     _arrays: tuple[tuple[Array, ...], tuple[Array, ...]] = field(init=False, repr=False)
+    _spread: tuple[Array | float, ...] = field(init=False, repr=False)  # `SPREAD` of the kernels
 
     @classmethod
     def of(
@@ -150,6 +151,10 @@ class TouchObjective:
         numbers += [high + BEYOND_DEG, prior.separation]
         frame = self.combined.change + self.reference_bend, np.array(numbers), prior.box
         object.__setattr__(self, "_arrays", ((*weights, curve.coefficients), frame))
+        response, combinations = self.response.response, self.combined.combinations
+        spread = (self.combined.noise, curve.blocks, combinations.lateness, response.latent_output)
+        both = combinations.both_ways
+        object.__setattr__(self, "_spread", (*spread, *both, response.mismatch))
 
     def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
         """The objective with some measurements left out."""
@@ -184,11 +189,18 @@ class TouchObjective:
         return Linearisation(unknowns, rows, changes, hidden)
 
     def whitening(self, at: Linearisation) -> Array:
-        """L^-1 (K, K) of the residual's covariance L L^T.
+        """L^-1 (K, K) of the residual's covariance L L^T."""
+        return lapack.whitening(self.covariance(at))
 
-        The covariance is the sum of those of the noise, of the bend curve's change since the
-        reference, and of the touch response.
+    def covariance(self, at: Linearisation) -> Array:
+        """Covariance (K, K) of the residual.
+
+        The sum of those of the noise, of the bend curve's change since the reference, and of the
+        touch response.
         """
+        if self.kernels is not None:
+            summed: Array = self.kernels.covariance(at.point, self._arrays[1], self._spread)
+            return summed
         covariance, unknowns = self.combined.noise, at.unknowns
         moved = unknowns.angle_deg - self.reference_deg
         if abs(moved) > STILL_DEG:
@@ -198,7 +210,7 @@ class TouchObjective:
             covariance = covariance + self.response.uncertainty(unknowns.touches, at.hidden)
             mismatch = self._mismatch_variance(at.changes)
             self.combined.combinations.add_independent(covariance, mismatch)
-        return lapack.whitening(covariance)
+        return covariance
 
     def _mismatch_variance(self, changes: Array) -> Array:
         """Variance (C,) of each measurement's error of the response, by touches' changes (k, K)."""

@@ -1,7 +1,7 @@
 """Initial values of the fit: greedy search of touches in the residual, to first order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,25 @@ class TouchCandidates:
     places: Array
     force: float
     change: Array
+    _pairs: dict[float, tuple[Array, Array, NDArray[np.bool_]]] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def for_pairs(self, separation: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Places (m, 2) and changes (m, K) of those that may be one of a pair, and which may be.
+
+        Args:
+            separation: least distance of a pair [m].
+
+        Returns:
+            whether two of the places are as far apart, last (m, m).
+        """
+        if separation not in self._pairs:
+            places = np.ascontiguousarray(self.places[::PAIR_STRIDE])
+            across, along = (axis[:, None] - axis for axis in places.T)
+            apart = across**2 + along**2 > separation**2
+            self._pairs[separation] = places, self.change[::PAIR_STRIDE], apart
+        return self._pairs[separation]
 
 
 def initial_touches(objective: TouchObjective, places: Array, untouched: Linearisation) -> Unknowns:
@@ -62,14 +81,14 @@ def single_starts(
     """
     unknowns = found.unknowns
     whitening = objective.whitening(found.at)
-    residual = whitening @ found.at.residual
     shapes = candidates.change @ whitening.T
     # Directions that a change of the angle explains are no evidence of a touch.
     bend = whitening @ found.at.bend_slope * ANGLE_PRIOR_STD_DEG
     bend /= np.sqrt(1.0 + bend @ bend)
-    shapes = shapes - np.outer(shapes @ bend, bend)
-    sizes = np.sum(shapes**2, axis=1)
-    strength = shapes @ residual / sizes
+    residual = whitening @ found.at.residual
+    on_bend, on_residual = shapes @ bend, shapes @ residual
+    sizes = np.einsum("nk,nk->n", shapes, shapes) - (2.0 - bend @ bend) * on_bend**2
+    strength = (on_residual - on_bend * (bend @ residual)) / sizes
     allowed = (strength > 0) & _is_apart(objective, candidates.places, unknowns)
     gain = np.where(allowed, 1.0, 0.0)
     gain *= strength**2 * sizes
@@ -89,28 +108,35 @@ def single_starts(
 
 def pair_starts(
     objective: TouchObjective,
-    others: Sequence[Unknowns],
     found: MapEstimate,
+    replaced: Sequence[int | None],
     candidates: TouchCandidates,
 ) -> list[tuple[float, Unknowns]]:
-    """For each of `others` that has room, the best pair of further touches and the misfit left.
+    """Best pairs of further touches, where there is room, and the misfit that each leaves.
 
     Two shapes with Gram matrix G and projections p of the residual lower the misfit by p^T G^-1 p.
+
+    Args:
+        objective: of the frame.
+        found: its estimate.
+        replaced: number of the touch that a pair takes the place of; None for a pair beside all.
+        candidates: of which some may be one of a pair.
 
     Returns:
         misfit to first order, and unknowns with the pair.
     """
-    places = np.ascontiguousarray(candidates.places[::PAIR_STRIDE])
-    shapes = candidates.change[::PAIR_STRIDE] @ found.whitening.T
+    places, change, apart = candidates.for_pairs(objective.prior.separation)
+    shapes = change @ found.whitening.T
     gram = shapes @ shapes.T
     limits = objective.prior.low[2], objective.prior.high[2]
     least, most = (limit / candidates.force for limit in limits)
-    across, along = (axis[:, None] - axis for axis in places.T)
-    apart = across**2 + along**2 > objective.prior.separation**2
     best_pair = _best_pair if objective.kernels is None else objective.kernels.best_pair
     pairs = []
-    for unknowns in others:
-        residual = found.whitening @ objective.residual(unknowns)
+    for touch in replaced:
+        unknowns, residual = found.unknowns, found.quadratic.residual
+        if touch is not None:
+            unknowns = unknowns.without_touch(touch)
+            residual = residual + found.whitening @ found.at.changes[touch]
         free = _is_apart(objective, places, unknowns)
         gain, *pair = best_pair(gram, shapes @ residual, apart, free, least, most)
         if gain <= 0.0:
@@ -152,8 +178,9 @@ def _best_pair(
 
 def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> NDArray[np.bool_]:
     """Whether each of `places` (n, 2) is far enough from the present touches (n,)."""
-    if not len(unknowns.touches):
-        return np.ones(len(places), bool)
-    away = np.linalg.norm(places[:, None] - unknowns.touches[:, :2], axis=2)
-    apart: NDArray[np.bool_] = (away > LEAST_DISTANCE * objective.prior.separation).all(axis=1)
+    least = (LEAST_DISTANCE * objective.prior.separation) ** 2
+    x, y = places.T
+    apart = np.ones(len(places), bool)
+    for at_x, at_y, _ in unknowns.touches.tolist():
+        apart &= (x - at_x) ** 2 + (y - at_y) ** 2 > least
     return apart

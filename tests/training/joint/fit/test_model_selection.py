@@ -19,8 +19,10 @@ from one_frame import (
     matched,
 )
 
-from eitskin.training.joint.fit.model_selection import TOUCH_THRESHOLD, fit_frame
+from eitskin.training.joint.fit import model_selection
+from eitskin.training.joint.fit.model_selection import TOUCH_THRESHOLD, apart, fit_frame
 from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.pruning import pruned
 from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 
@@ -207,6 +209,33 @@ def test_touch_and_bend_since_the_reference_are_found_together(angle_deg, refere
     away = np.linalg.norm(found.touches[order, :2] - np.array(TOUCHES[2])[:, :2], axis=1)
     assert away.max() < 0.006
     assert found.angle_deg == pytest.approx(angle_deg, abs=4 * found.angle_deviation_deg + 0.2)
+
+
+def test_a_second_look_ends_where_it_comes_to_what_the_first_found(monkeypatch):
+    ends = []
+    monkeypatch.setattr(
+        model_selection, "pruned", lambda *args: ends.append(pruned(*args)) or ends[-1]
+    )
+    objective = frame(TOUCHES[3], 24.0, 15.0, np.random.default_rng(1))  # far: looked at again
+    found = explained(objective, np.array(TOUCHES[3])[::-1, :2])
+    assert len(found.touches) == 3
+    assert len(ends) == 1
+
+
+def test_estimates_are_compared_whatever_the_order_of_their_touches():
+    objective = frame(TOUCHES[3])
+
+    def at(touches, angle_deg=0.0):
+        start = objective.linearised(Unknowns(np.array(touches), angle_deg))
+        return levenberg_marquardt(objective, start, 0, 0.0)
+
+    one, other = at(TOUCHES[3]), np.array(TOUCHES[3])[[2, 0, 1]]
+    assert apart(one, at(other)) == 0.0
+    assert apart(one, at(other[:2])) == np.inf
+    assert apart(one, at(other[[0, 0, 1]])) == np.inf
+    moved = np.add(other, [[0.0, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 0.0]])
+    rise = at(moved, 0.02).misfit - one.misfit
+    assert apart(one, at(moved, 0.02)) == pytest.approx(rise, rel=0.1)
 
 
 def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():

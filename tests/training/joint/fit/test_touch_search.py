@@ -97,10 +97,10 @@ def test_quadratic_is_that_of_the_plain_formula(objective):
 
 
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
-    start = Unknowns(np.array([[0.075, 0.025, 12.0]]), 12.0)
-    found = levenberg_marquardt(objective, objective.linearised(start), 8, 0.03)
-    rest = [found.unknowns.without_touch(0), Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)]
-    said = pair_starts(objective, rest, found, candidates)
+    start = Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)
+    found = levenberg_marquardt(objective, objective.linearised(start), 0, 0.03)
+    rest = [found.unknowns.without_touch(0), found.unknowns]
+    said = pair_starts(objective, found, [0, None], candidates)
     tried = candidates.places[::PAIR_STRIDE]
     shapes = found.whitening @ candidates.change[::PAIR_STRIDE].T
     for unknowns, (promise, pair) in zip(rest, said, strict=True):
