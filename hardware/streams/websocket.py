@@ -93,7 +93,8 @@ class WebSocketOutlet:
                 number, message = newest
                 client.send(message)
                 # The next only when this one has arrived: buffers between would fill with old ones.
-                client.ping(ack_on_close=True).wait()
+                if not client.ping(ack_on_close=True).wait(STALLED):
+                    raise TimeoutError(f"nothing was read for {STALLED:g} s")
         except Exception:  # gone, or stalled for too long, in any of the ways of the library
             log.debug("a client has gone", exc_info=True)
             with contextlib.suppress(OSError):

@@ -149,7 +149,7 @@ def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
 
 
 def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
-    monkeypatch.setattr("eitskin.hardware.streams.websocket.STALLED", 0.05)
+    monkeypatch.setattr("eitskin.hardware.streams.websocket.STALLED", 0.5)
     big = "x" * 2**20
     with ExitStack() as stack:
         stalled = stack.enter_context(connect(served.url, max_queue=1, max_size=None))
