@@ -122,7 +122,7 @@ def test_mirrors_of_layouts():
     turned = with_electrodes("half a pitch on", uniform(outline, 8))
     mirrors = [[mirror for mirror, _ in own_mirrors(each.design)] for each in (turned, moved())]
     assert mirrors == [[(False, False), (True, True)], [(False, False)]]
-    assert [len(list(own_mirrors(layout.design))) for layout in sweeps()["count"]] == [4] * 5
+    assert [len(list(own_mirrors(layout.design))) for layout in sweeps()["count"]] == [4] * 6
 
 
 @pytest.mark.slow

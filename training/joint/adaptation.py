@@ -70,7 +70,7 @@ def adapted_curve(
 def widened(curve: BendCurve, features: Array) -> BendCurve:
     """Curve of a sensor with these features (P,), the less certain the stranger they are.
 
-    The mean is linear in the features. What that leaves grows with their mean square, which is 1
+    The mean is linear in the features. Its residual grows with their mean square, which is 1
     for the usual training specimen: sensors of the recipe `wide` beyond 3 erred 1.8 times as much
     as stated after five known angles.
     """

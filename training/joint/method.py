@@ -27,9 +27,9 @@ from eitskin.training.joint.fit.channel_faults import possible_faults
 from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
 from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
-from eitskin.training.joint.own_response import own_output, own_response, relative_residual
+from eitskin.training.joint.own_response import own_output, own_response, twin_trial
 from eitskin.training.joint.prior import TouchPrior
-from eitskin.training.joint.problems import fit_problems
+from eitskin.training.joint.problems import calibration_problems, fit_problems
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
@@ -37,10 +37,10 @@ from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
-from eitskin.training.method.calibration import Adaptation, TwinTrial
+from eitskin.training.method.calibration import Adaptation
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
-from eitskin.training.method.known_frames import KnownFrames, TwinPresses
+from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
@@ -53,7 +53,6 @@ Arrays = dict[str, NDArray[np.generic]]
 
 REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
-SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,20 +281,6 @@ class JointMethod(Method):
             return np.array([flat, np.nan, 1 - flat])
         return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
 
-    def _calibration_problems(self, flat: Array) -> tuple[str, ...]:
-        """Warning for a sensor that is not the calibrated one; empty otherwise."""
-        if self.calibrated_flat is None:
-            return ()
-        logs = np.log(flat / self.calibrated_flat)
-        spread = float(np.nanstd(logs))
-        if spread < SAME_SPECIMEN:
-            return ()
-        return (
-            f"the flat sensor differs by {spread:.1%} from the one that this pipeline was "
-            f"calibrated for (up to {SAME_SPECIMEN:.1%} are expected): calibrate again, or use "
-            "the pipeline that was not calibrated",
-        )
-
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
         """CombinedChange of the difference of two means of frames.
 
@@ -325,7 +310,7 @@ class JointMethod(Method):
                 self.response_of(flat),
                 curve,
                 possible_faults(self.protocol, flat, self.combinations),
-                self._calibration_problems(flat),
+                calibration_problems(flat, self.calibrated_flat),
                 self._rows,
                 self.angles if self.calibrated is None else None,
                 usual.of(p) if usual else None,
@@ -365,7 +350,10 @@ class JointMethod(Method):
             told = replace(told, calibration=calibration)
             adapted = replace(adapted, calibrated=curve)
         if known.twin is not None and self.touches and self.forces:
-            output, trial = adapted._with_twin(known.twin, flat, touched)
+            learned = adapted.response_of(flat)
+            parts = (self.touch_prior, self.radius, self.combinations)
+            output = own_output(learned, *parts, known.twin, self.bend_prior.bends)
+            trial = twin_trial(learned, output, touched, self.combinations)
             adapted = replace(adapted, own_output=output if trial.kept else None)
             told = replace(told, twin=trial)
         if len(touched):
@@ -373,19 +361,6 @@ class JointMethod(Method):
             scale = error_scale(touched.touches, found)
             adapted = replace(adapted, own_error_scale=scale)
         return adapted, replace(told, error_scale=adapted.own_error_scale, noise_scale=noise)
-
-    def _with_twin(
-        self, twin: TwinPresses, flat: Array, touched: KnownFrames
-    ) -> tuple[Array, TwinTrial]:
-        """Last layer with which the response is a twin's, and how known touches judge it."""
-        learned = self.response_of(flat)
-        parts = (self.touch_prior, self.radius, self.combinations, twin, self.bend_prior.bends)
-        output = own_output(learned, *parts)
-        if not len(touched):
-            return output, TwinTrial(0)
-        both = (learned, own_response(learned, output))
-        left = (relative_residual(each, touched, self.combinations) for each in both)
-        return output, TwinTrial(len(touched), *left)
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked.

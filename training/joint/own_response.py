@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from eitskin.training.joint.combinations import Combinations, log_change
 from eitskin.training.joint.prior import MARGIN, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
+from eitskin.training.method.calibration import TwinTrial
 from eitskin.training.method.known_frames import KnownFrames, TwinPresses
 
 Array = NDArray[np.float64]
@@ -74,6 +75,17 @@ def own_response(learned: SpecimenResponse, output: Array) -> SpecimenResponse:
     """Response of a sensor with a last layer of its own (K, hidden + 1)."""
     latent = LATENT_LEFT * learned.response.latent_output
     return SpecimenResponse(replace(learned.response, latent_output=latent), output)
+
+
+def twin_trial(
+    learned: SpecimenResponse, output: Array, touched: KnownFrames, combinations: Combinations
+) -> TwinTrial:
+    """Residuals of known touches by the learned response and by that with a twin's last layer."""
+    if not len(touched):
+        return TwinTrial(0)
+    both = (learned, own_response(learned, output))
+    left = (relative_residual(each, touched, combinations) for each in both)
+    return TwinTrial(len(touched), *left)
 
 
 def _spread(bounds: Array, force: tuple[float, float], count: int) -> Array:

@@ -1,11 +1,15 @@
 """Warnings about faulty measurements and frames that the model does not explain, in words."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.fit.model_selection import FrameFit
 from eitskin.training.joint.fit.objective import misfit_sigma
 from eitskin.training.joint.prior import MOST_TOUCHES
 
 REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
+SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 
 
 def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
@@ -33,3 +37,24 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
             "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
         )
     return tuple(problems)
+
+
+def calibration_problems(
+    flat: NDArray[np.float64], calibrated: NDArray[np.float64] | None
+) -> tuple[str, ...]:
+    """Warning for a sensor that is not the calibrated one; empty otherwise.
+
+    Args:
+        flat: magnitudes of the flat, untouched sensor (C,) [ohm].
+        calibrated: those of the calibrated sensor; None where no sensor was.
+    """
+    if calibrated is None:
+        return ()
+    spread = float(np.nanstd(np.log(flat / calibrated)))
+    if spread < SAME_SPECIMEN:
+        return ()
+    return (
+        f"the flat sensor differs by {spread:.1%} from the one that this pipeline was calibrated "
+        f"for (up to {SAME_SPECIMEN:.1%} are expected): calibrate again, or use the pipeline that "
+        "was not calibrated",
+    )

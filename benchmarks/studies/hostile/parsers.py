@@ -53,7 +53,7 @@ class Parser:
     read: Callable[[Path], object]
 
     def parse(self, content: bytes, folder: Path) -> object:
-        """What is read from a file of this content; an EitskinError where that is refused."""
+        """Object read from a file of this content; an EitskinError where that is refused."""
         path = folder / self.name
         path.write_bytes(content)
         return self.read(path)

@@ -71,7 +71,7 @@ class _Lane:
         selector.register(self._answers, selectors.EVENT_READ, self)
 
     def results(self, selector: selectors.BaseSelector) -> Iterator[tuple[str, int, str, str]]:
-        """What the process has answered; where it has ended, why, and the next is started."""
+        """Answer of the process; where it has ended, the reason, and the next is started."""
         content = os.read(self._answers, 1 << 16)
         *lines, self._begun = (self._begun + content).split(b"\n")
         for line in lines:

@@ -10,19 +10,11 @@ from smooth_joint import LAYOUT, smooth_method
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.adaptation import error_scale, widened
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
-from eitskin.training.method.predictions import FoundTouches
 
-from smooth_sensor import (
-    FLAT,
-    NOISE,
-    PROTOCOL,
-    TOUCH_PRIOR,
-    powers,
-)
+from smooth_sensor import FLAT, NOISE, PROTOCOL, TOUCH_PRIOR, powers
 
 TOUCH = (0.045, 0.021, 8.0)
 ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
@@ -356,13 +348,6 @@ def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     assert method.adapted(flat)[1].noise_scale == 1.0
 
 
-def test_curves_of_strange_sensors_are_less_certain():
-    curve = smooth_method().bend_prior.of([0.0])
-    for features, factor in (([0.5, 0.5], 1.0), ([2.0, 2.0], 4.0), ([], 1.0)):
-        wide = widened(curve, np.array(features))
-        np.testing.assert_allclose(wide.covariance, factor * curve.covariance)
-
-
 def test_other_sensor_than_the_calibrated_one_is_told(method):
     one, _ = calibrated(method)
     assert one.predict(observed(method)).problems == ((),)
@@ -409,13 +394,3 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     assert again.own_error_scale == one.own_error_scale
     assert method.adapted(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].own_error_scale == 1.0
-
-
-def test_the_scale_of_standard_errors_is_the_rms_of_their_ratios():
-    touches = np.array([[[0.05, 0.03, 8.0]], [[0.10, 0.03, np.nan]], [[0.02, 0.02, 5.0]]])
-    found = [
-        FoundTouches.of([[0.053, 0.034]], [1.0], None, [0.001]),  # 5 mm, five standard errors
-        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # two
-        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
-    ]
-    assert error_scale(touches, found) == pytest.approx(np.sqrt((4 + 25 + 4) / (4 + 2)))

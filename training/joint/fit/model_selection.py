@@ -208,7 +208,7 @@ def _fit(
 
 
 def _met(found: MapEstimate, seen: Seen) -> MapEstimate | None:
-    """What an estimate led to that `found` cannot be told from, by its standard errors."""
+    """Fit of an earlier start that `found` cannot be told from, by its standard errors."""
     for known, best in seen:
         if apart(found, known) < SAME:
             return best
