@@ -19,13 +19,8 @@ from eitskin.training.joint.fit.channel_faults import (
     PossibleFaults,
     fit_with_fault,
 )
-from eitskin.training.joint.fit.objective import (
-    Linearisation,
-    MapEstimate,
-    TouchObjective,
-    Unknowns,
-    levenberg_marquardt,
-)
+from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
+from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective, levenberg_marquardt
 from eitskin.training.joint.fit.pruning import (
     FINE,
     FURTHER_THRESHOLD,
@@ -132,7 +127,7 @@ def _likeliest(
     Touches that look like a large bend draw the fit far away, where the bend curve is uncertain
     and nothing leads back. So a fit that ends far from the reference, or explains the frame badly,
     is begun again at the reference's angle: a fit that explains the frame is better than one that
-    does not, else the likelier one is. Of several such starts the likeliest is fitted to the end,
+    does not, else the likelier one is. The likeliest of several such starts is fitted to the end,
     and only where it leads elsewhere.
     """
     nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))

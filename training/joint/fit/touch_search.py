@@ -7,12 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.objective import (
-    Linearisation,
-    MapEstimate,
-    TouchObjective,
-    Unknowns,
-)
+from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
+from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective
 from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG
 
 Array = NDArray[np.float64]

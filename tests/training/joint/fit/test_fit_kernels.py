@@ -9,8 +9,9 @@ from one_frame import FAULTS, RESPONSE, TOUCHES, candidates, frame
 from eitskin import compiled
 from eitskin.compiled import kernels
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.fit.linearisation import Unknowns
 from eitskin.training.joint.fit.model_selection import fit_frame
-from eitskin.training.joint.fit.objective import KERNELS, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.objective import KERNELS, levenberg_marquardt
 from eitskin.training.joint.fit.touch_search import pair_starts
 
 from smooth_sensor import TOUCH_PRIOR

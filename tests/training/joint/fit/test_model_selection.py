@@ -20,8 +20,9 @@ from one_frame import (
 )
 
 from eitskin.training.joint.fit import model_selection
+from eitskin.training.joint.fit.linearisation import Unknowns
 from eitskin.training.joint.fit.model_selection import TOUCH_THRESHOLD, apart, fit_frame
-from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
 from eitskin.training.joint.fit.pruning import pruned
 from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS

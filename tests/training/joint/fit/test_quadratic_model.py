@@ -7,7 +7,8 @@ import pytest
 from one_frame import STIFF, TOUCHES, frame
 from scipy.optimize import minimize
 
-from eitskin.training.joint.fit.objective import Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.linearisation import Unknowns
+from eitskin.training.joint.fit.objective import levenberg_marquardt
 from eitskin.training.joint.fit.quadratic_model import QuadraticModel
 
 from smooth_sensor import TOUCH_PRIOR

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from eitskin.training.joint.fit.channel_faults import most_likely_fault, possible_faults
-from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.linearisation import Unknowns
+from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
 from eitskin.training.joint.fit.touch_search import (
     LEAST_DISTANCE,
     PAIR_STRIDE,
