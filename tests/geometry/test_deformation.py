@@ -176,7 +176,7 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
     [
         (lambda: Bend(math.nan), r"angle_deg.*finite.*got nan"),
         (lambda: Hinge(span=0.0), r"span.*got 0"),
-        (lambda: Hinge(offset=math.inf), r"offset.*finite.*inf"),
+        (lambda: Hinge(offset=math.inf), r"offset.*inf"),
         (lambda: Hinge(give=-0.001), r"give.*-0.001"),
         (lambda: Hinge(transition=0.021), r"transition.*0\.02 m"),
         (lambda: Hinge(contraction=1.1), r"contraction.*0 .*1 "),

@@ -158,7 +158,6 @@ class Task:
         self.state = replace(self.state, place=place)
         self._become(Progress.ASKING, text, tuple(choices.items()))
         answer = self._wait_for_answer()
-        self._become(Progress.WORKING, text)
         if answer is None:
             raise CancelledError
         return answer
@@ -176,6 +175,7 @@ class Task:
             if not asked or text not in dict(self.state.choices):
                 return False
             self._answer = text
+            self._become(Progress.WORKING, self.state.text)  # from here on nothing is asked
             self._answered.notify_all()
         return True
 
