@@ -277,11 +277,12 @@ def test_equal_scenes_are_solved_once(monkeypatch):
 
 
 SCRIPT = """
+import signal
 import sys
-import time
 from eitskin.datasets import Recipe, generate
 from eitskin.config import parse_toml
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which background jobs have ignored
 if __name__ == "__main__":
     recipe = parse_toml(Recipe, sys.argv[1])
     generate(recipe, sys.argv[2], 2, lambda done, _: print(done, flush=True))
