@@ -23,13 +23,11 @@ from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
 from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective, levenberg_marquardt
 from eitskin.training.joint.fit.pruning import (
     FINE,
-    FURTHER_THRESHOLD,
     TOUCH_THRESHOLD,
     gain_of,
     gains_of,
     improbability,
     pruned,
-    threshold,
 )
 from eitskin.training.joint.fit.touch_search import (
     TouchCandidates,
@@ -180,8 +178,7 @@ def _fit(
             found = started
     most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
     while len(found.unknowns.touches) < most and _may_gain(found):
-        needed = threshold(len(found.unknowns.touches))
-        starts = single_starts(objective, found, candidates, START_THRESHOLD * needed)
+        starts = single_starts(objective, found, candidates, START_THRESHOLD * TOUCH_THRESHOLD)
         if not starts:
             break
         trials = [
@@ -190,7 +187,7 @@ def _fit(
         more = min(trials, key=lambda trial: trial.misfit)
         gain = gain_of(objective, found, more)
         evidence = max(evidence, gain)
-        if gain < needed:
+        if gain < TOUCH_THRESHOLD:
             break
         found = more
     best = alone = pruned(objective, found)
@@ -241,7 +238,7 @@ def _may_gain(found: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
     degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
-    return found.misfit - lowest > threshold(len(found.unknowns.touches))
+    return found.misfit - lowest > TOUCH_THRESHOLD
 
 
 def _split(
@@ -260,7 +257,7 @@ def _split(
         at = objective.linearised(start)
         whitening = objective.whitening(at)
         more = len(start.touches) - len(best.unknowns.touches)
-        goal = objective.misfit(best.at, whitening) - FURTHER_THRESHOLD * more
+        goal = objective.misfit(best.at, whitening) - TOUCH_THRESHOLD * more
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial

@@ -12,22 +12,14 @@ Array = NDArray[np.float64]
 TOUCH_THRESHOLD = 25.0
 """Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
 of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
-FURTHER_THRESHOLD = 18.0
-"""The same by a touch of a sensor that is touched elsewhere, which is less unlikely."""
 
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 
 
-def threshold(touches: int) -> float:
-    """Least decrease of the misfit by one more touch than `touches`."""
-    return FURTHER_THRESHOLD if touches else TOUCH_THRESHOLD
-
-
 def improbability(found: MapEstimate) -> float:
     """Minus twice the logarithm of a model's posterior density, but for a constant."""
-    count = len(found.unknowns.touches)
-    return found.improbability + sum(threshold(touches) for touches in range(count))
+    return found.improbability + TOUCH_THRESHOLD * len(found.unknowns.touches)
 
 
 def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
@@ -38,11 +30,10 @@ def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
         faint = found.unknowns.touches[:, 2] <= objective.prior.low[2]
         gains = np.where(faint, 0.0, gains_of(found))
         weakest = int(gains.argmin())
-        needed = threshold(len(gains) - 1)
-        if gains[weakest] > PRUNING_LIMIT * needed:
+        if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
             break
         fewer = _without(objective, found, weakest)
-        if gain_of(objective, fewer, found) > needed:
+        if gain_of(objective, fewer, found) > TOUCH_THRESHOLD:
             break
         found = fewer
     return found
@@ -52,7 +43,7 @@ def _without(objective: TouchObjective, found: MapEstimate, touch: int) -> MapEs
     """The estimate without one touch; one that has not converged where the touch is needed."""
     others = objective.linearised(found.unknowns.without_touch(touch))
     whitening = objective.whitening(others)
-    goal = found.misfit + threshold(len(others.unknowns.touches))  # in the metric of `found`
+    goal = found.misfit + TOUCH_THRESHOLD  # in the metric of `found`
     goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
     return levenberg_marquardt(objective, others, *FINE, whitening, goal)
 

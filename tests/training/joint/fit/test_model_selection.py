@@ -184,15 +184,6 @@ def test_touches_are_recovered_without_noise(count, angle_deg):
     assert found.faults == ()
 
 
-def test_further_touch_needs_less_evidence_than_the_first():
-    """A touch too faint in this noise to be told alone is told beside a stronger one."""
-    faint, strong = TOUCHES[2]
-    for touches, count in (([faint], 0), ([faint, strong], 2)):
-        objective = frame(touches)
-        noisy = replace(objective, combined=replace(objective.combined, frames=450.0))
-        assert len(explained(noisy).touches) == count
-
-
 def test_bend_since_the_reference_is_no_touch():
     found = explained(frame((), 25.0, 10.0, np.random.default_rng(1)))
     assert len(found.touches) == 0
