@@ -69,14 +69,7 @@ class Workload:
             return
         recipe = Recipe.shipped("training")
         for number in range(-(-count // PER_SPECIMEN)):
-            made = specimen(recipe, number)
-            sim = Simulator(
-                made.design,
-                self.resolution,
-                made.fixture,
-                mechanics=made.mechanics,
-                nominal=recipe.sensor,
-            )
+            sim = specimen(recipe, number).simulator(recipe.sensor, self.resolution)
             yield from repeat(sim, min(PER_SPECIMEN, count - number * PER_SPECIMEN))
 
 

@@ -11,7 +11,6 @@ from eitskin.benchmarks.transfer.worlds import World
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.state import State
-from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.metrics import root_mean_square
 
@@ -35,13 +34,7 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
     numbers = world.frames.specimen_number
     for number in np.unique(world.frames.specimen).tolist():
         made = specimen(recipe, int(numbers[number]))
-        simulator = Simulator(
-            made.design,
-            recipe.resolution,
-            made.fixture,
-            mechanics=made.mechanics,
-            nominal=recipe.sensor,
-        )
+        simulator = made.simulator(recipe.sensor, recipe.resolution, recipe.protocol)
         full_scale = simulator.full_scale_on(recipe.instrument)
         for state, count in ((State.TOUCH, TOUCHED), (State.BEND, BENT)):
             for row in _rows(world, number, state, count):

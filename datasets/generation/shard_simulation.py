@@ -18,6 +18,7 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
+from eitskin.simulator.layer.pressed_touches import TouchModel
 from eitskin.simulator.presses.correction_store import tabulable
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -180,16 +181,9 @@ def _simulator(
     *,
     tabulated: bool,
 ) -> Simulator:
-    """Simulator of a specimen, which shares the meshes and factors of the nominal sensor."""
-    return Simulator(
-        made.design,
-        resolution=resolution,
-        fixture=made.fixture,
-        protocol=protocol,
-        mechanics=made.mechanics,
-        touch_model="tabulated" if tabulated else "solved",
-        nominal=nominal,
-    )
+    """Simulator of a specimen, kept."""
+    touch_model: TouchModel = "tabulated" if tabulated else "solved"
+    return made.simulator(nominal, resolution, protocol, touch_model)
 
 
 def flat_impedance(made: Specimen, recipe: Recipe) -> Impedance:

@@ -17,8 +17,12 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Plates, Support
 from eitskin.geometry.design.surface import Surface
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.layer.pressed_touches import TouchModel
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
+from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 KinematicFixture = Hinge | FreeArc
@@ -110,6 +114,24 @@ class Specimen:
     design: SensorDesign
     fixture: Fixture
     mechanics: Mechanics
+
+    def simulator(
+        self,
+        nominal: SensorDesign | None,
+        resolution: Resolution,
+        protocol: Protocol | None = None,
+        touch_model: TouchModel | None = None,
+    ) -> Simulator:
+        """Simulator of the specimen, which shares meshes and factors with `nominal`, if given."""
+        return Simulator(
+            self.design,
+            resolution,
+            self.fixture,
+            protocol,
+            self.mechanics,
+            touch_model,
+            nominal=nominal,
+        )
 
 
 def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator) -> Specimen:

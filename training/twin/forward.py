@@ -155,15 +155,7 @@ class TwinForward:
         return np.asarray(reading.real)
 
     def _simulator(self, x: Array) -> Simulator:
-        made = self.specimen(x)
-        return Simulator(
-            made.design,
-            resolution=self._resolution,
-            fixture=made.fixture,
-            protocol=self.protocol,
-            mechanics=made.mechanics,
-            nominal=self.nominal.design,
-        )
+        return self.specimen(x).simulator(self.nominal.design, self._resolution, self.protocol)
 
 
 def _depends(parameter: TwinParameter, scene: Scene) -> bool:

@@ -21,7 +21,6 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
-from eitskin.simulator.simulator import Simulator
 from eitskin.training.twin.twin import Twin
 
 Array = NDArray[np.float64]
@@ -90,15 +89,7 @@ class PressedTwin:
 
         Raises ConfigurationError for bends or presses that the twin cannot have.
         """
-        made = self.specimen
-        simulator = Simulator(
-            made.design,
-            self.resolution,
-            made.fixture,
-            self.protocol,
-            made.mechanics,
-            nominal=self.nominal,
-        )
+        simulator = self.specimen.simulator(self.nominal, self.resolution, self.protocol)
         bend, indenter = Bend(angle_deg), Cylinder(round(radius, 6))
         pressed = ((Touch(x, y, force, indenter),) for x, y, force in touches.tolist())
         scenes = [Scene(bend=bend), *(Scene(bend=bend, touches=each) for each in pressed)]
