@@ -161,7 +161,7 @@ ALL = (
     Benchmark("stored_references", "data", 4, (), ("--specimens", "2", "--mounted", "1")),
     Benchmark("large_sets", "data", 25, OWN, (*OWN, "--frames", "4000", "--shards", "40")),
     Benchmark("chains", "data", 20, OUT, own_results=True),
-    Benchmark("layouts_trained", "data", 45, OUT, (*OUT, "--quick"), own_results=True),
+    Benchmark("layouts_trained", "layouts", 45, OUT, (*OUT, "--quick"), own_results=True),
     Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
 )
 

@@ -8,15 +8,15 @@ from layouts_fakes import flat_bound
 
 from eitskin.benchmarks.layouts.candidates import paper
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.studies.data import layout_lesson, layouts_trained
-from eitskin.benchmarks.studies.data.layout_lesson import (
+from eitskin.benchmarks.studies.layouts import layouts_trained, lesson
+from eitskin.benchmarks.studies.layouts.layouts_trained import compared, main, one_sided
+from eitskin.benchmarks.studies.layouts.lesson import (
     QUICK,
     Learned,
     Lesson,
     learn_all,
     ratio_error,
 )
-from eitskin.benchmarks.studies.data.layouts_trained import compared, main, one_sided
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 
 
@@ -26,14 +26,14 @@ def result(name, bound, error):
 
 
 def test_layouts_get_the_same_scenes_on_other_sensors_in_the_test():
-    lesson = Lesson()
-    one, other = (lesson.training(each.design) for each in (paper(), one_sided()))
+    amount = Lesson()
+    one, other = (amount.training(each.design) for each in (paper(), one_sided()))
     for index in (0, 17, one.frames - 1):
         assert sample(one, index) == sample(other, index)
-    unseen = lesson.testing(paper().design)
+    unseen = amount.testing(paper().design)
     assert one.specimens.electrode_place > 0
     assert specimen(one, 0).design.electrodes != specimen(unseen, 0).design.electrodes
-    assert one.frames == lesson.sensors + lesson.bends + 2 * lesson.touches
+    assert one.frames == amount.sensors + amount.bends + 2 * amount.touches
 
 
 def test_standard_errors_are_over_sensors_and_not_over_frames():
@@ -71,15 +71,15 @@ def test_the_best_layout_with_mirrors_is_the_one_that_the_search_found():
 def trained(monkeypatch):
     """Names of layouts that were trained for; frames and pipelines cost nothing."""
     names = []
-    monkeypatch.setattr(layout_lesson, "_frames", lambda _, recipe: recipe)
-    monkeypatch.setattr(layout_lesson.Pipeline, "fit", staticmethod(lambda training, _: training))
+    monkeypatch.setattr(lesson, "_frames", lambda _, recipe: recipe)
+    monkeypatch.setattr(lesson.Pipeline, "fit", staticmethod(lambda training, _: training))
 
     def score(layout, bound, pipeline, testing, seconds):  # noqa: ARG001
         assert pipeline.seed != testing.seed
         names.append(layout.name)
         return result(layout.name, float(1e3 * bound.place[0, 0]), 1.0 if len(names) > 1 else None)
 
-    monkeypatch.setattr(layout_lesson, "scored", score)
+    monkeypatch.setattr(lesson, "scored", score)
     return names
 
 

@@ -1,6 +1,6 @@
 """Pipelines trained for layouts of 8, 12, 16 and 32 electrodes, beside their Cramer-Rao bounds.
 
-Run by `python -m eitskin.benchmarks.studies.data.layouts_trained --out OUT`. Bounds, frames and
+Run by `python -m eitskin.benchmarks.studies.layouts.layouts_trained --out OUT`. Bounds, frames and
 scores of finished layouts are kept in OUT: the same command goes on where it was stopped.
 """
 
@@ -19,7 +19,7 @@ from eitskin.benchmarks.layouts.run import MIRRORED, QUICK_SAMPLING, SAMPLING, S
 from eitskin.benchmarks.layouts.search import at_arcs
 from eitskin.benchmarks.layouts.store import judging
 from eitskin.benchmarks.results import Results, write_results
-from eitskin.benchmarks.studies.data.layout_lesson import QUICK, Learned, Lesson, learn_all
+from eitskin.benchmarks.studies.layouts.lesson import QUICK, Learned, Lesson, learn_all
 from eitskin.extras import require
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.provenance import Provenance
@@ -113,7 +113,7 @@ def main() -> None:
     )
     results = Results(
         NAME,
-        f"python -m eitskin.benchmarks.studies.data.{NAME} --out OUT",
+        f"python -m eitskin.benchmarks.studies.layouts.{NAME} --out OUT",
         Provenance.now(SEED),
         time.process_time() - began,
         options.quick,

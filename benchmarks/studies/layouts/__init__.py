@@ -1,0 +1,1 @@
+"""Studies of layouts: pipelines trained for electrode layouts, and the angles they tell."""
