@@ -16,8 +16,8 @@ from eitskin.errors import ConfigurationError, EitskinError, PartialError
 TEMPORARY = ".writing-"
 _REMEDY = "name a file in a folder that exists and can be written to"
 _RESUME = (
-    "files finished before it are intact; make room or give write permission, then continue with "
-    "--resume, or choose another folder"
+    "files finished before it are intact; make room or give write permission, then start again "
+    "(`eitskin generate` with --resume), or choose another folder"
 )
 
 
