@@ -7,7 +7,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_length
+from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -17,6 +17,7 @@ _STEEPEST = math.tan(math.radians(80.0))
 _PROJECTIONS = 12
 _WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
 _NARROWEST = 1e-4  # m, a needle; the mesh of a sharper contact has more cells than memory holds
+_CLOSEST = 1e-9  # m, between radii of a profile, whose slope is a quotient
 _SHARPEST = 1e-3  # radius of a rim over that of the cylinder, for the same reason
 
 
@@ -116,15 +117,20 @@ class Profile:
     def __post_init__(self) -> None:
         """Check that the heights are those of a convex body."""
         r, h = np.array(self.radii, dtype=float), np.array(self.heights, dtype=float)
-        if len(r) < 2 or r.shape != h.shape or not np.all(np.isfinite([r, h])):
+        if len(r) < 2 or r.shape != h.shape:
             raise ConfigurationError(
-                "a profile needs two or more finite radii and as many heights, in m, got "
+                "a profile needs two or more radii and as many heights, got "
                 f"{len(self.radii)} and {len(self.heights)}"
             )
-        if r[0] != 0.0 or h[0] != 0.0 or np.any(np.diff(r) <= 0.0):
+        if not np.all(np.abs([r, h]) <= LONGEST):
             raise ConfigurationError(
-                "a profile starts with radius 0 and height 0, and its radii rise; got radii "
-                f"{self.radii} and first height {h[0]}"
+                f"a profile needs radii and heights up to {LONGEST:g} m, got radii {self.radii} "
+                f"and heights {self.heights}"
+            )
+        if r[0] != 0.0 or h[0] != 0.0 or np.any(np.diff(r) < _CLOSEST):
+            raise ConfigurationError(
+                f"a profile starts with radius 0 and height 0, and its radii rise by {_CLOSEST:g} "
+                f"m at least; got radii {self.radii} and first height {h[0]}"
             )
         _require_radius(self.radii[-1])
         slopes = np.diff(h) / np.diff(r)
