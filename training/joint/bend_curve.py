@@ -7,7 +7,7 @@ specimens of a design, given their features; `BendCurve` that of one specimen, b
 calibration.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -222,22 +222,61 @@ class BendCurvePrior:
         Arguments are those of `fit`. With w integrated out, by the matrix determinant lemma and
         Woodbury's identity.
         """
-        precision, inverse = np.linalg.inv(noise), np.linalg.inv(self.covariance)
-        channels = change.shape[1]
-        size = len(self.covariance) // channels
         normal = np.linalg.slogdet(2.0 * np.pi * noise)[1]
         width = np.linalg.slogdet(self.covariance)[1]
         logs = []
-        for rows in _groups(specimen):
-            powers = _powers(angle_deg[rows, None] / SCALE, size)
-            residual = change[rows] - self.of(features[rows[0]]).value(angle_deg[rows])
-            weighted = residual @ precision
-            posterior = inverse + np.kron(powers.T @ powers, precision)
-            evidence = (powers.T @ weighted).ravel()
-            factor = cho_factor(posterior)
-            misfit = float(np.sum(weighted * residual) - evidence @ cho_solve(factor, evidence))
-            logs.append(-0.5 * (misfit + _log_determinant(factor) + width + len(rows) * normal))
+        for told in self._told(angle_deg, change, features, specimen, noise):
+            misfit = told.square - float(told.evidence @ told.effects)
+            logs.append(-0.5 * (misfit + told.width + width + told.frames * normal))
         return np.array(logs)
+
+    def expected(
+        self,
+        angle_deg: Array,
+        change: Array,
+        features: Array,
+        specimen: NDArray[np.int64],
+        noise: Array,
+    ) -> Array:
+        """Coefficients of the expected curve of each specimen, in the order of their numbers.
+
+        They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames. Arguments are
+        those of `fit`.
+        """
+        shape = (-1, change.shape[1])
+        curves = []
+        for told in self._told(angle_deg, change, features, specimen, noise):
+            effects = told.effects.reshape(shape)
+            curves.append(told.prior.coefficients.copy())
+            curves[-1][: len(effects)] += effects
+        return np.array(curves)
+
+    def _told(
+        self,
+        angle_deg: Array,
+        change: Array,
+        features: Array,
+        specimen: NDArray[np.int64],
+        noise: Array,
+    ) -> Iterator["_Told"]:
+        """What the frames of each specimen tell of its random effects; arguments as of `fit`."""
+        precision, inverse = np.linalg.inv(noise), np.linalg.inv(self.covariance)
+        size = len(self.covariance) // change.shape[1]
+        for rows in _groups(specimen):
+            prior = self.of(features[rows[0]])
+            powers = _powers(angle_deg[rows, None] / SCALE, size)
+            residual = change[rows] - prior.value(angle_deg[rows])
+            weighted = residual @ precision
+            evidence = (powers.T @ weighted).ravel()
+            factor = cho_factor(inverse + np.kron(powers.T @ powers, precision))
+            yield _Told(
+                prior,
+                len(rows),
+                evidence,
+                cho_solve(factor, evidence),
+                float(np.sum(weighted * residual)),
+                _log_determinant(factor),
+            )
 
     @classmethod
     def flat(cls, features: int, channels: int) -> "BendCurvePrior":
@@ -271,6 +310,27 @@ class BendCurvePrior:
         values = {name: array.astype(float) for name, array in arrays.items()}
         low, high = values["angle_deg"].tolist()
         return cls(values["mean"], values["covariance"], (low, high))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """What the frames of one specimen tell of its random effects w.
+
+    Attributes:
+        prior: of its curve.
+        frames: number of them.
+        evidence: their part in the posterior of w (R K,).
+        effects: mean of that posterior (R K,).
+        square: of their residuals without w, in the metric of the noise.
+        width: logarithm of the determinant of the posterior's precision.
+    """
+
+    prior: BendCurve
+    frames: int
+    evidence: Array
+    effects: Array
+    square: float
+    width: float
 
 
 def _log_determinant(factor: tuple[Array, bool]) -> float:

@@ -48,13 +48,23 @@ def frames(specimens=150, seed=1, tightness=0.35):
     return BentFrames(change, angle, np.zeros((len(change), 0)), number, image, COMBINATIONS, noise)
 
 
-@pytest.fixture(scope="module")
-def trained():
-    said = []
+def of_curves(data):
+    columns = (data.angle_deg, data.change, data.features, data.curve)
+    return BendCurvePrior.fit(*columns, data.noise)
+
+
+def fitted(data, progress=silent, mixed=angle_training.MIXED):
     with single_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (32, 32))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
-        found = fit_angles(frames(), SETTINGS, 0, lambda *told: said.append(told))
+        patch.setattr(angle_training, "MIXED", mixed)
+        return fit_angles(data, of_curves(data), SETTINGS, 0, progress)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    said = []
+    found = fitted(frames(), lambda *told: said.append(told))
     return *found, said
 
 
@@ -150,15 +160,36 @@ def test_networks_tell_angles_of_clamps_never_seen(trained):
     unseen = frames(60, seed=9)
     found = np.array([networks.estimate(each, np.zeros(0), 1e-4) for each in unseen.change])
     error = found[:, 0] - unseen.angle_deg
-    noise, known = NOISE**2 * np.eye(CHANNELS), frames()
-    columns = (known.angle_deg, known.change, known.features, known.curve)
-    curve_of_all = BendCurvePrior.fit(*columns, noise).of(())
+    noise, curve_of_all = NOISE**2 * np.eye(CHANNELS), of_curves(frames()).of(())
     by_curve = np.array([estimate_angle(curve_of_all, each, noise)[0] for each in unseen.change])
     rms = np.sqrt(np.mean(error**2))
     assert rms < 0.6 * np.sqrt(np.mean((by_curve - unseen.angle_deg) ** 2))
     assert np.sqrt(np.mean((error / found[:, 1]) ** 2)) < 1.4
     assert curve.validation[-1] < curve.validation[0]
     assert said[-1] == ("angles", 150, 150)
+
+
+@pytest.mark.slow
+def test_networks_learn_clamps_between_those_of_the_training_set():
+    """Sensors whose curves are means of those of two clamps, of which alone networks learned."""
+
+    def clamps(shares, seed):
+        rng, number = np.random.default_rng(seed), np.repeat(np.arange(100), 6)
+        angle = rng.uniform(-20.0, 50.0, len(number))
+        share, u = np.resize(shares, 100)[number, None], angle[:, None] / 50.0
+        ways = np.random.default_rng(0).standard_normal((2, 3, CHANNELS)) * 0.02
+        one, other = (np.hstack([np.tanh(k * u), u**2, u]) @ way for k, way in enumerate(ways, 1))
+        change = (1.0 - share) * one + share * other + NOISE * rng.standard_normal(one.shape)
+        return replace(frames(100), change=change, angle_deg=angle, specimen=number)
+
+    def error(mixed):
+        networks, _ = fitted(clamps([0.0, 1.0], 1), mixed=mixed)
+        between = clamps([0.5], 2)
+        found = [networks.estimate(each, np.zeros(0), 1e-4)[0] for each in between.change]
+        return np.sqrt(np.mean((found - between.angle_deg) ** 2))
+
+    mixed, apart = error(angle_training.MIXED), error((0.0, 0.0))
+    assert mixed < 0.5 * apart, (mixed, apart)
 
 
 def test_specimens_of_one_clamp_are_left_out_together():

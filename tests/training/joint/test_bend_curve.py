@@ -301,6 +301,18 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
     assert np.abs(curves.of([0.0, 0.0]).value(40.0) - expected).max() > 1e-3
 
 
+def test_expected_curves_are_those_conditioned_on_all_frames(rng):
+    effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
+    data = made_up(rng, 12, 5, own_covariance(rng), effect)
+    curves = BendCurvePrior.fit(*data, NOISE)
+    found = curves.expected(*data, NOISE)
+    angle, change, features, specimen = data
+    for number in range(12):
+        its = specimen == number
+        expected = curves.of(features[its][0]).conditioned(angle[its], change[its], NOISE)
+        np.testing.assert_allclose(found[number], expected.coefficients, rtol=1e-6, atol=1e-9)
+
+
 def test_specimens_that_do_not_differ_have_no_covariance(rng):
     curves = BendCurvePrior.fit(*made_up(rng, 120, 6, np.zeros((SIZE, SIZE))), NOISE)
     assert np.sqrt(np.diag(curves.of(()).uncertainty(50.0))).max() < 2e-4

@@ -96,7 +96,7 @@ def fit_networks(
         return None, LearningCurve()
     from eitskin.training.joint.angles.training import fit_angles, loss_of_estimates
 
-    networks, losses = fit_angles(frames, settings.angles, seed, progress)
+    networks, losses = fit_angles(frames, curves, settings.angles, seed, progress)
     few = frames[:: -(-len(frames.change) // COMPARED)]
     pairs = zip(few.change, few.features, strict=True)
     by_curves = np.array([estimate_angle(curves.of(p), change, few.noise) for change, p in pairs])

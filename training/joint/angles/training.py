@@ -1,6 +1,6 @@
 """Training of the angle networks on bent frames. Imports torch at its top."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
+from eitskin.training.joint.bend_curve import SCALE, BendCurvePrior
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import (
     Samples,
@@ -27,17 +28,32 @@ MEMBERS = 5
 HIDDEN = (128, 128, 128)
 GROUPS = 25
 """Groups of similar specimens, of which each network goes without a `MEMBERS`-th."""
+MIXED = (-0.5, 0.5)
+"""Range of the share of another specimen's bend curve in that of a frame's."""
 RELATIVE_NOISE = 0.05  # of the change
 FEATURE_NOISE = 0.3  # standard deviations
 
 
 def fit_angles(
-    frames: BentFrames, settings: NetworkSettings, seed: int, progress: Progress
+    frames: BentFrames,
+    curves: BendCurvePrior,
+    settings: NetworkSettings,
+    seed: int,
+    progress: Progress,
 ) -> tuple[AngleNetworks, LearningCurve]:
     """Networks trained by maximum likelihood of the angle, each without a share of the specimens.
 
-    Every step adds the noise of a frame and of its reference, a common drift of any size, which the
-    networks are told, and further noise, with which they overfit less.
+    Every step bends the sensors as in clamps that the training set does not have: the curve of a
+    frame's specimen gets a share of that of another one, drawn anew (mixup of Zhang et al. 2018,
+    at equal angles). It adds the noise of a frame and of its reference, a common drift of any size,
+    which the networks are told, and further noise, with which they overfit less.
+
+    Args:
+        frames: of all specimens.
+        curves: distribution of their bend curves.
+        settings: of the training.
+        seed: of weights, order, noise and shares.
+        progress: called after every epoch.
 
     Returns:
         the networks.
@@ -45,53 +61,24 @@ def fit_angles(
     """
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)
-    plainly = (frames.change, frames.features, np.full(len(frames.change), DRIFT[0]))
-    raw = _tensor(empty.inputs(*plainly))
-    target = _tensor(frames.angle_deg[:, None] / UNIT_DEG)
-    noise = _tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit)
-    drift, weights = _tensor(empty.drift), _tensor(empty.filter)
-    largest = float(np.log(DRIFT[1] / DRIFT[0]))
-    sizes = [raw.shape[1], *HIDDEN, 2]
-    trained, curves = [], []
+    inputs = _Inputs.of(frames, curves, empty)
+    sizes = [inputs.raw.shape[1], *HIDDEN, 2]
+    trained, learned = [], []
     for member in range(MEMBERS):
         seen, left = (
             torch.as_tensor(np.flatnonzero(rows)) for rows in (part != member, part == member)
         )
-
-        def noisy(
-            chosen: Tensor, generator: torch.Generator, rows: Tensor = seen
-        ) -> tuple[Tensor, Tensor]:
-            values, combinations = raw[rows[chosen]], len(noise)
-
-            def normal(columns: int) -> Tensor:
-                return torch.randn(len(chosen), columns, generator=generator)
-
-            size = largest * torch.rand(len(chosen), 1, generator=generator).square()
-            values[:, :combinations] *= 1.0 + RELATIVE_NOISE * normal(combinations)
-            values[:, :combinations] += normal(combinations) * noise
-            common = DRIFT[0] * size.exp()
-            change = values[:, :combinations] + common * normal(1) * drift
-            variance = common.square()
-            told = variance * (change @ weights)[:, None] / (1.0 + variance * (drift @ weights))
-            values[:, :combinations] = change - told * drift
-            values[:, combinations:-1] += FEATURE_NOISE * normal(raw.shape[1] - combinations - 1)
-            values[:, -1:] = size
-            return values, target[rows[chosen]]
-
-        def plain(chosen: Tensor, _: torch.Generator, rows: Tensor = left) -> tuple[Tensor, Tensor]:
-            return raw[rows[chosen]], target[rows[chosen]]
-
         network = seeded_network(lambda: dense_layers(sizes), seed + member)
-        curves.append(
+        learned.append(
             train_network(
                 network,
-                noisy,
+                partial(inputs.noisy, seen),
                 _loss,
                 len(seen),
                 settings,
                 seed + member,
                 partial(_tell, progress, member),
-                Samples(plain, len(left)) if len(left) else None,
+                Samples(partial(inputs.plain, left), len(left)) if len(left) else None,
             )
         )
         trained.append(network)
@@ -107,7 +94,7 @@ def fit_angles(
     )
     losses = (
         np.mean([each for each in one if each], axis=0).tolist()
-        for one in ([x.training for x in curves], [x.validation for x in curves])
+        for one in ([x.training for x in learned], [x.validation for x in learned])
     )
     return networks, LearningCurve(*map(tuple, losses))
 
@@ -120,6 +107,82 @@ def _without_layers(frames: BentFrames) -> AngleNetworks:
     moments = change.T @ change / len(change) + np.diag(noise)
     ends = (float(frames.angle_deg.min()), float(frames.angle_deg.max()))
     return AngleNetworks((), (), unit, drift, np.linalg.solve(moments, drift), ends)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Inputs:
+    """Inputs of the networks, K combinations and P features of n frames, and their targets.
+
+    Attributes:
+        raw: inputs without added noise (n, K + P + 1).
+        target: angles, in units (n, 1).
+        noise: of a frame and of its reference (K,).
+        drift, filter: as of the networks (K,).
+        curve: number of each frame's bend curve (n,).
+        bends: coefficients (curves, M, K) of the expected curves.
+        powers: of each frame's angle (n, M).
+    """
+
+    raw: Tensor
+    target: Tensor
+    noise: Tensor
+    drift: Tensor
+    filter: Tensor
+    curve: Tensor
+    bends: Tensor
+    powers: Tensor
+
+    @classmethod
+    def of(cls, frames: BentFrames, curves: BendCurvePrior, empty: AngleNetworks) -> "_Inputs":
+        """Inputs from bent frames, for networks without layers."""
+        told = (frames.angle_deg, frames.change, frames.features, frames.curve, frames.noise)
+        bends = curves.expected(*told) / empty.unit
+        still = np.full(len(frames.change), DRIFT[0])
+        return cls(
+            _tensor(empty.inputs(frames.change, frames.features, still)),
+            _tensor(frames.angle_deg[:, None] / UNIT_DEG),
+            _tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit),
+            _tensor(empty.drift),
+            _tensor(empty.filter),
+            torch.as_tensor(frames.curve),
+            _tensor(bends),
+            _tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
+        )
+
+    def plain(self, rows: Tensor, chosen: Tensor, _: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Inputs and targets of some of the frames `rows`."""
+        return self.raw[rows[chosen]], self.target[rows[chosen]]
+
+    def noisy(
+        self, rows: Tensor, chosen: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """The same, with shares of other bend curves and with noise; see `fit_angles`."""
+        count, combinations = len(chosen), len(self.noise)
+
+        def normal(columns: int) -> Tensor:
+            return torch.randn(count, columns, generator=generator)
+
+        def uniform() -> Tensor:
+            return torch.rand(count, 1, generator=generator)
+
+        own = rows[chosen]
+        other = rows[torch.randint(len(rows), (count,), generator=generator)]
+        values = self.raw[own]
+        apart = self.bends[self.curve[other]] - self.bends[self.curve[own]]
+        share = MIXED[0] + (MIXED[1] - MIXED[0]) * uniform()
+        change = values[:, :combinations]
+        change += share * torch.einsum("np,npk->nk", self.powers[own], apart)
+        change *= 1.0 + RELATIVE_NOISE * normal(combinations)
+        change += normal(combinations) * self.noise
+        size = float(np.log(DRIFT[1] / DRIFT[0])) * uniform().square()
+        common = DRIFT[0] * size.exp()
+        change += common * normal(1) * self.drift
+        variance = common.square()
+        told = variance * (change @ self.filter)[:, None]
+        change -= told / (1.0 + variance * (self.drift @ self.filter)) * self.drift
+        values[:, combinations:-1] += FEATURE_NOISE * normal(values.shape[1] - combinations - 1)
+        values[:, -1:] = size
+        return values, self.target[own]
 
 
 def _tell(progress: Progress, member: int, done: int, total: int) -> None:
