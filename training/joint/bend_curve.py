@@ -101,6 +101,13 @@ class BendCurve:
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self.blocks
         return covariance.reshape(channels, channels)
 
+    def uncertainties(self, angle_deg: Array) -> Array:
+        """`uncertainty` of B at angles (n,) [deg], (n, K, K)."""
+        random, channels = self.effects.shape
+        weights = _powers(angle_deg[:, None] / SCALE, random)
+        products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1)
+        return np.asarray(products @ self.blocks).reshape(-1, channels, channels)
+
     def conditioned(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
         """Posterior of the curve given changes of log V at known angles, by Bayes' rule.
 

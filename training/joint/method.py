@@ -254,7 +254,7 @@ class JointMethod(Method):
         force = found.touches[:, 2] if self.forces else None
         scale = self.error_scale * self.own_error_scale
         return Predictions(
-            self._probabilities(found, angle_deg, deviation_deg)[None],
+            self._probabilities(found, *(bend.by_curve or (angle_deg, deviation_deg)))[None],
             np.array([angle_deg]),
             np.array([deviation_deg]),
             map_,
@@ -266,7 +266,8 @@ class JointMethod(Method):
         """Probabilities of idle, touch and bend (3,); NaN for touch or bend where not learned.
 
         Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over
-        those learned follows from Bayes' rule for one normal measurement.
+        those learned follows from Bayes' rule for one normal measurement: that by the bend curve,
+        which meets zero exactly, where there is one.
         """
         # A rejected touch must not make touch the most probable state.
         evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)

@@ -14,6 +14,7 @@ from eitskin.training.joint.angles.estimate import (
     robust_angle,
 )
 from eitskin.training.joint.angles.networks import AngleNetworks, blended
+from eitskin.training.joint.angles.posterior import posterior_angle
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.combinations import CombinedChange
@@ -110,7 +111,9 @@ class SpecimenModel:
         nothing tells which of both is right.
         """
         found = robust_angle(self.curve, combined, self.faults)
-        if self._networks is None or not combined.good.all():
+        if self._networks is None:
+            return posterior_angle(self.curve, combined, found)
+        if not combined.good.all():
             return found
         by_networks = self._networks.estimate(
             combined.change, self.features, math.sqrt(combined.drift)
@@ -123,7 +126,8 @@ class SpecimenModel:
             angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
         else:
             angle, deviation = blended(by_curve, by_networks)
-        return replace(found, angle_deg=angle, deviation_deg=deviation)
+        told = None if found.faults else by_curve
+        return replace(found, angle_deg=angle, deviation_deg=deviation, by_curve=told)
 
     def candidates(self, angle_deg: float) -> TouchCandidates:
         """Touch candidates at the step nearest to an angle [deg]."""

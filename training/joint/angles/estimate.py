@@ -38,6 +38,7 @@ class AngleEstimate:
         log_evidence: logarithm of the density of the frame, whatever its angle, but for a constant
             (Laplace's approximation).
         usual: probability that the sensor bends as usual (`usual.py`).
+        by_curve: angle and standard error [deg] by the bend curve, where networks tell the angle.
     """
 
     angle_deg: float
@@ -46,6 +47,7 @@ class AngleEstimate:
     faults: tuple[ChannelFault, ...] = ()
     log_evidence: float = 0.0
     usual: float = 0.0
+    by_curve: tuple[float, float] | None = None
 
     @property
     def left_out(self) -> list[int]:

@@ -28,7 +28,7 @@ MEMBERS = 5
 HIDDEN = (128, 128, 128)
 GROUPS = 25
 """Groups of similar specimens, of which each network goes without a `MEMBERS`-th."""
-MIXED = (-0.5, 0.5)
+MIXED = (-0.25, 0.25)
 """Range of the share of another specimen's bend curve in that of a frame's."""
 RELATIVE_NOISE = 0.05  # of the change
 FEATURE_NOISE = 0.3  # standard deviations
