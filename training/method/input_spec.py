@@ -148,8 +148,8 @@ class InputSpec:
             )
         if spread > self.spread:
             raise FrameError(
-                f"the channels scatter by {spread:.0%} against the sensor this pipeline was "
-                f"trained for (expected up to {self.spread:.0%}, after one common factor of "
+                f"the channels scatter by {spread:.1%} against the sensor this pipeline was "
+                f"trained for (expected up to {self.spread:.1%}, after one common factor of "
                 f"{np.exp(common):.3g}), most of all {worst}: another sensor, a board that loads "
                 "it otherwise, a bad contact, or electrodes in another order; check the wiring, or "
                 "train a pipeline for it (own frames go together with simulated ones: eitskin "
