@@ -188,7 +188,7 @@ class Simulator:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
 
         Refused are touches off the layer, tables of touches where none can be made, and bends that
-        the support does not allow.
+        the support or the clamp does not allow.
         Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
@@ -207,6 +207,8 @@ class Simulator:
         require_model(scene.touches, supported, self.touch_model)
         if scene.bends:
             require_bendable(supported.support, self.fixture)
+        if scene.bend.angle_deg and isinstance(self.fixture, Clamp):
+            bend_store.check_clamp(supported, self.fixture, self.mechanics)
         require_fit(supported.support, outline)
 
     def supported(self, scene: Scene) -> SensorDesign:

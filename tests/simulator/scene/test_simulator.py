@@ -1,5 +1,7 @@
 """Simulator: scenes to frames, and no work that a scene does not need."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,16 @@ from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status, Touch
+from eitskin.simulator import (
+    Frame,
+    Instrument,
+    Protocol,
+    Scene,
+    Simulator,
+    Sphere,
+    Status,
+    Touch,
+)
 
 import closed_forms
 
@@ -174,6 +185,17 @@ def test_impossible_scenes_are_refused(sim) -> None:
     round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
     with pytest.raises(ConfigurationError, match=r"0.08 x 0.08 m.*\(0.005,"):
         round_sensor.measure(Scene(touches=(Touch(0.005, 0.005),)))
+
+
+def test_a_bend_that_no_clamp_can_do_is_refused_before_its_presses_are_solved() -> None:
+    disc = Disc(0.04)
+    round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
+    scene = Scene(Bend(10.0), (Touch(0.04, 0.04, 6.0, indenter=Sphere(0.0061)),))
+    with pytest.raises(ConfigurationError, match=r"rectangular outline, got Disc.*FreeArc"):
+        round_sensor.check_scene(scene)
+    round_sensor.check_scene(dataclasses.replace(scene, bend=Bend(0.0)))
+    hinge = Simulator(round_sensor.design, resolution="fast", fixture=Hinge())
+    hinge.check_scene(scene)
 
 
 def test_frames_own_their_values_and_check_their_shape() -> None:
