@@ -65,6 +65,8 @@ class SensorDesign:
 
     def __post_init__(self) -> None:
         """Check that sizes, layers and electrodes agree, and that no electrodes overlap."""
+        for name in ("electrodes", "layers"):  # lists are taken, too: designs are keys of tables
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         self._check_thickness()
         require_positive("conductivity", self.conductivity, "S/m")
         self._check_layers()

@@ -188,3 +188,10 @@ def test_unreadable_designs_say_why(tmp_path, text, message) -> None:
         SensorDesign.from_toml(path)
     with pytest.raises(ConfigurationError, match=r"none\.toml"):
         SensorDesign.from_toml(tmp_path / "none.toml")
+
+
+def test_lists_of_electrodes_and_layers_make_the_same_design() -> None:
+    reference = SensorDesign.reference()
+    listed = dataclasses.replace(reference, electrodes=list(reference.electrodes), layers=[])
+    assert listed == reference
+    assert hash(listed) == hash(reference)
