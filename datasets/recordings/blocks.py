@@ -61,9 +61,11 @@ def without_bad_values(block: Block, choice: str, first: int) -> Block:
         if block.before is not None and not wrong.any():
             wrong = ~np.isfinite(block.before[frame])
         channel = int(np.flatnonzero(wrong)[0])
+        more = int(lost.sum()) - 1
+        others = f", and so in {more} more frame{'s' * (more > 1)}" if more else ""
         raise DataError(
             f"impedance must be finite, but channel {channel} of frame {first + frame} is empty or "
-            f"not finite, and {int(lost.sum()) - 1} more frames are like it; import with "
+            f"not finite{others}; import with "
             "--bad-values mark, which keeps them as lost values, or --bad-values drop"
         )
     if choice == "drop":

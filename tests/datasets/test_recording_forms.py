@@ -253,8 +253,11 @@ def test_several_files_are_sessions_of_one_recording(tmp_path):
 
 def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     csv_file(tmp_path / "a.csv", ["v0", "v1"], [[1, 2], [3, ""], ["inf", 6], [7, 8]])
-    with pytest.raises(DataError, match=r"channel 1 of frame 1.* 1 more.*--bad-values mark"):
+    with pytest.raises(DataError, match=r"channel 1 of frame 1.* 1 more frame;.*--bad-values mark"):
         read_recording(tmp_path / "a.csv")
+    csv_file(tmp_path / "one.csv", ["v0", "v1"], [[1, 2], [3, ""]])
+    with pytest.raises(DataError, match=r"channel 1 of frame 1 is empty or not finite; import"):
+        read_recording(tmp_path / "one.csv")
     dropped = read_recording(tmp_path / "a.csv", form=RecordingForm(bad_values="drop"))
     assert dropped.impedance.tolist() == [[1, 2], [7, 8]]
     marked = read_recording(tmp_path / "a.csv", form=RecordingForm(bad_values="mark"))
