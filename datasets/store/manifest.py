@@ -59,6 +59,8 @@ def read_manifest(folder: Path) -> Manifest:
             if found
             else "give the folder that eitskin generate or eitskin import wrote"
         )
+        if not folder.exists():
+            raise DataError(f"there is no folder {folder}; {remedy}")
         raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
     content = read_bytes(path, MOST_BYTES, DataError)
     try:
