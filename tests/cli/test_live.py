@@ -53,6 +53,7 @@ def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
     assert result.exit_code == 0
     for shown in ("touch", "-12.5", "50, 20", "0 lost", "0-2 not finite", "electrode 3 is open"):
         assert shown in result.stdout
+    assert result.stdout.endswith("\n"), "what is said next begins a line"
     assert "3 frames processed" in result.stderr
 
 

@@ -104,6 +104,8 @@ class LiveSession:
         try:
             with ExitStack() as stack:
                 if not (self.output.as_json or self.output.quiet):
+                    if not self.output.console.is_terminal:  # there rich ends no line
+                        stack.callback(self.output.console.line)
                     stack.enter_context(view)
                 for reading in readings:
                     self.take(reading)
