@@ -70,12 +70,13 @@ int main(int count, char **arguments)
         return 1;
     }
     printf("listening at %u\n", ntohs(address.sin_port));
-    for (fflush(stdout); left != 0; left -= left > 0) {
+    for (fflush(stdout); left != 0;) {
         ssize_t length = recv(in, record, sizeof record - 1, 0);
         record[length > 0 ? length : 0] = '\0';
-        if (length > 0)
+        if (length > 0) {
             show(record);
-        else /* a second without a frame is told: eitskin itself has ended */
+            left -= left > 0;
+        } else /* a second without a frame is told: eitskin itself has ended */
             printf("no records for 3 s\n");
         fflush(stdout);
     }

@@ -30,11 +30,11 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as incoming:
     incoming.settimeout(3.0)
     print("listening at", incoming.getsockname()[1], flush=True)
     while LEFT != 0:
-        LEFT -= 1
         try:
             record = json.loads(incoming.recv(65536))
         except TimeoutError:  # a second without a frame is told: eitskin itself has ended
             print("no records for 3 s", flush=True)
             continue
+        LEFT -= 1
         if record["version"] == 1:
             print(shown(record), flush=True)
