@@ -22,7 +22,7 @@ cylinder, ball = (touch.indenter for touch in Scene.from_toml(SCENES / "shape.to
 r = np.linspace(0.0, 0.0075, 16)
 dome = Profile(tuple(r.tolist()), tuple((0.020 - np.sqrt(0.020**2 - r**2)).tolist()))
 cone = Profile((0.0, 0.001, 0.0075), (0.0, 0.0001, 0.0030))
-shapes = {"flat cylinder": cylinder, "dome": dome, "cone": cone, "ball": ball}
+shapes: dict[str, Indenter] = {"flat cylinder": cylinder, "dome": dome, "cone": cone, "ball": ball}
 recipe = Recipe.from_toml(SCENES / "shape_recipe.toml")
 by = [sample(recipe, k).scene.touches[0].indenter for k in range(recipe.frames)]
 print(f"{by.count(cylinder)} frames of the recipe by the cylinder, {by.count(ball)} by the ball")
