@@ -232,7 +232,7 @@ class BendCurvePrior:
         normal = np.linalg.slogdet(2.0 * np.pi * noise)[1]
         width = np.linalg.slogdet(self.covariance)[1]
         logs = []
-        for told in self._told(angle_deg, change, features, specimen, noise):
+        for told in self._effects(angle_deg, change, features, specimen, noise):
             misfit = told.square - float(told.evidence @ told.effects)
             logs.append(-0.5 * (misfit + told.width + width + told.frames * normal))
         return np.array(logs)
@@ -252,21 +252,21 @@ class BendCurvePrior:
         """
         shape = (-1, change.shape[1])
         curves = []
-        for told in self._told(angle_deg, change, features, specimen, noise):
+        for told in self._effects(angle_deg, change, features, specimen, noise):
             effects = told.effects.reshape(shape)
             curves.append(told.prior.coefficients.copy())
             curves[-1][: len(effects)] += effects
         return np.array(curves)
 
-    def _told(
+    def _effects(
         self,
         angle_deg: Array,
         change: Array,
         features: Array,
         specimen: NDArray[np.int64],
         noise: Array,
-    ) -> Iterator["_Told"]:
-        """What the frames of each specimen tell of its random effects; arguments as of `fit`."""
+    ) -> Iterator["_Effects"]:
+        """Posterior of the random effects of each specimen; arguments as of `fit`."""
         precision, inverse = np.linalg.inv(noise), np.linalg.inv(self.covariance)
         size = len(self.covariance) // change.shape[1]
         for rows in _groups(specimen):
@@ -276,7 +276,7 @@ class BendCurvePrior:
             weighted = residual @ precision
             evidence = (powers.T @ weighted).ravel()
             factor = cho_factor(inverse + np.kron(powers.T @ powers, precision))
-            yield _Told(
+            yield _Effects(
                 prior,
                 len(rows),
                 evidence,
@@ -320,8 +320,8 @@ class BendCurvePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
-    """What the frames of one specimen tell of its random effects w.
+class _Effects:
+    """Posterior of the random effects w of one specimen, given its frames.
 
     Attributes:
         prior: of its curve.

@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_frames import known_frames
+from smooth_joint import smooth_method
 
+from eitskin.datasets import State
 from eitskin.training.joint.angles import training as angle_training
 from eitskin.training.joint.angles.bends import fit_bends
 from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import estimate_angle
-from eitskin.training.joint.angles.networks import NEAR_DEG, AngleNetworks, blended
+from eitskin.training.joint.angles.networks import NEAR_DEG, UNIT_DEG, AngleNetworks, blended
 from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
@@ -17,6 +20,8 @@ from eitskin.training.joint.fit.objective import BEYOND_DEG
 from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 from eitskin.training.paper.networks import single_thread
+
+from smooth_sensor import FLAT
 
 CHANNELS, NOISE = 6, 1e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
@@ -150,6 +155,25 @@ def test_stored_networks_estimate_the_same(trained):
         rtol=1e-6,
     )
     assert again.angle_deg == networks.angle_deg
+
+
+def test_the_curve_tells_flat_from_bent_where_networks_tell_the_angle():
+    """It meets zero exactly, whereas networks may be as unsure as the bend is large."""
+    method = smooth_method()
+    channels, features = len(FLAT), len(method.features.directions)
+    unsure = AngleNetworks(
+        (np.zeros((2, 2, channels + features + 1)),),
+        (np.tile([6.0 / UNIT_DEG, np.log(6.0 / UNIT_DEG)], (2, 1)),),
+        np.ones(channels),
+        np.zeros(channels),
+        np.zeros(channels),
+        method.bend_prior.angle_deg,
+    )
+    change = method.bend_prior.of([0.0]).value([6.0, 0.0])
+    seen = known_frames(FLAT, 8, change, [6.0, 0.0], before=change).observations
+    said = replace(method, angles=unsure).predict(seen)
+    assert said.bend_deviation_deg[0] > 5.0
+    assert said.state.tolist() == [State.BEND, State.IDLE]
 
 
 # Learned

@@ -10,7 +10,6 @@ from smooth_joint import LAYOUT, smooth_method
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angles.networks import UNIT_DEG, AngleNetworks
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
@@ -132,23 +131,6 @@ def test_probabilities_add_up_and_follow_the_evidence(method):
     assert bends == sorted(bends)
     assert bends[0] < 0.1
     assert bends[-1] > 0.99
-
-
-def test_the_curve_tells_flat_from_bent_where_networks_tell_the_angle(method):
-    """It meets zero exactly, whereas networks may be as unsure as the bend is large."""
-    channels, features = len(FLAT), len(method.features.directions)
-    unsure = AngleNetworks(
-        (np.zeros((2, 2, channels + features + 1)),),
-        (np.tile([6.0 / UNIT_DEG, np.log(6.0 / UNIT_DEG)], (2, 1)),),
-        np.ones(channels),
-        np.zeros(channels),
-        np.zeros(channels),
-        method.bend_prior.angle_deg,
-    )
-    networked = replace(method, angles=unsure)
-    bent, flat = (networked.predict(observed(method, angle_deg=a)) for a in (6.0, 0.0))
-    assert bent.bend_deviation_deg[0] > 5.0
-    assert (bent.state[0], flat.state[0]) == (State.BEND, State.IDLE)
 
 
 def test_state_and_touches_agree(method):
