@@ -1,6 +1,6 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar
 
@@ -173,36 +173,44 @@ class JointMethod(Method):
         specimen = self._specimen(frame.flat[0])
         static, dynamic = log_change(frame.static[0]), log_change(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
+        own_share = 1.0 / frame.frames[0]
         reference = AngleEstimate(0.0, 0.0, 0.0)
         bends = self.bend_prior.bends
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             reference = specimen.angle(
                 self._combined(static - dynamic, static_share + dynamic_share, frame.age[0])
             )
-        reference_deg = reference.angle_deg
-        change = self._combined(
-            dynamic, 1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]
-        )
-        found = self._fitted(change, reference, specimen)
-        for fault in found.faults:
-            static[list(fault.members)] = np.nan
+        change = self._combined(dynamic, own_share + dynamic_share, frame.dynamic_age[0])
+
+        def untouched() -> CombinedChange:
+            return self._combined(static, own_share + static_share, frame.age[0])
+
+        def bend_deg() -> float:
+            return specimen.angle(untouched()).angle_deg
+
+        found = self._fitted(change, reference, specimen, bend_deg if bends else None)
+        static[[member for fault in found.faults for member in fault.members]] = np.nan
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
         elif len(found.touches):
             deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
-            untouched = self._combined(static, 1.0 / frame.frames[0] + static_share, frame.age[0])
-            moved = found.angle_deg - reference_deg
+            seen = untouched()
+            moved = found.angle_deg - reference.angle_deg
             if abs(moved) > STILL_DEG:
                 objective = found.estimate.objective
                 skew = objective.scan_skew(objective.curve.slope(found.angle_deg), moved)
-                untouched = untouched.noisier(skew)
-            bend = specimen.angle(untouched)
+                seen = seen.noisier(skew)
+            bend = specimen.angle(seen)
         return self._prediction(found, bend, specimen.problems)
 
     def _fitted(
-        self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
+        self,
+        change: CombinedChange,
+        reference: AngleEstimate,
+        specimen: SpecimenModel,
+        bend_deg: Callable[[], float] | None,
     ) -> FrameFit:
         """The fit to one frame, with the bend curve that the reference tells or the frame itself.
 
@@ -216,7 +224,7 @@ class JointMethod(Method):
         def fit(curve: BendCurve) -> FrameFit:
             parts = (specimen.response, curve, self.touch_prior)
             objective = TouchObjective.of(change, angle_deg, *parts)
-            return fit_frame(objective, candidates, proposed, specimen.faults)
+            return fit_frame(objective, candidates, proposed, specimen.faults, bend_deg)
 
         if specimen.usual is None:
             return fit(specimen.curve)

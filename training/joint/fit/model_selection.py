@@ -6,6 +6,7 @@ than chance would.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -95,14 +96,19 @@ def fit_frame(
     candidates: TouchCandidates,
     proposed: Array | None = None,
     possible: PossibleFaults | None = None,
+    bend_deg: Callable[[], float] | None = None,
 ) -> FrameFit:
     """Select the number of touches and estimate bend and touches of one frame.
+
+    Where these explain the frame badly, a bend alone is fitted from another angle, too: in a clamp
+    unlike most the fit may end far from it, and take what is left for touches.
 
     Args:
         objective: of the frame.
         candidates: positions that are tried for further touches.
         proposed: positions (k, 2) [m] from which the fit starts.
         possible: faults that are considered; none by default.
+        bend_deg: gives the angle [deg] of the sensor, should it be untouched.
     """
     untouched, found, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
@@ -114,6 +120,11 @@ def fit_frame(
         objective, found = better.objective, better.found
         untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
         evidence = gain_of(objective, untouched, found)
+    if bend_deg and found.misfit_sigma > CHI2_HIGH_SIGMA:
+        nothing = Unknowns(np.zeros((0, 3)), bend_deg())
+        alone = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
+        if alone.improbability < improbability(found):
+            found, evidence = alone, 0.0
     return _frame_fit(found, evidence, tuple(faults))
 
 

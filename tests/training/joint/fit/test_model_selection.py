@@ -184,6 +184,18 @@ def test_touches_are_recovered_without_noise(count, angle_deg):
     assert found.faults == ()
 
 
+def test_a_fit_that_ends_far_from_the_bend_begins_again_at_an_angle_given(monkeypatch):
+    monkeypatch.setattr(model_selection, "_initial_angle", lambda _: 55.0)
+    objective = frame((), 20.0, 0.0, np.random.default_rng(1))
+    far = fit_frame(objective, candidates(), None, FAULTS)
+    assert far.misfit > 10 * far.degrees_of_freedom
+    near = fit_frame(objective, candidates(), None, FAULTS, lambda: 22.0)
+    assert near.angle_deg == pytest.approx(20.0, abs=0.5)
+    assert near.misfit < 2 * near.degrees_of_freedom
+    touched = fit_frame(frame(TOUCHES[1]), candidates(), None, FAULTS, pytest.fail)
+    assert len(touched.touches) == 1  # well explained, without another angle
+
+
 def test_bend_since_the_reference_is_no_touch():
     found = explained(frame((), 25.0, 10.0, np.random.default_rng(1)))
     assert len(found.touches) == 0
