@@ -186,9 +186,10 @@ class JointMethod(Method):
             return self._combined(static, own_share + static_share, frame.age[0])
 
         def bend_deg() -> float:
-            return specimen.angle(untouched()).angle_deg
+            return specimen.angle_by_networks(untouched())[0]
 
-        found = self._fitted(change, reference, specimen, bend_deg if bends else None)
+        by_networks = bend_deg if specimen.has_networks else None
+        found = self._fitted(change, reference, specimen, by_networks)
         static[[member for fault in found.faults for member in fault.members]] = np.nan
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
@@ -249,7 +250,6 @@ class JointMethod(Method):
         self, found: FrameFit, bend: AngleEstimate, problems: tuple[str, ...]
     ) -> Predictions:
         """One frame's predictions from its fit."""
-        angle_deg, deviation_deg = bend.angle_deg, bend.deviation_deg
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         x, y = found.touches[None, :, :2].transpose(2, 0, 1)
         map_ = (
@@ -262,9 +262,9 @@ class JointMethod(Method):
         force = found.touches[:, 2] if self.forces else None
         scale = self.error_scale * self.own_error_scale
         return Predictions(
-            self._probabilities(found, *(bend.by_curve or (angle_deg, deviation_deg)))[None],
-            np.array([angle_deg]),
-            np.array([deviation_deg]),
+            self._probabilities(found, *bend.from_flat)[None],
+            np.array([bend.angle_deg]),
+            np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
             (problems + fit_problems(found, bend, self.touches),),

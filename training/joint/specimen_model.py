@@ -93,6 +93,21 @@ class SpecimenModel:
             self._last = (key, self._angle(combined))
         return self._last[1]
 
+    def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float]:
+        """Angle of an untouched frame and its standard error [deg] by the networks alone.
+
+        Raises ValueError where there are none.
+        """
+        if self._networks is None:
+            raise ValueError("expected networks of the angle, got a specimen without")
+        drift = math.sqrt(combined.drift)
+        return self._networks.estimate(combined.change, self.features, drift)
+
+    @property
+    def has_networks(self) -> bool:
+        """Whether networks estimate the angle of this specimen."""
+        return self._networks is not None
+
     def _angle(self, combined: CombinedChange) -> AngleEstimate:
         """Angle of a sensor that bends as usual or in any other way, by the evidence for each."""
         if self.usual is None:
@@ -111,13 +126,11 @@ class SpecimenModel:
         nothing tells which of both is right.
         """
         found = robust_angle(self.curve, combined, self.faults)
-        if self._networks is None:
+        if not self.has_networks:
             return posterior_angle(self.curve, combined, found)
         if not combined.good.all():
             return found
-        by_networks = self._networks.estimate(
-            combined.change, self.features, math.sqrt(combined.drift)
-        )
+        by_networks = self.angle_by_networks(combined)
         by_curve = (found.angle_deg, found.deviation_deg)
         apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
         if found.faults and apart < CONTRADICTION:

@@ -50,6 +50,11 @@ class AngleEstimate:
     by_curve: tuple[float, float] | None = None
 
     @property
+    def from_flat(self) -> tuple[float, float]:
+        """Angle and standard error [deg] by which bent is told from flat."""
+        return self.by_curve or (self.angle_deg, self.deviation_deg)
+
+    @property
     def left_out(self) -> list[int]:
         """Numbers of the measurements that were left out."""
         return [member for fault in self.faults for member in fault.members]
