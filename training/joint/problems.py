@@ -4,11 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.angles.estimate import AngleEstimate
-from eitskin.training.joint.fit.model_selection import FrameFit
+from eitskin.training.joint.fit.model_selection import REPORTED_SIGMA, FrameFit
 from eitskin.training.joint.fit.objective import misfit_sigma
 from eitskin.training.joint.prior import MOST_TOUCHES
 
-REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 
 

@@ -45,6 +45,7 @@ Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]
 ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
+REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
 # Motion since the reference from which touches are fitted from there as well, where the first fit
 # explains the frame and where it does not.
@@ -120,7 +121,7 @@ def fit_frame(
         objective, found = better.objective, better.found
         untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
         evidence = gain_of(objective, untouched, found)
-    if bend_deg and found.misfit_sigma > CHI2_HIGH_SIGMA:
+    if bend_deg and found.misfit_sigma > REPORTED_SIGMA:
         nothing = Unknowns(np.zeros((0, 3)), bend_deg())
         alone = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
         if alone.improbability < improbability(found):
