@@ -139,7 +139,14 @@ ALL = (
     Benchmark("ros2_topics", "boards", 1, (), ("--frames", "40")),
     Benchmark("robots", "physics", 2, (), ("--presses", "4", "--seconds", "2"), seeded=True),
     Benchmark("live_rate", "boards", 4, (), ("--frames", "60"), seeded=True),
-    Benchmark("realtime", "boards", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
+    Benchmark(
+        "realtime",
+        "boards",
+        4,
+        (*OWN, "--speed", "max"),
+        (*OWN, "--speed", "max"),
+        seeded=True,
+    ),
     Benchmark(
         "board_fuzz", "boards", 14, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")
     ),
