@@ -22,6 +22,7 @@ PAPER = "paper: 8 on the rim"
 COUNTS = (6, 8, 10, 12, 16, 32)
 WIDTHS = (0.002, 0.0035, 0.005, 0.008, 0.012)  # along the rim [m]
 CONTACTS = (1e-5, 1e-4, 1e-3, 1e-2)  # [ohm m2]
+BENT_COUNTS = (8, 12, 16, 32)  # of electrodes on the rim of bent sheets
 ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # [deg]
 SIZE = (0.150, 0.060)  # of the paper's sensor [m]
 _RIM = 0.005  # from the rim to the middle of a pad beside it [m]
@@ -80,7 +81,7 @@ def sweeps() -> dict[str, tuple[Layout, ...]]:
         "contact": tuple(
             with_electrodes(f"{z:g} ohm m2", _around(8, contact_impedance=z)) for z in CONTACTS
         ),
-        "bend": tuple(dataclasses.replace(paper(angle), name=f"{angle:g} deg") for angle in ANGLES),
+        "bend": tuple(_bent(count, angle) for count in BENT_COUNTS for angle in ANGLES),
     }
 
 
@@ -93,6 +94,11 @@ def _around(count: int, width: float = 0.005, contact_impedance: float = 1e-3) -
 
 def _counted(count: int) -> Layout:
     return with_electrodes(f"{count} on the rim", _around(count))
+
+
+def _bent(count: int, angle_deg: float) -> Layout:
+    name = f"{count}, {angle_deg:g} deg"
+    return dataclasses.replace(_counted(count), name=name, angle_deg=angle_deg)
 
 
 def _placements() -> Iterator[Layout]:

@@ -172,7 +172,7 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
         assert "seed 0" in next(file)
         rows = list(csv.DictReader(file))
     assert {row["sweep"] for row in rows} == set(layouts_run.NAMES)
-    assert len(rows) == len(data["layouts"]) == 6 + 5 + 5 + 4 + 8 + 8 + 6
+    assert len(rows) == len(data["layouts"]) == 6 + 5 + 5 + 4 + 32 + 8 + 6
     assert (tmp_path / "layouts.png").read_bytes()[:4] == b"\x89PNG"
     before = len(judged)
     monkeypatch.setattr(layouts_report, "plot_maps", lambda _, path: path.write_bytes(b""))
