@@ -1,5 +1,7 @@
 """Gains of touches, and estimates without the touches that the others make superfluous."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,7 @@ TOUCH_THRESHOLD = 25.0
 of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
 
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
+USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 
 
@@ -29,21 +32,36 @@ def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
         # A touch that is held at the least force would rather be weaker, or not there.
         faint = found.unknowns.touches[:, 2] <= objective.prior.low[2]
         gains = np.where(faint, 0.0, gains_of(found))
-        weakest = int(gains.argmin())
-        if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
+        weakest, threshold = int(gains.argmin()), threshold_of(found)
+        if gains[weakest] > PRUNING_LIMIT * threshold:
             break
-        fewer = _without(objective, found, weakest)
-        if gain_of(objective, fewer, found) > TOUCH_THRESHOLD:
+        fewer = _without(objective, found, weakest, threshold)
+        if gain_of(objective, fewer, found) > threshold:
             break
         found = fewer
     return found
 
 
-def _without(objective: TouchObjective, found: MapEstimate, touch: int) -> MapEstimate:
+def threshold_of(found: MapEstimate) -> float:
+    """Least gain of the weakest touch of an estimate.
+
+    Where the estimate leaves more misfit than chance would, errors are larger than the model has
+    them, and further touches gain more by chance in proportion (Birge 1932). That anything touches
+    at all needs no more evidence: without the touch still more would be left.
+    """
+    if len(found.unknowns.touches) < 2:
+        return TOUCH_THRESHOLD
+    usual = found.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * found.degrees_of_freedom)
+    return TOUCH_THRESHOLD * max(found.misfit / usual, 1.0)
+
+
+def _without(
+    objective: TouchObjective, found: MapEstimate, touch: int, threshold: float
+) -> MapEstimate:
     """The estimate without one touch; one that has not converged where the touch is needed."""
     others = objective.linearised(found.unknowns.without_touch(touch))
     whitening = objective.whitening(others)
-    goal = found.misfit + TOUCH_THRESHOLD  # in the metric of `found`
+    goal = found.misfit + threshold  # in the metric of `found`
     goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
     return levenberg_marquardt(objective, others, *FINE, whitening, goal)
 

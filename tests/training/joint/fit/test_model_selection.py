@@ -314,3 +314,17 @@ def test_weak_touch_is_found_from_the_threshold_on():
         said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
         assert len(said.touches) == count
         assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
+
+
+def test_errors_beyond_the_model_are_no_further_touches():
+    """One touch changes each measurement by a sixth more or less than the response says.
+
+    The errors are seven times the noise. Against noise alone half of the frames have two touches.
+    """
+    rng = np.random.default_rng(13)
+    change = ONE(np.array(TOUCHES[1]), 0.0)[0]
+    noise = rng.multivariate_normal(np.zeros(28), TWO_FRAMES, 20)
+    errors = change * rng.normal(scale=0.15, size=(20, 28))
+    frames = [changed(frame(), change + each) for each in noise + errors]
+    counts = [len(explained(each).touches) for each in frames]
+    assert counts.count(1) > 18
