@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 HIDDEN = 96
 LAYERS = 3
 LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
-LATENT = 2  # latent variables q of a specimen
+LATENT = 8  # most latent variables q of a specimen
+SPECIMENS = 3  # to learn each of them from
 RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise
 
 
@@ -68,14 +69,15 @@ class ResponseNetwork(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
-        terms = 1 + self.features + LATENT
+        specimens = int(frames.specimen.max()) + 1
+        latent = min(LATENT, len(np.unique(frames.specimen)) // SPECIMENS)
+        terms = 1 + self.features + latent
         self.output = nn.Linear(HIDDEN + 1, self.channels * terms, bias=False)
         with torch.no_grad():  # start near a response that all specimens share
             self.output.weight[self.channels :] *= 0.1
-        specimens = int(frames.specimen.max()) + 1
         self.log_strength = nn.Parameter(torch.zeros(specimens))
         # Zeros would stay zeros: the gradient by each factor is the other factor.
-        self.latent = nn.Parameter(0.3 * torch.randn(specimens, LATENT))
+        self.latent = nn.Parameter(0.3 * torch.randn(specimens, latent))
 
     def forward(self, packed: Tensor) -> Tensor:
         """Changes of log V (n, C), in units of `scale`, of frames packed by `packed_inputs`."""
@@ -166,9 +168,8 @@ def folded_response(
     known, latent = output[: 1 + network.features], output[1 + network.features :]
     q = plain(network.latent)[specimens]
     known[0] += np.tensordot(q.mean(axis=0), latent, axes=1)
-    # Too few specimens give no covariance.
-    variance = np.cov(q.T) if len(q) > LATENT else np.zeros((LATENT, LATENT))
-    spread = np.linalg.cholesky(variance + 1e-12 * np.eye(LATENT))
+    variance = np.cov(q.T).reshape(2 * q.shape[1:]) if q.size else np.zeros((0, 0))
+    spread = np.linalg.cholesky(variance + 1e-12 * np.eye(len(variance)))
     layers = [layer for layer in network.layers if isinstance(layer, nn.Linear)]
     return TouchResponse(
         tuple(plain(layer.weight) for layer in layers),

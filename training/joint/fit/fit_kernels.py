@@ -135,11 +135,9 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
     width, factor = hidden.shape[1], frame[1][0] * touches[:, 2]
     summed = np.empty(width + 1)
     summed[:width], summed[width] = np.dot(factor, hidden), factor.sum()
-    for q in range(len(latent_output)):
-        latent = np.dot(latent_output[q], summed)
-        for i in range(size):
-            for j in range(size):
-                total[i, j] += latent[i] * latent[j]
+    flat = latent_output.reshape(len(latent_output) * size, width + 1)
+    latent = np.dot(flat, summed).reshape(len(latent_output), size)
+    total += np.dot(latent.T, latent)
     if len(forward) == 0:
         for t in range(len(touches)):
             for i in range(size):
