@@ -23,6 +23,7 @@ from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.joint.conditioned_response import response_given
 from eitskin.training.joint.fit.channel_faults import possible_faults
 from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
@@ -33,6 +34,7 @@ from eitskin.training.joint.problems import calibration_problems, fit_problems
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
+from eitskin.training.joint.state_probabilities import state_probabilities
 from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
@@ -51,7 +53,6 @@ from eitskin.training.method.training_frames import TrainingFrames
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 
@@ -93,8 +94,10 @@ class JointMethod(Method):
         own_error_scale: a further one, from known touches of the sensor that the method is adapted
             to; 1 before.
         own_noise_scale: noise of that sensor's frames relative to that in training; 1 before.
-        own_output: last layer of the response of that sensor, from its twin (K, hidden + 1); None
-            without.
+        own_output: last layer of the response of that sensor, from its twin and known touches (K,
+            hidden + 1); None without.
+        own_latent: its derivatives by what is still unknown of that sensor (Q, K, hidden + 1); None
+            without known touches.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -123,6 +126,7 @@ class JointMethod(Method):
     own_error_scale: float = 1.0
     own_noise_scale: float = 1.0
     own_output: Array | None = None
+    own_latent: Array | None = None
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
 
@@ -261,34 +265,15 @@ class JointMethod(Method):
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         force = found.touches[:, 2] if self.forces else None
         scale = self.error_scale * self.own_error_scale
+        bends = self.bend_prior.angle_deg if self.bend_prior.bends else None
         return Predictions(
-            self._probabilities(found, *bend.from_flat)[None],
+            state_probabilities(found, bend, bends, self.touches)[None],
             np.array([bend.angle_deg]),
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
             (problems + fit_problems(found, bend, self.touches),),
         )
-
-    def _probabilities(self, found: FrameFit, angle_deg: float, deviation_deg: float) -> Array:
-        """Probabilities of idle, touch and bend (3,); NaN for touch or bend where not learned.
-
-        Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over
-        those learned follows from Bayes' rule for one normal measurement: that by the bend curve,
-        which meets zero exactly, where there is one.
-        """
-        # A rejected touch must not make touch the most probable state.
-        evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
-        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
-        if not self.bend_prior.bends:
-            return np.array([1 - touched, touched, np.nan])
-        low, high = self.bend_prior.angle_deg
-        bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
-        bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
-        flat = 1.0 / (1.0 + bent)
-        if not self.touches:
-            return np.array([flat, np.nan, 1 - flat])
-        return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
 
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
         """CombinedChange of the difference of two means of frames.
@@ -329,7 +314,9 @@ class JointMethod(Method):
     def response_of(self, flat: Array) -> SpecimenResponse:
         """Response to touches of the sensor with these flat magnitudes (C,) [ohm]."""
         learned = self.response.of(self.features.apply(flat))
-        return learned if self.own_output is None else own_response(learned, self.own_output)
+        if self.own_output is None:
+            return learned
+        return own_response(learned, self.own_output, self.own_latent)
 
     def adapted(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
         """The method adapted to one sensor by known frames, from what was learned in training.
@@ -350,6 +337,7 @@ class JointMethod(Method):
             own_error_scale=1.0,
             own_noise_scale=noise,
             own_output=None,
+            own_latent=None,
         )
         if len(bent):
             priors = [(widened(self.bend_prior.of(p), p), 0.0)]
@@ -366,6 +354,9 @@ class JointMethod(Method):
             adapted = replace(adapted, own_output=output if trial.kept else None)
             told = replace(told, twin=trial)
         if len(touched):
+            before = adapted.response_of(flat)
+            own = response_given(before, touched, adapted._combined, self.touch_prior, self.forces)
+            adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             found = adapted.predict(touched.observations).touches
             scale = error_scale(touched.touches, found)
             adapted = replace(adapted, own_error_scale=scale)

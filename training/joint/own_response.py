@@ -71,10 +71,20 @@ def own_output(
     return output
 
 
-def own_response(learned: SpecimenResponse, output: Array) -> SpecimenResponse:
-    """Response of a sensor with a last layer of its own (K, hidden + 1)."""
-    latent = LATENT_LEFT * learned.response.latent_output
-    return SpecimenResponse(replace(learned.response, latent_output=latent), output)
+def own_response(
+    learned: SpecimenResponse, output: Array, latent_output: Array | None = None
+) -> SpecimenResponse:
+    """Response of a sensor with a last layer of its own.
+
+    Args:
+        learned: response of the sensor by its features.
+        output: the last layer (K, hidden + 1).
+        latent_output: its derivatives by the latent variables (Q, K, hidden + 1); those that a twin
+            leaves when omitted.
+    """
+    if latent_output is None:
+        latent_output = LATENT_LEFT * learned.response.latent_output
+    return SpecimenResponse(replace(learned.response, latent_output=latent_output), output)
 
 
 def twin_trial(

@@ -277,10 +277,15 @@ def _split(
 
 
 def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, ...]) -> FrameFit:
-    """The estimate in physical units, with its covariances."""
+    """The estimate in physical units, with its covariances.
+
+    These grow by the misfit per degree of freedom where that is above one: the errors of a frame
+    that the model explains badly are larger than it has them (Birge 1932).
+    """
     unknowns = found.minimum(FINE[1])
     touches = unknowns.touches
-    covariance = lapack.inverse(found.quadratic.hessian)
+    growth = max(found.misfit / found.degrees_of_freedom, 1.0)
+    covariance = growth * lapack.inverse(found.quadratic.hessian)
     blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
     covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
     return FrameFit(

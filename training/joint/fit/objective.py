@@ -90,7 +90,8 @@ class TouchObjective:
         frame = self.combined.change + self.reference_bend, np.array(numbers), prior.box
         object.__setattr__(self, "_arrays", ((*weights, curve.coefficients), frame))
         response, combinations = self.response.response, self.combined.combinations
-        spread = (self.combined.noise, curve.blocks, combinations.lateness, response.latent_output)
+        latent_output = np.ascontiguousarray(response.latent_output)
+        spread = (self.combined.noise, curve.blocks, combinations.lateness, latent_output)
         both = combinations.both_ways
         object.__setattr__(self, "_spread", (*spread, *both, response.mismatch))
 
