@@ -26,7 +26,7 @@ from eitskin.provenance import Provenance
 
 NAME = "layouts_trained"
 _COUNTS = ("12 on the rim", "16 on the rim", "32 on the rim")
-_MIRRORED = (0.0525, 0.0975, 0.165, 0.195, 0.2625, 0.3075, 0.375, 0.405)  # by the search [m]
+_MIRRORED = (0.02625, 0.075, 0.12375, 0.18, 0.23625, 0.285, 0.33375, 0.39)  # by the search [m]
 _DRAWN = (
     ("error_mm", 1.0, "place, mean error [mm]"),
     ("found", 100.0, "presses found [%]"),
