@@ -59,7 +59,8 @@ RECIPES = training wide wide_bends
 SETS = build/reference
 reference narrow: $(SETS)/all
 	$(BIN)/eitskin train $(SETS)/$(if $(filter narrow,$@),training,all) --preset joint \
-		--out $(if $(filter narrow,$@),build/narrow.eitmodel,training/reference.eitmodel) $(ARGS)
+		--out $(if $(filter narrow,$@),build/narrow.eitmodel,training/reference.eitmodel) \
+		--replace $(ARGS)
 $(SETS)/all: $(VENV)/installed
 	for recipe in $(RECIPES); do \
 		$(BIN)/eitskin generate $$recipe --out $(SETS)/$$recipe --resume || exit 1; done

@@ -32,6 +32,9 @@ BoardUri = Annotated[
 ]
 Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
+Replace = Annotated[
+    bool, typer.Option("--replace", help="Replace what stands under the name of --out.")
+]
 MethodCode = Annotated[
     str | None,
     typer.Option(

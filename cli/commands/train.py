@@ -18,6 +18,7 @@ from eitskin.cli.options import (
     MethodCode,
     Output,
     Quiet,
+    Replace,
     Seed,
     Verbose,
     own_method,
@@ -67,6 +68,7 @@ def command(
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
     ] = None,
+    replace: Replace = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -86,7 +88,7 @@ def command(
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
-    require_writable(out)
+    require_writable(out, replace)
     data = open_dataset(dataset)
     alone = _positions_alone(data)
     if report is not None:

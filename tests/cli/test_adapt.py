@@ -108,6 +108,7 @@ def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):
 
 @pytest.mark.slow
 def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_path):
+    """The pipeline that stands under a name is replaced only with --replace."""
     monkeypatch.setattr(adaptation_curve, "learn_places", nearest)
     save_dataset(toy_recording(), tmp_path / "presses")
     first, second = tmp_path / "first.eitmodel", tmp_path / "second.eitmodel"
@@ -115,8 +116,11 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     assert said["adaptation"]["mean_error_mm"] < 3.0
     assert {each["method"] for each in said["errors"]} == {"adapted", "ExtraTrees"}
     assert RecordedTouches.load(first).trained_on["frames"] == 25
-    shown = run("adapt", first, tmp_path / "presses", "--out", second, "--no-table")
-    assert "touch positions from 25 presses" in shown.stdout
+    words = ("adapt", first, tmp_path / "presses", "--out", second, "--no-table")
+    assert "touch positions from 25 presses" in run(*words).stdout
+    with pytest.raises(ConfigurationError, match="--replace"):
+        run(*words)
+    assert "touch positions from 25 presses" in run(*words, "--replace").stdout
 
 
 def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):

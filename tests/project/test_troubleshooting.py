@@ -38,7 +38,7 @@ from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.calibration import Calibration
 from eitskin.training.pipeline.methods import method_class
-from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline, require_writable
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "troubleshooting.md"
 SECTIONS = re.split(r"^## Exit code (\d+).*$", PAGE.read_text(), flags=re.MULTILINE)[1:]
@@ -239,6 +239,7 @@ PROVOKED = {
         SensorDesign.reference(), ((10,) * 6, Grading(5e-3, 1e-2, 1.0))
     ),
     "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
+    "... exists and is not replaced": lambda _: require_writable(SHIPPED, replace=False),
     "this pipeline was trained by": lambda _: method_class("my:Net"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,

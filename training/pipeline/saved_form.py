@@ -189,12 +189,21 @@ def require_kind(saved: SavedPipeline, kind: str, path: str | Path) -> None:
         )
 
 
-def require_writable(path: Path) -> None:
-    """Check that a pipeline can be saved as `path`, before training; raises ConfigurationError."""
+def require_writable(path: Path, replace: bool = True) -> None:
+    """Check that a pipeline can be saved as `path`, before training; raises ConfigurationError.
+
+    Args:
+        path: of the pipeline.
+        replace: whether it may take the place of another pipeline.
+    """
     if path.suffix != SUFFIX:
         raise ConfigurationError(f"expected a path NAME{SUFFIX} for the pipeline, got {path}")
     if path.exists() and not (path / SUMS).is_file():
         raise ConfigurationError(f"{path} exists and is no pipeline; choose another name")
+    if path.exists() and not replace:
+        raise ConfigurationError(
+            f"{path} exists and is not replaced; choose another name, or give --replace"
+        )
     folder = next(each for each in path.absolute().parents if each.exists())
     if not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(f"{path} cannot be made: {folder} may not be written to")

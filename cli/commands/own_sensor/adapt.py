@@ -15,6 +15,7 @@ from eitskin.cli.options import (
     MethodCode,
     Output,
     Quiet,
+    Replace,
     Seed,
     Verbose,
     own_method,
@@ -60,6 +61,7 @@ def command(
     no_table: Annotated[
         bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
     ] = False,
+    replace: Replace = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -76,7 +78,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     output.detail(f"nothing is drawn at random here, seed {seed} is not used")
     require_all(training=TRAINING)
-    require_writable(out)
+    require_writable(out, replace)
     before = open_start(model, own_method(method))
     data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
     curve = () if no_table else curve_of(before, data, output)

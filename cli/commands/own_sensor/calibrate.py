@@ -17,6 +17,7 @@ from eitskin.cli.options import (
     Model,
     Output,
     Quiet,
+    Replace,
     Seed,
     Verbose,
     own_method,
@@ -53,6 +54,7 @@ def command(
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
     method: MethodCode = None,
+    replace: Replace = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -69,7 +71,7 @@ def command(
     from eitskin.training.pipeline.session import STORED_AGE
 
     output = Output(as_json, quiet, verbose)
-    require_writable(out)
+    require_writable(out, replace)
     purpose = "a calibration needs a pipeline that estimates the bend angle"
     pipeline = open_perception(model, purpose, own_method(method))
     pipeline.require_bends()

@@ -28,6 +28,7 @@ from eitskin.cli.options import (
     Json,
     Output,
     Quiet,
+    Replace,
     Seed,
     SensorFile,
     Verbose,
@@ -61,6 +62,7 @@ def command(
         bool,
         typer.Option("--no-prompt", help="Ask nothing: for a virtual: board, which moves itself."),
     ] = False,
+    replace: Replace = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -75,13 +77,18 @@ def command(
     from eitskin.training.pipeline.saved_form import require_writable
 
     output = Output(as_json, quiet, verbose)
-    require_writable(out)
+    require_writable(out, replace)
     start = open_start(model, None)
     design = SensorDesign.from_toml(sensor) if sensor else design_of(start)
     wanted = Wanted(angles_of(angles), presses, frames)
     dialogue = TerminalDialogue(output)
     hand = staged(FORCE) if no_prompt else asked(dialogue)
     setup = Setup(model, start, design, out, wanted, dialogue, hand, asks=not no_prompt)
+    if setup.recorded.exists() and not replace:
+        raise ConfigurationError(
+            f"{setup.recorded} exists and is not replaced; {setup.going_on}, choose another --out, "
+            "or give --replace"
+        )
     try:
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
         done = setup.run(partial(_opened, uri, seed))
@@ -202,8 +209,12 @@ class Setup:
         files += [str(self.recorded)] if self.taken else []
         if not files:
             return "nothing was kept: no step that writes a file was finished"
-        again = f"; go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
-        return f"kept: {', '.join(files)}{again if self.taken else ''}"
+        return f"kept: {', '.join(files)}{f'; {self.going_on}' if self.taken else ''}"
+
+    @property
+    def going_on(self) -> str:
+        """Words that say how to learn from the labelled frames that are kept."""
+        return f"go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
 
     def run(self, opened: "Callable[[], Board]") -> SetupResult:
         """Go through all steps with a board, which each opens and closes.

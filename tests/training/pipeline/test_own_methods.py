@@ -256,7 +256,8 @@ def test_the_method_of_the_page_goes_through_the_commands(tmp_path):
     assert states[:3] == ["idle", "touch", "bend"]
     with pytest.raises(ConfigurationError, match=r"--method my\.py:Net"):
         run("evaluate", model, tmp_path / "data")
+    again = ("train", tmp_path / "data", *own, "--out", model, "--replace")
     with pytest.raises(ConfigurationError, match="leave one out"):
-        run("train", tmp_path / "data", *own, "--preset", "quick", "--out", model)
+        run(*again, "--preset", "quick")
     with pytest.raises(ConfigurationError, match="NAME=VALUE"):
-        run("train", tmp_path / "data", *own, "--set", "width", "--out", model)
+        run(*again, "--set", "width")

@@ -313,6 +313,16 @@ def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path,
         require_writable(tmp_path / "a.eitmodel")
 
 
+def test_a_pipeline_is_replaced_where_that_is_wanted(tmp_path):
+    made = tmp_path / "a.eitmodel"
+    require_writable(made, replace=False)
+    made.mkdir()
+    (made / "SHA256SUMS").touch()
+    require_writable(made)
+    with pytest.raises(ConfigurationError, match=r"a\.eitmodel exists.*--replace"):
+        require_writable(made, replace=False)
+
+
 def fitted(outputs):
     """Whether outputs of a fit of four frames count as golden ones, the last of which is zero."""
     golden = np.array([[3.0, 4.0], [5.0, 0.0], [0.0, 5.0], [0.0, 0.0]])
