@@ -85,6 +85,10 @@ def fit(
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     quantity = cast("Quantity", one_of("--reads", reads, Quantity)) if reads else None
     sensor = SensorDesign.from_toml(design)
+    if not out.absolute().parent.is_dir():
+        raise ConfigurationError(
+            f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
+        )
     data = read_recorded(recording, values, protocol)
     table = required_protocol(data)
     if table.n_electrodes != len(sensor.electrodes):
@@ -94,6 +98,10 @@ def fit(
         )
     flat, which = _flat_frames(data)
     fitted, others = flat[:first], flat[first:] if first else flat[:0]
+    if first and not len(others):
+        raise ConfigurationError(
+            f"--first {first} leaves none of {len(flat)} flat frames to judge on; give fewer"
+        )
     output.note(f"{len(flat)} flat frames ({which}); solving the sensor at {resolution}")
     Z = ForwardModel(sensor, resolution=detail).impedance()
     chosen = tuple(terms.split(",")) if terms is not None else USUAL

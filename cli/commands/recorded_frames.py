@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
@@ -40,6 +40,8 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
     from eitskin.protocol import Protocol
 
     named = Protocol.named(protocol) if protocol else None
+    if not path.exists():
+        raise DataError(f"there is no dataset and no file {path}; check the path")
     if not (path.is_dir() or path.suffix.lower() in (".h5", ".hdf5")):
         return read_recording(path, RecordingNames(values), named)
     if values is not None:

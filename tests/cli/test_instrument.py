@@ -61,6 +61,18 @@ def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
     assert not frame.impedance.imag.any()
 
 
+def test_what_would_be_found_after_the_fit_is_refused_before(rig, tmp_path):
+    folder, _ = rig
+    known = (folder / "flat.npz", "--values", "u", "--protocol", folder / "ring.csv")
+    fitted = ("--out", tmp_path / "rig.toml")
+    with pytest.raises(ConfigurationError, match=r"20 flat frames to judge on; give fewer"):
+        raise run(folder, *known, *fitted, "--first", 20).exception
+    with pytest.raises(ConfigurationError, match="there is no folder"):
+        raise run(folder, *known, "--out", tmp_path / "no" / "rig.toml").exception
+    with pytest.raises(DataError, match=r"no dataset and no file .*missing"):
+        raise run(folder, tmp_path / "missing", *fitted).exception
+
+
 def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path):
     folder, flat = rig
     state = np.array([State.TOUCH, State.IDLE])
