@@ -10,10 +10,14 @@ calibration.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
+
+if TYPE_CHECKING:
+    from eitskin.training.joint.angles.bent_frames import BentFrames
 
 Array = NDArray[np.float64]
 
@@ -185,92 +189,56 @@ class BendCurvePrior:
     angle_deg: tuple[float, float]
 
     @classmethod
-    def fit(
-        cls,
-        angle_deg: Array,
-        change: Array,
-        features: Array,
-        specimen: NDArray[np.int64],
-        noise: Array,
-    ) -> "BendCurvePrior":
-        """Learn from n untouched frames.
+    def fit(cls, frames: "BentFrames") -> "BendCurvePrior":
+        """Learn from untouched frames.
 
         The mean is linear in the features and fitted by least squares; the covariance of the random
         effects by expectation maximisation of the linear mixed model (Laird and Ware 1982).
-
-        Args:
-            angle_deg: (n,) [deg].
-            change: of log V from the flat sensor (n, K).
-            features: of the specimens (n, P).
-            specimen: number of the specimen (n,); mirror images count as specimens.
-            noise: covariance of one frame's change (K, K).
         """
+        angle_deg, change = frames.angle_deg, frames.change
         powers = _powers(angle_deg[:, None] / SCALE, MEAN_POWERS)
-        share = np.concatenate([np.ones((len(change), 1)), features], axis=1)
+        share = np.concatenate([np.ones((len(change), 1)), frames.features], axis=1)
         columns = (share[:, :, None] * powers[:, None, :]).reshape(len(change), -1)
         mean = np.asarray(np.linalg.lstsq(columns, change, rcond=1e-10)[0], dtype=float)
         residual = change - columns @ mean
         random = powers[:, :RANDOM_POWERS]
-        covariance = _mixed_model(random, residual, specimen, noise)
+        covariance = _mixed_model(random, residual, frames.curve, frames.noise)
         shape = (share.shape[1], MEAN_POWERS, change.shape[1])
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
-    def log_likelihood(
-        self,
-        angle_deg: Array,
-        change: Array,
-        features: Array,
-        specimen: NDArray[np.int64],
-        noise: Array,
-    ) -> Array:
-        """Log-likelihood of the frames of each specimen, in the order of their numbers (S,).
+    def log_likelihood(self, frames: "BentFrames") -> Array:
+        """Log-likelihood of the frames of each curve, in the order of their numbers (S,).
 
-        Arguments are those of `fit`. With w integrated out, by the matrix determinant lemma and
-        Woodbury's identity.
+        With w integrated out, by the matrix determinant lemma and Woodbury's identity.
         """
-        normal = np.linalg.slogdet(2.0 * np.pi * noise)[1]
+        normal = np.linalg.slogdet(2.0 * np.pi * frames.noise)[1]
         width = np.linalg.slogdet(self.covariance)[1]
         logs = []
-        for told in self._effects(angle_deg, change, features, specimen, noise):
+        for told in self._effects(frames):
             misfit = told.square - float(told.evidence @ told.effects)
             logs.append(-0.5 * (misfit + told.width + width + told.frames * normal))
         return np.array(logs)
 
-    def expected(
-        self,
-        angle_deg: Array,
-        change: Array,
-        features: Array,
-        specimen: NDArray[np.int64],
-        noise: Array,
-    ) -> Array:
-        """Coefficients of the expected curve of each specimen, in the order of their numbers.
+    def expected(self, frames: "BentFrames") -> Array:
+        """Coefficients of each expected curve, in the order of their numbers.
 
-        They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames. Arguments are
-        those of `fit`.
+        They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames.
         """
-        shape = (-1, change.shape[1])
         curves = []
-        for told in self._effects(angle_deg, change, features, specimen, noise):
-            effects = told.effects.reshape(shape)
+        for told in self._effects(frames):
+            effects = told.effects.reshape(-1, frames.change.shape[1])
             curves.append(told.prior.coefficients.copy())
             curves[-1][: len(effects)] += effects
         return np.array(curves)
 
-    def _effects(
-        self,
-        angle_deg: Array,
-        change: Array,
-        features: Array,
-        specimen: NDArray[np.int64],
-        noise: Array,
-    ) -> Iterator["_Effects"]:
-        """Posterior of the random effects of each specimen; arguments as of `fit`."""
-        precision, inverse = np.linalg.inv(noise), np.linalg.inv(self.covariance)
+    def _effects(self, frames: "BentFrames") -> Iterator["_Effects"]:
+        """Posterior of the random effects of each curve."""
+        angle_deg, change = frames.angle_deg, frames.change
+        precision, inverse = np.linalg.inv(frames.noise), np.linalg.inv(self.covariance)
         size = len(self.covariance) // change.shape[1]
-        for rows in _groups(specimen):
-            prior = self.of(features[rows[0]])
+        for rows in _groups(frames.curve):
+            prior = self.of(frames.features[rows[0]])
             powers = _powers(angle_deg[rows, None] / SCALE, size)
             residual = change[rows] - prior.value(angle_deg[rows])
             weighted = residual @ precision

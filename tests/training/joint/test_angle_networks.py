@@ -54,8 +54,7 @@ def frames(specimens=150, seed=1, tightness=0.35):
 
 
 def of_curves(data):
-    columns = (data.angle_deg, data.change, data.features, data.curve)
-    return BendCurvePrior.fit(*columns, data.noise)
+    return BendCurvePrior.fit(data)
 
 
 def fitted(data, progress=silent, mixed=angle_training.MIXED):

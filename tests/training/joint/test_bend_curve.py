@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
@@ -20,6 +21,7 @@ from eitskin.training.joint.combinations import Combinations
 CHANNELS = 6
 SIZE = RANDOM_POWERS * CHANNELS
 NOISE = 2e-4**2 * np.eye(CHANNELS)
+COMBINATIONS = Combinations(np.full(CHANNELS, 2e-4))
 RANGE = (-20.0, 50.0)
 
 
@@ -183,7 +185,7 @@ def test_calibrated_curve_finds_the_specimen(curve, rng):
 
 def estimated(curve, change):
     """Angle and standard error of a frame, whose bad measurements are NaN."""
-    combined = Combinations(np.full(CHANNELS, 2e-4)).combined(change, 1.0, 0.0)
+    combined = COMBINATIONS.combined(change, 1.0, 0.0)
     return estimate_angle(curve, combined.change, combined.noise)
 
 
@@ -256,7 +258,7 @@ def test_common_drift_is_projected_out(curve):
 
 
 def made_up(rng, count, frames, covariance, features=None):
-    """Angles, changes, features and specimen numbers of bent frames."""
+    """Bent frames of specimens with random effects of this covariance."""
     own = rng.multivariate_normal(np.zeros(SIZE), covariance, count).reshape(
         -1, RANDOM_POWERS, CHANNELS
     )
@@ -269,13 +271,14 @@ def made_up(rng, count, frames, covariance, features=None):
     departure = np.einsum("nk,nkc->nc", powers(angle, RANDOM_POWERS), own[specimen])
     noise = rng.multivariate_normal(np.zeros(CHANNELS), NOISE, len(angle))
     order = rng.permutation(len(angle))  # specimens' frames need not follow each other
-    return angle[order], (mean + departure + noise)[order], p[specimen][order], specimen[order]
+    change, image = mean + departure + noise, np.zeros(len(angle), np.int64)
+    return BentFrames(change, angle, p[specimen], specimen, image, COMBINATIONS, NOISE)[order]
 
 
 def test_mixed_model_finds_covariance_and_mean(rng):
     """Random effects of 400 specimens from sixteen frames each."""
     true = own_covariance(rng)
-    curves = BendCurvePrior.fit(*made_up(rng, 400, 16, true), NOISE)
+    curves = BendCurvePrior.fit(made_up(rng, 400, 16, true))
     scatter = np.sqrt(2.0 / 400)
     at = {angle: curves.of(()).uncertainty(angle) for angle in (-20.0, 25.0, 50.0)}
     truth = BendCurve(mean_curve(), np.zeros((RANDOM_POWERS, CHANNELS)), true, RANGE)
@@ -292,8 +295,8 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
     true = own_covariance(rng, 3e-4)
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     data = made_up(rng, 200, 8, true, effect)
-    curves = BendCurvePrior.fit(*data, NOISE)
-    blind = BendCurvePrior.fit(data[0], data[1], data[2][:, :0], data[3], NOISE)
+    curves = BendCurvePrior.fit(data)
+    blind = BendCurvePrior.fit(replace(data, features=data.features[:, :0]))
     assert np.trace(blind.covariance) > 5 * np.trace(curves.covariance)
     one = curves.of([1.0, -0.5]).value(40.0)
     expected = powers(40.0, MEAN_POWERS) @ (mean_curve() + effect[0] - 0.5 * effect[1])
@@ -304,34 +307,33 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
 def test_expected_curves_are_those_conditioned_on_all_frames(rng):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     data = made_up(rng, 12, 5, own_covariance(rng), effect)
-    curves = BendCurvePrior.fit(*data, NOISE)
-    found = curves.expected(*data, NOISE)
-    angle, change, features, specimen = data
+    curves = BendCurvePrior.fit(data)
+    found = curves.expected(data)
     for number in range(12):
-        its = specimen == number
-        expected = curves.of(features[its][0]).conditioned(angle[its], change[its], NOISE)
+        its = data[data.specimen == number]
+        expected = curves.of(its.features[0]).conditioned(its.angle_deg, its.change, NOISE)
         np.testing.assert_allclose(found[number], expected.coefficients, rtol=1e-6, atol=1e-9)
 
 
 def test_specimens_that_do_not_differ_have_no_covariance(rng):
-    curves = BendCurvePrior.fit(*made_up(rng, 120, 6, np.zeros((SIZE, SIZE))), NOISE)
+    curves = BendCurvePrior.fit(made_up(rng, 120, 6, np.zeros((SIZE, SIZE))))
     assert np.sqrt(np.diag(curves.of(()).uncertainty(50.0))).max() < 2e-4
     assert np.isfinite(estimate_angle(curves.of(()), curves.of(()).value(30.0), NOISE)).all()
 
 
 def test_flat_is_among_the_angles_learned(rng):
     """A curve learned from bends of one sign estimates a flat sensor as flat."""
-    angle, change, features, specimen = made_up(rng, 30, 10, own_covariance(rng))
-    bent = angle > 5.0
-    curves = BendCurvePrior.fit(angle[bent], change[bent], features[bent], specimen[bent], NOISE)
-    assert curves.angle_deg == (0.0, angle[bent].max())
+    data = made_up(rng, 30, 10, own_covariance(rng))
+    bent = data[data.angle_deg > 5.0]
+    curves = BendCurvePrior.fit(bent)
+    assert curves.angle_deg == (0.0, bent.angle_deg.max())
     found, _ = estimate_angle(curves.of(()), curves.of(()).value(-0.5), NOISE)
     assert found == pytest.approx(-0.5, abs=0.01)
 
 
 def test_arrays_make_them_again(rng, curve):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
-    curves = BendCurvePrior.fit(*made_up(rng, 20, 6, own_covariance(rng), effect), NOISE)
+    curves = BendCurvePrior.fit(made_up(rng, 20, 6, own_covariance(rng), effect))
     again = BendCurvePrior.from_arrays(curves.arrays())
     np.testing.assert_array_equal(
         again.of([0.3, 2.0]).value(31.0), curves.of([0.3, 2.0]).value(31.0)

@@ -45,7 +45,7 @@ def frames(alike, various, seed=1, spread=0.03):
 
 
 def learned(data):
-    return BendCurvePrior.fit(data.angle_deg, data.change, data.features, data.curve, data.noise)
+    return BendCurvePrior.fit(data)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +68,7 @@ def usual(mixture, everywhere):
 
 def test_likelihood_of_a_specimen_is_that_of_a_normal_vector(mixture, everywhere):
     """Beside the whole covariance of its frames, written out."""
-    told = everywhere.log_likelihood(
-        mixture.angle_deg, mixture.change, mixture.features, mixture.specimen, mixture.noise
-    )
+    told = everywhere.log_likelihood(mixture)
     powers = (ANGLES[:, None] / SCALE) ** np.arange(1, RANDOM_POWERS + 1)
     weights = np.kron(powers, np.eye(CHANNELS))
     whole = weights @ everywhere.covariance @ weights.T + NOISE**2 * np.eye(len(weights))

@@ -62,9 +62,7 @@ def fit_bends(
         _noise(bent, combinations, settings.drift),
     )
     progress("bend curve", 0, 2)
-    curves = BendCurvePrior.fit(
-        frames.angle_deg, frames.change, frames.features, frames.curve, frames.noise
-    )
+    curves = BendCurvePrior.fit(frames)
     progress("bend curve", 1, 2)
     usual = usual_curves(frames, curves)
     progress("bend curve", 2, 2)

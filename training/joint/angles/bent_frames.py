@@ -37,7 +37,7 @@ class BentFrames:
     combinations: Combinations
     noise: Array
 
-    def __getitem__(self, rows: "slice | NDArray[np.bool_]") -> "BentFrames":
+    def __getitem__(self, rows: "slice | NDArray[np.generic]") -> "BentFrames":
         """Some of the frames."""
         return replace(
             self,

@@ -135,8 +135,7 @@ class _Inputs:
     @classmethod
     def of(cls, frames: BentFrames, curves: BendCurvePrior, empty: AngleNetworks) -> "_Inputs":
         """Inputs from bent frames, for networks without layers."""
-        told = (frames.angle_deg, frames.change, frames.features, frames.curve, frames.noise)
-        bends = curves.expected(*told) / empty.unit
+        bends = curves.expected(frames) / empty.unit
         still = np.full(len(frames.change), DRIFT[0])
         return cls(
             _tensor(empty.inputs(frames.change, frames.features, still)),

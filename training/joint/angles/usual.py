@@ -70,13 +70,9 @@ def _closest(coordinates: Array) -> NDArray[np.bool_]:
 
 def _learned(frames: BentFrames, member: NDArray[np.bool_]) -> BendCurvePrior:
     """Distribution of the curves of some specimens."""
-    its = frames[member[frames.specimen]]
-    return BendCurvePrior.fit(its.angle_deg, its.change, its.features, its.curve, its.noise)
+    return BendCurvePrior.fit(frames[member[frames.specimen]])
 
 
 def _log_likelihood(prior: BendCurvePrior, frames: BentFrames) -> Array:
     """Log-likelihood of each specimen (S,), without its mirror images."""
-    plain = frames[frames.image == 0]
-    return prior.log_likelihood(
-        plain.angle_deg, plain.change, plain.features, plain.specimen, plain.noise
-    )
+    return prior.log_likelihood(frames[frames.image == 0])
