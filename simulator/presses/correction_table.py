@@ -108,19 +108,27 @@ class CorrectionTable(StripTable):
     ends: Array
     sunk_more: Array
 
-    def near_ends(self, x: float, y: float, depth: float) -> tuple[list[SmoothField], float]:
-        """Differences to the strip near either end, and how much deeper a press sinks [m]."""
+    def near_ends(
+        self, x: float, y: float, depth: float, thicker: float = 1.0
+    ) -> tuple[list[SmoothField], float]:
+        """Differences to the strip near either end, and how much deeper a press sinks [m].
+
+        On a stack `thicker` times as thick as the solved one an end is felt where the distance from
+        it to the rim of the contact is in proportion.
+        """
         length, H = float(self.length), float(self.thickness)
         deep, across = weights_over_depth(self.depths, depth), self._across(y)
-        fields, sunk = [], 0.0
+        fields, sunk, rim = [], 0.0, float(self.along[0]) - _LEAST * H
         for far in (False, True):
             distance = length - x if far else x
-            if distance < self.along[-1]:
+            solved = rim + (distance - rim) / thicker
+            if solved < self.along[-1]:
                 splines, ends, sunk_more = _along(self)
-                (first,), (near,), _ = splines.functions(np.array([distance]))
+                (first,), (near,), _ = splines.functions(np.array([solved]))
                 felt = slice(first, first + len(near))
                 weights = near[:, None, None] * (across[:, None, :, None] * deep)
-                end = self._field(self._box(0.0, _ENDS * H), weights, ends[felt], 0.0)
+                box = self._box(0.0, _ENDS * H * distance / solved)
+                end = self._field(box, weights, ends[felt], 0.0)
                 fields.append(end.mirrored(0, 0.5 * length) if far else end)
                 sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
         return fields, sunk

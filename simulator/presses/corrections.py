@@ -41,7 +41,7 @@ class Corrections:
         self.check_depth(depth)
         _require_covered(x, y, self.base)
         higher = self.height / float(self.base.height)
-        ends, sunk = self.base.near_ends(x, y, depth / higher)
+        ends, sunk = self.base.near_ends(x, y, depth / higher, higher)
         fields, sunk = [end.raised(higher) for end in ends], sunk * higher
         for table, weight in ((self.base, 1.0), *self.strips):
             higher = self.height / float(table.height)
