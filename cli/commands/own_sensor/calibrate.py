@@ -8,7 +8,7 @@ import typer
 
 from eitskin.cli.commands.own_sensor.adapt import calibration_table
 from eitskin.cli.commands.own_sensor.dialogue import TerminalDialogue
-from eitskin.cli.commands.own_sensor.poses import asked, bent, frames_in_poses, left_alone
+from eitskin.cli.commands.own_sensor.poses import asked, bent, frames_in_poses, left_alone, staged
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import (
     BoardUri,
@@ -39,7 +39,9 @@ PerAngle = Annotated[int, typer.Option("--frames", min=1, help="Number of frames
 NoPrompt = Annotated[
     bool,
     typer.Option(
-        "--no-prompt", help="Do not wait: the board goes through the angles by itself, in turn."
+        "--no-prompt",
+        help="Do not wait: a virtual: board bends its sensor; a script or a recording goes through "
+        "the angles by itself, in turn.",
     ),
 ]
 
@@ -116,7 +118,8 @@ def _from_board(
 
     with open_board(uri, **seeded(uri, seed)) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
-        hand = left_alone if no_prompt else asked(TerminalDialogue(output))
+        alone = left_alone if board.stage is None or "scene=" in uri else staged(0.0)
+        hand = alone if no_prompt else asked(TerminalDialogue(output))
         poses = [bent(angle) for angle in angles]
         taken = frames_in_poses(
             board,

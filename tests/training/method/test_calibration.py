@@ -1,6 +1,7 @@
 """Calibration of a pipeline to one sensor: inputs, effect, and the command."""
 
 from contextlib import nullcontext
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
-from eitskin.simulator import Frame
+from eitskin.hardware.virtual import virtual_board
+from eitskin.simulator import Frame, Simulator
 from eitskin.training import Pipeline
 from eitskin.training.method.calibration import Calibration
+from eitskin.training.pipeline.saved_form import SHIPPED
 
 from linear_sensor import linear_sensor, trained_pipeline
 
@@ -107,7 +110,7 @@ def bends(sensor, folder, angles=ANGLES[2:]):
 
 @pytest.mark.slow
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
-    """The virtual board's sensor stays flat at every angle asked for."""
+    """The virtual board's sensor stays flat at every angle that a person is asked for."""
     out = tmp_path / "mine.eitmodel"
     board = "virtual:?speed=max&instrument=ideal"
     done = run(
@@ -126,6 +129,15 @@ def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
     done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
     assert done.exit_code == 0, done.output
     assert rmse(Pipeline.load(out), sensor) < 0.5
+
+
+@pytest.mark.slow
+def test_a_virtual_board_bends_its_sensor_where_nobody_is_asked(tmp_path, monkeypatch):
+    monkeypatch.setattr(virtual_board, "Simulator", lru_cache(Simulator))
+    words = ("--board", "virtual:?speed=max", "--angles", "-15,20", "--frames", 4, "--no-prompt")
+    done = run(SHIPPED, *words, "--out", tmp_path / "mine.eitmodel")
+    assert done.exit_code == 0, done.output
+    assert Pipeline.load(tmp_path / "mine.eitmodel").calibration["residual_deg"] < 0.5
 
 
 @pytest.mark.slow
