@@ -74,6 +74,7 @@ MeasuredPairs = Annotated[
 ]
 
 
+VIRTUAL = "virtual:"
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
 
 
@@ -94,6 +95,16 @@ def one_of(option: str, text: str, kind: Any) -> str:
             f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
         )
     return text
+
+
+def named_board(uri: str | None, output: "Output") -> str:
+    """URI of the board that is named, or of a virtual one, with a note that nothing is measured."""
+    if uri is None:
+        output.note(
+            f"no --board is named: this is the simulated sensor of {VIRTUAL}; the ports of this "
+            "machine: eitskin check --list"
+        )
+    return uri or VIRTUAL
 
 
 def seeded(uri: str, seed: int) -> dict[str, Any]:

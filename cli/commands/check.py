@@ -12,7 +12,7 @@ from rich.table import Table
 from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
-    BoardUri,
+    BoardOption,
     Json,
     MeasuredPairs,
     MethodCode,
@@ -20,6 +20,7 @@ from eitskin.cli.options import (
     Quiet,
     Seed,
     Verbose,
+    named_board,
     own_method,
     seeded,
 )
@@ -66,7 +67,7 @@ SHIPPED = Path("reference.eitmodel")
 def command(
     model: ReferenceModel = None,
     *,
-    board: BoardUri = "virtual:",
+    board: BoardOption = None,
     frames: FrameCount = FRAMES,
     recording: Recording = None,
     values: Values = None,
@@ -104,7 +105,7 @@ def command(
         pipeline = open_pipeline(model or SHIPPED, own_method(method))
         check_board(
             pipeline,
-            board,
+            named_board(board, output),
             frames,
             output,
             reference,
@@ -289,7 +290,7 @@ def _list(output: Output) -> None:
 
     ports = serial_ports()
     table = Table("port", "description", "manufacturer", "USB", "serial number")
-    table.add_column("opens with", overflow="fold")
+    table.add_column("opens with", overflow="fold", min_width=24)
     for port in ports:
         usb = "" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}"
         told = (port.description, port.manufacturer, usb, port.serial_number, port.uri)

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from eitskin.benchmarks.studies.boards.sensor_check import FRAMES, PAIRS, cases, measured
 from eitskin.cli.main import app
+from eitskin.cli.options import Output, named_board
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.errors import ConfigurationError, FrameError
@@ -320,6 +321,13 @@ kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards ha
 
 def run(*arguments):
     return CliRunner().invoke(app, ["check", *arguments])
+
+
+def test_it_is_told_where_no_board_is_named_that_the_sensor_is_simulated(capsys):
+    assert named_board("serial:", Output()) == "serial:"
+    assert not capsys.readouterr().err
+    assert named_board(None, Output()) == "virtual:"
+    assert "simulated sensor" in " ".join(capsys.readouterr().err.split())
 
 
 def test_the_command_finds_nothing_on_a_healthy_board():

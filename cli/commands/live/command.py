@@ -23,7 +23,7 @@ from eitskin.cli.commands.live.ros2_options import Ros2, Ros2Domain, Ros2Namespa
 from eitskin.cli.commands.live.session import LiveSession, SessionPipeline, expected_magnitudes
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
-    BoardUri,
+    BoardOption,
     Json,
     MethodCode,
     Model,
@@ -32,6 +32,7 @@ from eitskin.cli.options import (
     Seed,
     Verbose,
     ended_by_signals,
+    named_board,
     one_of,
     own_method,
     seeded,
@@ -84,7 +85,7 @@ MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 def command(
     model: Model,
     *,
-    board: BoardUri = "virtual:",
+    board: BoardOption = None,
     frames: FrameCount = None,
     record: Record = None,
     mcap: Mcap = None,
@@ -120,6 +121,7 @@ def command(
     from eitskin.training.adaptation.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
+    board = named_board(board, output)
     access = page_access(page_host, page_token_file) if page else None
     own = own_method(method)
     pipeline = open_pipeline(model, own)
