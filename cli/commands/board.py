@@ -89,7 +89,7 @@ def command(
     )
     uri = f"serial:{link or terminal.path}"
     output.result({"uri": uri}, uri)
-    output.note("serving until Ctrl-C; open it with eitskin live MODEL --board " + uri)
+    output.note(f"serving until Ctrl-C; open it with eitskin live MODEL --board {uri}", whole=True)
     # Started again it must not pass for the same board: hosts keep references for each boot.
     terminal.firmware.boots_from(int(time.time()))
     with ended_by_signals(), closing(terminal):

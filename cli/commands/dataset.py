@@ -217,6 +217,7 @@ def export(
 def _damage_table(damage: "tuple[DamagedFile, ...]") -> Table:
     table = Table("file", "what is wrong", box=box.SIMPLE)
     table.columns[0].no_wrap = True
+    table.columns[1].overflow = "fold"  # hashes are to be compared
     for each in damage:
         table.add_row(escape(each.file), escape(each.problem))
     return table

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Group
-from rich.table import Table
+from rich.table import Column, Table
 
 from eitskin.cli.commands.recorded_frames import Recorded, Values, of_specimen, read_recorded
 from eitskin.cli.options import (
@@ -123,7 +123,7 @@ def fit(
 
 def _shown(twin: "Twin", judged: "dict[str, Agreement]") -> Group:
     """Table of the numbers, and how well they explain the frames."""
-    table = Table("number", "value", "standard error", "prior", "unit")
+    table = Table(Column("number", no_wrap=True), "value", "error", "prior", "unit")
     lost = {names[0] for names in twin.undetermined if len(names) == 1}
     for each, value, error in zip(twin.parameters, twin.values, twin.standard_errors, strict=True):
         shown = "as the prior" if str(each) in lost else f"{error:.2g}"

@@ -158,32 +158,23 @@ def curve_of(
 
 
 def curve_table(curve: "Sequence[CurvePoint]") -> Table:
-    """Table of errors, a row for each number of frames and a column for each method."""
+    """Table of errors, a row for each number of frames and method."""
     from eitskin.training.evaluation.adaptation_curve import BLOCKS
 
-    methods = tuple(dict.fromkeys(point.method for point in curve))
     shown: list[tuple[str, Callable[[CurvePoint], float | None], str]] = [
         ("angle, deg rms", lambda point: point.angle_deg, "{:.2f}"),
         ("place, mm", lambda point: point.place_mm, "{:.1f}"),
         ("lost, %", _lost, "{:.0f}"),
     ]
+    told = [each for each in shown if any(each[1](point) is not None for point in curve)]
     title = f"errors in blocks of time that were left out, {BLOCKS} in turn"
-    table = Table("labelled frames", title=title)
-    columns = [
-        (name, what, read, form)
-        for what, read, form in shown
-        for name in methods
-        if any(read(point) is not None for point in curve if point.method == name)
-    ]
-    for name, what, _, _ in columns:
-        table.add_column(f"{name}:\n{what}", justify="right")
-    for count in sorted({point.frames for point in curve}):
-        row = {point.method: point for point in curve if point.frames == count}
-        cells = []
-        for name, _, read, form in columns:
-            value = read(row[name]) if name in row else None
-            cells.append("" if value is None else form.format(value))
-        table.add_row(str(count), *cells)
+    table = Table("labelled frames", "method", title=title)
+    for name, _, _ in told:
+        table.add_column(name, justify="right")
+    for point in sorted(curve, key=lambda point: point.frames):
+        values = [(read(point), form) for _, read, form in told]
+        cells = ["" if value is None else form.format(value) for value, form in values]
+        table.add_row(str(point.frames), point.method, *cells)
     return table
 
 
