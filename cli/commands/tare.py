@@ -70,6 +70,10 @@ def command(
     output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
+    if not out.absolute().parent.is_dir():
+        raise ConfigurationError(
+            f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
+        )
     pipeline = open_pipeline(model, own_method(method))
     zero = Zero.MOUNTED if mounted else Zero.FLAT
     if zero is Zero.FLAT:

@@ -98,6 +98,9 @@ def test_the_reference_of_a_dataset_and_none(tmp_path):
         reference_frame(tmp_path / "run", 7)
     with pytest.raises(ConfigurationError, match="--dataset"):
         raise run("tare", "reference.eitmodel", "--out", path, code=1).exception
+    lost = ("--board", FLAT, "--out", tmp_path / "no" / "r.json")
+    with pytest.raises(ConfigurationError, match="there is no folder"):
+        raise run("tare", "reference.eitmodel", *lost, code=1).exception
 
 
 @pytest.mark.slow
