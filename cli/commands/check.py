@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
-from rich.table import Table
 
 from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
@@ -289,11 +288,6 @@ def _list(output: Output) -> None:
     from eitskin.hardware.boards.port import serial_ports
 
     ports = serial_ports()
-    table = Table("port", "description", "manufacturer", "USB", "serial number")
-    table.add_column("opens with", overflow="fold", min_width=24)
-    for port in ports:
-        usb = "" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}"
-        told = (port.description, port.manufacturer, usb, port.serial_number, port.uri)
-        table.add_row(port.device, *told)
+    lines = [f"{port.uri}  {port}" for port in ports]  # whole, to be copied
     data = {"ports": [{**dataclasses.asdict(port), "uri": port.uri} for port in ports]}
-    output.result(data, table if ports else "no serial port was found here")
+    output.result(data, "\n".join(lines) or "no serial port was found here")

@@ -370,7 +370,8 @@ def test_the_command_lists_ports(monkeypatch):
     monkeypatch.setattr(port, "serial_ports", lambda: ports)
     listed = json.loads(run("--list", "--json").stdout)["ports"]
     assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
-    assert "0483:0001" in run("--list").stdout
+    last = "serial:?usb=20%205A  /dev/ttyACM0 (EIT board, ST, 0483:0001, 20 5A)"
+    assert run("--list").stdout.splitlines()[-1] == last
     monkeypatch.setattr(port, "serial_ports", lambda: ())
     assert "no serial port" in run("--list").stdout
 

@@ -83,6 +83,7 @@ def as_table(
 ) -> Table:
     """Table of the extremes of all pictures."""
     table = Table("frame", "method", "lambda", "least, %", "at, mm", "largest, %", "at, mm")
+    table.pad_edge, table.columns[1].no_wrap = False, True  # whole in 80 columns
     for maker, images in zip(makers, pictures, strict=True):
         parameter = _lambda(maker)
         for name, picture in zip(taken.names, images, strict=True):
