@@ -12,6 +12,7 @@ from toy_skin import toy_presses
 
 from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.datasets.store.state import UNKNOWN_STATE
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Status
 from eitskin.simulator import Protocol
@@ -154,7 +155,22 @@ def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):
     save_dataset(toy_recording(), tmp_path / "toy")
     with pytest.raises(ConfigurationError, match="--twin"):
         run("adapt", *presses, "--no-table")
+    words = ("adapt", "reference.eitmodel", tmp_path / "own", "--out", tmp_path / "a.eitmodel")
+    other = Dataset.from_arrays(np.ones((4, 64)), protocol=Protocol.adjacent(8, shared=True))
+    save_dataset(other, tmp_path / "own")
+    with pytest.raises(FrameError, match="trained for pairwise:8"):
+        run(*words)
     assert not (tmp_path / "a.eitmodel").exists()
+
+
+def test_frames_of_which_nothing_is_known_are_refused(bends, pipeline):
+    unknown = np.full(len(bends), UNKNOWN_STATE)
+    unlabelled = dataclasses.replace(
+        bends, state=unknown, bend_angle_deg=np.full(len(bends), np.nan, np.float32)
+    )
+    with pytest.raises(DataError, match="none among 21"):
+        pipeline.adapt(unlabelled)
+    assert pipeline.adaptation == {}
 
 
 def test_the_sentence_tells_whether_the_twin_was_taken():

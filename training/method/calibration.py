@@ -107,10 +107,16 @@ class Adaptation:
     noise_scale: float = 1.0
 
     def require_fit(self, known: KnownFrames) -> None:
-        """Refuse known angles that contradict the frames, and a twin that nothing was done with.
+        """Refuse frames of which nothing is known, or known angles that contradict the frames.
 
-        Raises DataError, as `Calibration.require_fit`, and ConfigurationError.
+        Also a twin that nothing was done with. Raises DataError, as `Calibration.require_fit`, and
+        ConfigurationError.
         """
+        if known.twin is None and not (self.flat or self.bends or self.touches):
+            raise DataError(
+                "expected frames known to be untouched, or of a known angle or known touches, to "
+                f"adapt to, got none among {self.left_out}; label or record some"
+            )
         if self.calibration is not None:
             self.calibration.require_fit(known.angle_deg[known.bent])
         if known.twin is not None and self.twin is None:

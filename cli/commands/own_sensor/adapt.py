@@ -81,6 +81,7 @@ def command(
     require_writable(out, replace)
     before = open_start(model, own_method(method))
     data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
+    _require_same_measurements(before, data)
     curve = () if no_table else curve_of(before, data, output)
     if curve:
         output.show(curve_table(curve))
@@ -99,6 +100,16 @@ def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | Record
     if str(model) == NOTHING and not model.exists():
         return None
     return open_pipeline(model, method)
+
+
+def _require_same_measurements(
+    before: "Pipeline | RecordedTouches | None", data: "Dataset"
+) -> None:
+    """Refuse frames of another protocol than a pipeline's before any is looked at."""
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    if isinstance(before, Pipeline) and data.protocol is not None:
+        before.layout.require_same_measurements(data.protocol, data.frequency)
 
 
 def adapt(

@@ -93,7 +93,7 @@ def command(
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
         done = setup.run(partial(_opened, uri, seed))
     except (KeyboardInterrupt, typer.Abort):
-        output.note(setup.kept)
+        output.note(setup.kept, whole=True)
         raise KeyboardInterrupt from None
     following = f"eitskin live {done.saved} --board '{uri}'{done.reference_option} --page"
     result = {**done.as_dict(), "next": following}
