@@ -92,12 +92,6 @@ class Combinations:
         return np.ascontiguousarray(self.matrix), np.ascontiguousarray(self._backward.T)
 
     @cached_property
-    def _squares(self) -> Array:
-        """Sum over the combinations of the squared weights of each measurement (C,)."""
-        squares: Array = np.einsum("kc,kc->c", self.matrix, self.matrix)
-        return squares
-
-    @cached_property
     def lateness(self) -> Array:
         """Weights (K, K) of the times at which a frame's measurements are taken, -0.5 to 0.5."""
         count = len(self.noise)
@@ -127,10 +121,6 @@ class Combinations:
             covariance.reshape(-1)[:: len(covariance) + 1] += variance
         else:
             covariance += self.matrix * variance @ self.matrix.T
-
-    def total_variance(self, variance: Array) -> float:
-        """Sum of the variances of the combinations, of independent errors of this variance (C,)."""
-        return float(self._squares @ variance)
 
     def combined(self, change: Array, frames: float, drift: float) -> "CombinedChange":
         """Combinations of one frame and their noise.
