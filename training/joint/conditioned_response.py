@@ -23,6 +23,7 @@ STRENGTH_STD = 0.15  # of the specimens' log strength, as in training
 FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
 PLACE_ERROR = 0.0003  # m, of known places
 MOST_CHANGE = (-0.5, 1.0)  # of an unknown force in one round, relative
+SHARES = (1.0, 0.25, 0.06, 0.0)  # of the information of known touches, that are tried
 ROUNDS = 3  # of finding latent variables and unknown forces in turn
 
 
@@ -89,15 +90,85 @@ def response_given(
         forces: whether known forces count.
     """
     seen, known = touched.observations, []
-    for row, labels in enumerate(touched.touches):
+    for rows in _held(touched):
+        labels = touched.touches[rows[0]]
         places = labels[np.isfinite(labels[:, 0])]
         told = np.isfinite(places[:, 2]) & forces
         places[~told, 2] = prior.response.ranges.middle_force
-        share = 1.0 / seen.frames[row] + 1.0 / seen.dynamic_frames[row]
-        change = combined(log_change(seen.dynamic[row]), share, float(seen.dynamic_age[row]))
-        angle_deg = float(np.nan_to_num(touched.reference_deg[row]))
+        share = 1.0 / seen.frames[rows].sum() + 1.0 / seen.dynamic_frames[rows[0]]
+        age = float(seen.dynamic_age[rows].mean())
+        change = combined(_mean_change(seen.dynamic[rows]), float(share), age)
+        angle_deg = float(np.nan_to_num(touched.reference_deg[rows[0]]))
         known.append(KnownTouches(change, places, told, angle_deg))
     return conditioned_response(prior, known, (float(touches.low[2]), float(touches.high[2])))
+
+
+def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
+    """Rows of frames in succession that see the same touches.
+
+    They are one touch to learn from: errors of the response and of the place are the same in all.
+    """
+    seen = np.column_stack(
+        [
+            np.nan_to_num(touched.touches.reshape(len(touched), -1), nan=-1.0),
+            np.nan_to_num(touched.reference_deg),
+        ]
+    )
+    starts = 1 + np.flatnonzero((seen[1:] != seen[:-1]).any(axis=1))
+    return np.split(np.arange(len(touched)), starts)
+
+
+def _mean_change(dynamic: Array) -> Array:
+    """Mean of log(V / reference) (C,) of frames dV (n, C); NaN where no frame has it."""
+    changes = np.array([log_change(each) for each in dynamic])
+    good = np.isfinite(changes)
+    total = np.where(good, changes, 0.0).sum(axis=0)
+    return np.where(good.any(axis=0), total / np.maximum(good.sum(axis=0), 1), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What known touches of one frame tell of strength and latent variables, to first order.
+
+    Attributes:
+        left: change that the response leaves of the measured one (K,).
+        rows: derivatives of the change by the unknowns (n, K).
+        weight: inverse of the covariance of the errors (K, K).
+        pull: by which the errors of the forces explain what is left, relative (k,).
+    """
+
+    left: Array
+    rows: Array
+    weight: Array
+    pull: Array
+
+    @classmethod
+    def of(
+        cls, prior: SpecimenResponse, now: SpecimenResponse, strength: float, known: KnownTouches
+    ) -> "Evidence":
+        """Evidence about a response `now`, of this strength beside the prior one."""
+        changes, _ = now.with_derivatives(known.places, known.angle_deg, np.ones(3))
+        left = known.seen.change - changes[0].sum(axis=0)
+        latent_changes = strength * prior.latent_changes(known.places, known.angle_deg)
+        rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])
+        weight: Array = np.asarray(np.linalg.inv(known.errors(now, changes)), dtype=float)
+        return cls(left, rows, weight, known.force_errors**2 * (changes[0] @ weight @ left))
+
+    @property
+    def information(self) -> Array:
+        """Information (n, n) on the unknowns."""
+        found: Array = self.rows @ self.weight @ self.rows.T
+        return found
+
+    def gradient(self, found: Array) -> Array:
+        """Information times the unknowns (n,) that explain the touches, from an estimate."""
+        told: Array = self.rows @ self.weight @ (self.left + found @ self.rows)
+        return told
+
+    def misfit(self, step: Array) -> float:
+        """Square of what is left after a step of the unknowns (n,), over its variance."""
+        left = self.left - step @ self.rows
+        return float(left @ self.weight @ left)
 
 
 def conditioned_response(
@@ -111,7 +182,9 @@ def conditioned_response(
 
     which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
     freedom where that is above one (Birge 1932): a response that explains the touches badly tells
-    little of the sensor. Unknown forces are found with them.
+    little of the sensor. Unknown forces are found with them. Errors that touches share are larger
+    than the response has them, so the touches count by the share that lets them tell each other
+    best (`trusted_share`).
 
     Args:
         prior: response before.
@@ -120,28 +193,44 @@ def conditioned_response(
     """
     latent = prior.response.latent_output
     precision = np.diag(np.append(STRENGTH_STD**-2, np.ones(len(latent))))
+    share = trusted_share(precision, [Evidence.of(prior, prior, 1.0, each) for each in known])
     found: Array = np.zeros(1 + len(latent))
-    response = prior
+    response, strength, output = prior, 1.0, prior.output
     for _ in range(ROUNDS):
-        information, told, misfit, size = precision.copy(), 0.0 * found, 0.0, 0
-        after = []
-        for each in known:
-            changes, _ = response.with_derivatives(each.places, each.angle_deg, np.ones(3))
-            left = each.seen.change - changes[0].sum(axis=0)
-            latent_changes = np.exp(found[0]) * prior.latent_changes(each.places, each.angle_deg)
-            rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])
-            weight = np.linalg.inv(each.errors(response, changes))
-            information += rows @ weight @ rows.T
-            told += rows @ weight @ (left + found @ rows)
-            misfit += float(left @ weight @ left)
-            size += each.seen.told - int(np.sum(~each.told))
-            more = each.force_errors**2 * (changes[0] @ weight @ left)
-            after.append(each.pressed_by(more, bounds))
-        known = after
-        found = np.asarray(np.linalg.solve(information, told), dtype=np.float64)
+        told = [Evidence.of(prior, response, strength, each) for each in known]
+        information = precision + share * sum(each.information for each in told)
+        gradient = share * sum(each.gradient(found) for each in told)
+        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        known = [each.pressed_by(by.pull, bounds) for each, by in zip(known, told, strict=True)]
         strength = float(np.exp(found[0]))
-        output: Array = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
+        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
         response = own_response(prior, output, latent)
-    covariance = np.linalg.inv(information)[1:, 1:] * max(misfit / max(size, 1), 1.0)
+    misfit = sum(each.misfit(np.zeros(len(found))) for each in told)
+    size = sum(each.seen.told - int(np.sum(~each.told)) for each in known)
+    covariance = np.linalg.inv(information)[1:, 1:] * max(share * misfit / max(size, 1), 1.0)
     spread = strength * np.linalg.cholesky(covariance)
     return own_response(prior, output, np.tensordot(spread.T, latent, axes=1))
+
+
+def trusted_share(precision: Array, told: list[Evidence]) -> float:
+    """Share of the information of touches by which the others tell each of them best.
+
+    Args:
+        precision: of the unknowns before (n, n).
+        told: evidence about the response before.
+    """
+    nothing = np.zeros(len(precision))
+    information = [each.information for each in told]
+    gradients = [each.gradient(nothing) for each in told]
+    total, gradient = sum(information), sum(gradients)
+
+    def missed(share: float) -> float:
+        """Misfit of the touches, each by what all others tell."""
+        misfit = 0.0
+        for each, own, pull in zip(told, information, gradients, strict=True):
+            others = precision + share * (total - own)
+            step: Array = np.asarray(np.linalg.solve(others, share * (gradient - pull)), float)
+            misfit += each.misfit(step)
+        return misfit
+
+    return min(SHARES, key=missed)
