@@ -106,7 +106,7 @@ ALL = (
     Benchmark("signals", "physics", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
     Benchmark("instrument", "boards", 1, (), ()),
     Benchmark("reanalysis", "physics", 1, (), ()),
-    Benchmark("thickness", "physics", 3),
+    Benchmark("specimen_presses", "physics", 9),
     Benchmark("creep", "physics", 1, (), ()),
     Benchmark("cramer_rao", "physics", 3, OWN),
     Benchmark("bends", "physics", 8),
