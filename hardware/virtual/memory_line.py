@@ -37,12 +37,20 @@ class MemoryLine(Closeable):
         self._plugged = False
         self._outgoing = bytearray()
         self._due = self._back_at = 0.0  # s: of the next frame, and of the cable's return
+        self._measuring = 0.0  # s, for all frames so far
         self._lock = threading.Lock()
 
     def start(self) -> None:
         """Plug the cable in; the board boots."""
         self._outgoing[:] = self.firmware.boot()
         self.cable, self._plugged, self._due = self.cable + 1, True, 0.0
+
+    def now(self) -> float:
+        """Time [s] by the clock, without that which measuring takes.
+
+        However long a simulated frame takes, the stream of a board that measures it is not stale.
+        """
+        return self._clock() - self._measuring
 
     def connect(self, uri: str) -> "MemoryPort":
         """Port at the host's end; raises DeviceError while the cable is pulled or the port held."""
@@ -99,6 +107,7 @@ class MemoryLine(Closeable):
         left = self._due - self._clock()
         if left > 0.0:
             return min(left, _POLL)
+        began = self._clock()
         try:
             self._outgoing += self.firmware.frame()
         except Unplugged as pulled:
@@ -107,6 +116,8 @@ class MemoryLine(Closeable):
             self._back_at = self._clock() + (pulled.back_after or 0.0)
         else:
             self._due = self._clock() + self.firmware.delay
+        finally:
+            self._measuring += self._clock() - began
         return 0.0
 
 

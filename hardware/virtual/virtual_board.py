@@ -3,8 +3,9 @@
 The host speaks with it as with a real board's port, so both share the host's code.
 """
 
+import time
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -141,15 +142,22 @@ class VirtualBoard(SerialBoard):
 
     stage: Stage
 
-    def __init__(self, line: Line, uri: str = "virtual:") -> None:
+    def __init__(
+        self,
+        line: Line,
+        uri: str = "virtual:",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Start the board at the other end of `line` and connect to it.
+
+        The clock is that by which silence is measured [s].
 
         Raises DeviceError where the board does not answer as expected, because of its faults.
         """
         self._line, self.stage = line, line.firmware.stage
         line.start()
         try:
-            super().__init__(lambda: line.connect(uri), uri)
+            super().__init__(lambda: line.connect(uri), uri, clock)
         except BaseException:
             line.close()
             raise
@@ -170,7 +178,8 @@ def open_virtual(uri: str = "virtual:", *, speed: str = "real", **options: Any) 
     _require_speed(speed)
     if speed == "max" and options.get("link") is None:
         options.pop("link", None)
-        return VirtualBoard(MemoryLine(virtual_firmware(**options)), uri)
+        line = MemoryLine(virtual_firmware(**options))
+        return VirtualBoard(line, uri, line.now)
     return VirtualBoard(virtual_terminal(speed=speed, **options), uri)
 
 

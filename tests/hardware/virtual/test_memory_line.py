@@ -124,3 +124,18 @@ def test_delays_pass_by_the_clock_and_an_idle_line_makes_its_reader_wait():
         with pytest.raises(DeviceError, match="stale"):
             next(stream)
         assert clock.now - before == pytest.approx(3 * 0.2968, abs=0.051)
+
+
+def test_a_frame_that_takes_long_to_simulate_is_no_stale_stream():
+    clock = Clock()
+    slow = line(clock=clock)
+    measured = slow.firmware.frame
+
+    def frame():
+        clock.wait(60.0)
+        return measured()
+
+    slow.firmware.frame = frame
+    with VirtualBoard(slow, clock=slow.now) as board:
+        assert [each.number for each in take(board, 3)] == [0, 1, 2]
+    assert slow.now() < clock.now
