@@ -128,7 +128,7 @@ def _mean_change(dynamic: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What known touches of one frame tell of strength and latent variables, to first order.
+    """Evidence of known touches of one frame on strength and latent variables, to first order.
 
     Attributes:
         left: change that the response leaves of the measured one (K,).

@@ -63,8 +63,8 @@ def test_results_have_scores_errors_and_a_picture(tmp_path, monkeypatch):
 def test_the_best_layout_with_mirrors_is_the_one_that_the_search_found():
     best = compared(quick=False)[1]
     middles = {(round(1e3 * e.x, 6), round(1e3 * e.y, 6)) for e in best.design.electrodes}
-    long_sides = {(x, y) for x in (52.5, 97.5) for y in (0.0, 60.0)}
-    assert middles == long_sides | {(x, y) for x in (0.0, 150.0) for y in (15.0, 45.0)}
+    long_sides = {(x, y) for x in (26.25, 75.0, 123.75) for y in (0.0, 60.0)}
+    assert middles == long_sides | {(0.0, 30.0), (150.0, 30.0)}
 
 
 @pytest.fixture
