@@ -113,22 +113,20 @@ class CorrectionTable(StripTable):
     ) -> tuple[list[SmoothField], float]:
         """Differences to the strip near either end, and how much deeper a press sinks [m].
 
-        On a stack `thicker` times as thick as the solved one an end is felt where the distance from
-        it to the rim of the contact is in proportion.
+        On a `thicker` stack an end is as far from the rim of the contact as in proportion.
         """
         length, H = float(self.length), float(self.thickness)
         deep, across = weights_over_depth(self.depths, depth), self._across(y)
-        fields, sunk, rim = [], 0.0, float(self.along[0]) - _LEAST * H
-        for far in (False, True):
-            distance = length - x if far else x
+        fields, sunk, rim = [], 0.0, max(float(self.along[0]) - _LEAST * H, 0.0)
+        for distance, far in ((x, False), (length - x, True)):
             solved = rim + (distance - rim) / thicker
+            longer = distance / solved if solved else thicker
             if solved < self.along[-1]:
                 splines, ends, sunk_more = _along(self)
                 (first,), (near,), _ = splines.functions(np.array([solved]))
                 felt = slice(first, first + len(near))
                 weights = near[:, None, None] * (across[:, None, :, None] * deep)
-                box = self._box(0.0, _ENDS * H * distance / solved)
-                end = self._field(box, weights, ends[felt], 0.0)
+                end = self._field(self._box(0.0, longer * _ENDS * H), weights, ends[felt], 0.0)
                 fields.append(end.mirrored(0, 0.5 * length) if far else end)
                 sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
         return fields, sunk
@@ -342,10 +340,7 @@ def weights_over_depth(nodes: Array, depth: float) -> Array:
 
 
 def across_strip(nodes: Array, width: float, y: float) -> Array:
-    """Weights, at y, of positions solved up to the middle of a strip and of their mirror images.
-
-    (2, m), of the spline through all of them.
-    """
+    """Spline weights (2, m), at y, of positions solved up to the middle and of their images."""
     middle = nodes[-1] > 0.5 * width - SAME
     beyond = (width - nodes)[::-1][int(middle) :]
     both = spline_weights(np.concatenate([nodes, beyond]), y)
