@@ -7,10 +7,10 @@ from eitskin.simulator import Protocol
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
     RANDOM_POWERS,
-    SCALE,
     BendCurve,
     BendCurvePrior,
 )
+from eitskin.training.joint.bent_frames import SCALE
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse

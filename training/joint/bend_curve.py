@@ -10,20 +10,17 @@ calibration.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-if TYPE_CHECKING:
-    from eitskin.training.joint.angles.bent_frames import BentFrames
+from eitskin.training.joint.bent_frames import SCALE, BentFrames
 
 Array = NDArray[np.float64]
 
 MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
 RANDOM_POWERS = 5  # in a specimen's departure from the mean (random effects); 3 in version 0.1
-SCALE = 50.0  # deg, the unit of the angle in both polynomials
 EM_ITERATIONS = 15
 
 
@@ -189,7 +186,7 @@ class BendCurvePrior:
     angle_deg: tuple[float, float]
 
     @classmethod
-    def fit(cls, frames: "BentFrames") -> "BendCurvePrior":
+    def fit(cls, frames: BentFrames) -> "BendCurvePrior":
         """Learn from untouched frames.
 
         The mean is linear in the features and fitted by least squares; the covariance of the random
@@ -207,7 +204,7 @@ class BendCurvePrior:
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
-    def log_likelihood(self, frames: "BentFrames") -> Array:
+    def log_likelihood(self, frames: BentFrames) -> Array:
         """Log-likelihood of the frames of each curve, in the order of their numbers (S,).
 
         With w integrated out, by the matrix determinant lemma and Woodbury's identity.
@@ -220,7 +217,7 @@ class BendCurvePrior:
             logs.append(-0.5 * (misfit + told.width + width + told.frames * normal))
         return np.array(logs)
 
-    def expected(self, frames: "BentFrames") -> Array:
+    def expected(self, frames: BentFrames) -> Array:
         """Coefficients of each expected curve, in the order of their numbers.
 
         They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames.
@@ -232,7 +229,7 @@ class BendCurvePrior:
             curves[-1][: len(effects)] += effects
         return np.array(curves)
 
-    def _effects(self, frames: "BentFrames") -> Iterator["_Effects"]:
+    def _effects(self, frames: BentFrames) -> Iterator["_Effects"]:
         """Posterior of the random effects of each curve."""
         angle_deg, change = frames.angle_deg, frames.change
         precision, inverse = np.linalg.inv(frames.noise), np.linalg.inv(self.covariance)

@@ -10,11 +10,11 @@ from smooth_joint import smooth_method
 from eitskin.datasets import State
 from eitskin.training.joint.angles import training as angle_training
 from eitskin.training.joint.angles.bends import fit_bends
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import estimate_angle
 from eitskin.training.joint.angles.networks import NEAR_DEG, UNIT_DEG, AngleNetworks, blended
 from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import BentFrames
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.fit.objective import BEYOND_DEG
 from eitskin.training.joint.mirrored_frames import MirroredFrames

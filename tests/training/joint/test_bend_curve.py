@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
     RANDOM_POWERS,
-    SCALE,
     BendCurve,
     BendCurvePrior,
     mixture_curve,
 )
+from eitskin.training.joint.bent_frames import SCALE, BentFrames
 from eitskin.training.joint.combinations import Combinations
 
 CHANNELS = 6

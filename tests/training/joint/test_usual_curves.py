@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from eitskin.protocol import Protocol
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import AngleEstimate, mixed
 from eitskin.training.joint.angles.usual import usual_curves
-from eitskin.training.joint.bend_curve import RANDOM_POWERS, SCALE, BendCurvePrior
+from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
+from eitskin.training.joint.bent_frames import SCALE, BentFrames
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.fit.channel_faults import possible_faults
 from eitskin.training.joint.specimen_model import SpecimenModel

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import estimate_angle
 from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.angles.usual import usual_curves
 from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import BentFrames
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.joint.specimen_features import SpecimenFeatures

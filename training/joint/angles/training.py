@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
-from eitskin.training.joint.bend_curve import SCALE, BendCurvePrior
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import SCALE, BentFrames
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import (
     Samples,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import BentFrames
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import kernel
-from eitskin.training.joint.bend_curve import SCALE
+from eitskin.training.joint.bent_frames import SCALE
 from eitskin.training.joint.fit.objective import OPTIMISM, STILL_DEG
 from eitskin.training.joint.fit.quadratic_model import (
     FIRST_DAMPING,

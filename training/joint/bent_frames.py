@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.bend_curve import SCALE
 from eitskin.training.joint.combinations import Combinations
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+SCALE = 50.0  # deg, the unit of the angle in polynomials
 POWERS = 3  # of the angle, by which the curves of specimens are compared
 RIDGE = 1e-4
 
