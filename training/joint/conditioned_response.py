@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from eitskin.training.joint.combinations import CombinedChange, log_change
 from eitskin.training.joint.own_response import own_response
 from eitskin.training.joint.prior import TouchPrior
-from eitskin.training.joint.touch_response import SpecimenResponse
+from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, SpecimenResponse
 from eitskin.training.method.known_frames import KnownFrames
 
 Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
 
-STRENGTH_STD = 0.15  # of the specimens' log strength, as in training
 FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
 PLACE_ERROR = 0.0003  # m, of known places
 MOST_CHANGE = (-0.5, 1.0)  # of an unknown force in one round, relative
@@ -178,7 +177,7 @@ def conditioned_response(
 
     A touch of a sensor of strength e^s, with latent variables q, changes
 
-        y = e^s (g + L^T q) + errors,   s ~ N(0, STRENGTH_STD^2),   q ~ N(0, 1),
+        y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
 
     which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
     freedom where that is above one (Birge 1932): a response that explains the touches badly tells
@@ -192,7 +191,7 @@ def conditioned_response(
         bounds: of forces [N].
     """
     latent = prior.response.latent_output
-    precision = np.diag(np.append(STRENGTH_STD**-2, np.ones(len(latent))))
+    precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
     share = trusted_share(precision, [Evidence.of(prior, prior, 1.0, each) for each in known])
     found: Array = np.zeros(1 + len(latent))
     response, strength, output = prior, 1.0, prior.output

@@ -11,7 +11,7 @@ import torch  # noqa: TID253  see above
 from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.touch_response import InputRanges, TouchResponse
+from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, InputRanges, TouchResponse
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import seeded_network, train_network
 from eitskin.training.method.settings import NetworkSettings, Progress
@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 HIDDEN = 96
 LAYERS = 3
-LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
 LATENT = 8  # most latent variables q of a specimen
 SPECIMENS = 3  # to learn each of them from
 RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise

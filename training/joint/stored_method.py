@@ -20,11 +20,8 @@ from eitskin.training.method.learning_curve import LearningCurve
 
 Arrays = dict[str, NDArray[np.generic]]
 
-OWN = (
-    "calibrated_flat",
-    "own_output",
-    "own_latent",
-)  # arrays of the sensor that the method is adapted to
+# Arrays of the sensor that the method is adapted to.
+OWN = ("calibrated_flat", "own_output", "own_latent")
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are kept
 
 

@@ -8,6 +8,8 @@ from scipy.special import expit
 
 Array = NDArray[np.float64]
 
+LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputRanges:

@@ -271,8 +271,8 @@ def _mismatch(
 
     The strength of each frame and its q are fitted, because the fit estimates forces and allows for
     q. Independent errors of the measurements, relative to their changes, are to give combinations
-    of the errors that are found. The part of the errors that strength and q take up is left out:
-    counted in, it makes four touches 4 % worse.
+    of the errors that are found. The part of the errors that strength and q take up is left out,
+    since the fit allows for it already.
     """
     squares = size = 0.0
     total = np.sum(combinations.matrix**2, axis=0)
