@@ -16,12 +16,12 @@ import numpy as np
 from eitskin.benchmarks.accuracy import cases, deformed, peer
 from eitskin.benchmarks.accuracy.cases import ModelCase
 from eitskin.benchmarks.accuracy.truth import Truth, judge, model_frame
-from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import discretisation
+from eitskin.threads import one_thread
 
 # hp-FEM, converged to nine digits: pairs (0,1) .. (0,7), and the sum over all 28 [ohm].
 HP_FIRST = (530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.32498)
@@ -113,11 +113,10 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Accura
         quick: fewer models and a coarser reference, in seconds instead of minutes.
         watch: gives back the items that its text is about; shows progress where wanted.
     """
-    limit = require("threadpoolctl", "bench").threadpool_limits
     start = time.perf_counter()
     own = cases.QUICK if quick else cases.FULL
     peers = (cases.QUICK_PEERS if quick else cases.PEERS) if peer.is_installed() else ()
-    with limit(1):
+    with one_thread():
         references = cases.QUICK_REFERENCES if quick else cases.REFERENCES
         (truth,) = (Truth.compute(seed, pair) for pair in watch("reference", [references]))
         results = tuple(measure(case, truth) for case in watch("models", own))

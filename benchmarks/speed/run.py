@@ -35,7 +35,6 @@ from eitskin.compiled import kernels
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.scene_script import Script, Step
@@ -44,6 +43,7 @@ from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky
 from eitskin.simulator.scene.scene import Scene
+from eitskin.threads import one_thread
 
 Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
@@ -136,7 +136,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Speed:
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
         rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
     engine = rates[0]
-    with require("threadpoolctl", "bench").threadpool_limits(1):
+    with one_thread():
         (other,) = (solve(seed) for solve in watch("pyEIT", [pyeit]))
         least = floor()
         times = tuple(

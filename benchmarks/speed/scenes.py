@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.touch_sampling import draw_positions
-from eitskin.extras import require
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -30,6 +29,7 @@ from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
+from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
 
 def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
     """Time and processor time [s] of solving `count` scenes, after meshing and a first scene."""
-    with require("threadpoolctl", "bench").threadpool_limits(1):
+    with one_thread():
         some = scenes(workload, count, seed)
         _measured(workload, some[:1])
         start = time.perf_counter(), time.process_time()

@@ -18,8 +18,8 @@ from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.stability import bends, electrical, places, solids, stacks
 from eitskin.benchmarks.stability.case import Case, CaseResult, judge
 from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
-from eitskin.extras import require
 from eitskin.provenance import Provenance
+from eitskin.threads import one_thread
 
 Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
@@ -77,9 +77,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stabil
         seed, quick: as in `cases`.
         watch: gives back the items that its text is about; shows progress where wanted.
     """
-    limit = require("threadpoolctl", "bench").threadpool_limits
     start = time.perf_counter()
-    with limit(1):
+    with one_thread():
         rows = tuple(judge(case) for case in watch("cases", tuple(cases(seed, quick))))
     return Stability(Provenance.now(seed), time.perf_counter() - start, quick, rows)
 

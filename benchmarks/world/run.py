@@ -26,12 +26,12 @@ from eitskin.benchmarks.world.models import (
     depth,
 )
 from eitskin.benchmarks.world.reference import KINDS, ReferenceCase, cases
-from eitskin.extras import require
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.simulator import Simulator
+from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
@@ -132,7 +132,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> World:
     models = QUICK if quick else (KINEMATIC, TABULATED, SOLVED)
     errors: list[ModelError] = []
     left_out: list[str] = []
-    with require("threadpoolctl", "bench").threadpool_limits(1):
+    with one_thread():
         counts = counted()
         gauges: dict[SensorDesign, Gauge] = {}
         known: dict[tuple[Any, ...], dict[str, Modelled]] = {}

@@ -13,6 +13,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import package_versions, shard_name, write_shard
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
+from eitskin.threads import one_thread
 
 CONNECT_SECONDS = 10
 WORKERS_SECONDS = 60
@@ -106,9 +107,8 @@ def cluster_task(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str
             f"a dask worker has other packages, so its numbers would differ: expected {versions}, "
             f"got {found}; install the same on all machines"
         )
-    threads = require("threadpoolctl", "cluster")
     # More BLAS threads would compete for the cores, and sums would depend on their number.
-    with _one_at_a_time, threads.threadpool_limits(1):
+    with _one_at_a_time, one_thread():
         data = simulate_shard(recipe, shard)
         write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
     return shard

@@ -2,11 +2,9 @@
 
 import ctypes
 import multiprocessing
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from pathlib import Path
 
 from eitskin.datasets.generation.shard_simulation import simulate_shard
@@ -17,9 +15,9 @@ from eitskin.datasets.store.worker_processes import (
     interrupts_held_back,
     one_interrupt,
 )
+from eitskin.threads import one_thread_per_process
 
 _GRACE = 1.0  # for workers to end by themselves after Ctrl-C [s]; a scene may take minutes
-_THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def make_shards(
@@ -62,24 +60,6 @@ def make_shards(
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(lost)
-
-
-@contextmanager
-def one_thread_per_process() -> Iterator[None]:
-    """Limit processes started meanwhile to one BLAS thread each.
-
-    More threads would compete for the cores, and sums would depend on the number of threads.
-    """
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 # From here on: code that runs in a worker.

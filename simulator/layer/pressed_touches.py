@@ -28,7 +28,7 @@ from eitskin.simulator.presses.correction_store import (
 )
 from eitskin.simulator.presses.fields.edge_field import re_entrant_distance
 from eitskin.simulator.presses.fields.smooth_field import SmoothField
-from eitskin.simulator.presses.fields.spline_field import spline_sum
+from eitskin.simulator.presses.fields.spline_field import SplineField, spline_sum
 from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.solved_press import (
@@ -220,10 +220,10 @@ def _corrected(
 
 
 def _summed(fields: list[ColumnField], design: SensorDesign) -> list[ColumnField]:
-    """Fields of the same sum, the polynomials among them as one field of splines."""
-    smooth = [field for field in fields if isinstance(field, SmoothField)]
-    others = [field for field in fields if not isinstance(field, SmoothField)]
-    return [*others, spline_sum(smooth, _nodes(design))] if smooth else others
+    """Fields of the same sum, those in the sensor's own frame as one field of splines."""
+    own = [field for field in fields if isinstance(field, SmoothField | SplineField)]
+    others = [field for field in fields if not isinstance(field, SmoothField | SplineField)]
+    return [*others, spline_sum(own, _nodes(design))] if own else others
 
 
 def require_model(

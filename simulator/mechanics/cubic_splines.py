@@ -39,6 +39,13 @@ class CubicSplines:
         """Coefficients of the splines by the values at the nodes, (n, n)."""
         return np.asarray(make_interp_spline(self.nodes, np.eye(len(self.nodes)), k=_DEGREE).c)
 
+    def at(self, x: Array) -> Array:
+        """All splines at points (m,), those beyond the nodes moved to the next, (m, n)."""
+        first, near, _ = self.functions(np.clip(x, self.nodes[0], self.nodes[-1]))
+        found = np.zeros((len(x), len(self.nodes)))
+        np.put_along_axis(found, first[:, None] + _EACH, near, axis=1)
+        return found
+
     def functions(self, x: Array) -> tuple[Indices, Array, Array]:
         """Number of the first spline at points (m,), values and slopes of the four, (m, 4).
 

@@ -10,6 +10,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin.errors import ConfigurationError
+from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -117,6 +118,7 @@ class SparseLU:
 Factorise = Callable[[csc_array], Factorised]
 
 
+@one_thread()
 def newton(
     terms: Sequence[ForceTerm],
     x: Array,

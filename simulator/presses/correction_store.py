@@ -3,7 +3,8 @@
 import dataclasses
 import math
 import os
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Rigid, Substrate
+from eitskin.geometry.design.support import Rigid, Substrate, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
@@ -21,9 +22,7 @@ from eitskin.simulator.presses import table_files
 from eitskin.simulator.presses.correction_table import (
     CorrectionTable,
     Report,
-    StripTable,
     solve_corrections,
-    solve_strip,
 )
 from eitskin.simulator.presses.corrections import (
     AnyCorrections,
@@ -95,14 +94,11 @@ def missing(
 
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> tuple[str, ...]:
     """Names of all files that a single touch on a design needs."""
-    if _is_whole(design):
-        _, weights = _weighted(design, mechanics)
+    base, weights = _needed(design, mechanics)
+    if isinstance(design.outline, Disc):
         return tuple(_name(design, stack, mechanics, indenter) for stack in weights)
-    base, strips = _needed(design, mechanics)
-    return (
-        _name(design, base, mechanics, indenter),
-        *(_strip_name(design, strip, mechanics, indenter) for strip, _ in strips),
-    )
+    edges = tuple(_edge_name(stack, mechanics, indenter) for stack in weights)
+    return edges if _by_sides(design) else (_name(design, base, mechanics, indenter), *edges)
 
 
 @lru_cache(maxsize=64)
@@ -115,8 +111,9 @@ def _all_names(
         return names
     base, _ = _needed(design, mechanics)
     names += (_pair_name(base, mechanics, indenter),)
-    sides = () if _is_whole(design) else (_pair_sides_name(design, base, mechanics, indenter),)
-    return names + sides
+    if _has_table(design):
+        names += (_pair_sides_name(design, base, mechanics, indenter),)
+    return names
 
 
 def prepare(
@@ -131,21 +128,19 @@ def prepare(
 
     `report` is called with the numbers of solved positions and of all that take long.
     """
-    if _is_whole(design):
-        _, weights = _weighted(design, mechanics)
-        names = {stack: _name(design, stack, mechanics, indenter) for stack in weights}
-        stacks = [stack for stack in weights if found_file(names[stack]) is None]
-        for number, stack in enumerate(stacks):
-            own = in_series(report, number, len(stacks))
-            if _by_sides(design):
-                _edge(design, stack, mechanics, indenter, own)
-            else:
-                _disc(design, stack, mechanics, indenter, own)
-    else:
-        base, _ = _needed(design, mechanics)
-        if found_file(_name(design, base, mechanics, indenter)) is None:
-            _stored(design, base, mechanics, indenter, report)
-        corrections(design, mechanics, indenter)
+    base, weights = _needed(design, mechanics)
+    given = (mechanics, indenter)
+    tasks: list[Callable[[Report | None], object]] = []
+    if _has_table(design) and found_file(_name(design, base, *given)) is None:
+        tasks.append(partial(_table, design, base, *given))
+    for stack in weights:
+        if isinstance(design.outline, Disc):
+            if found_file(_name(design, stack, *given)) is None:
+                tasks.append(partial(_disc, design, stack, *given))
+        elif found_file(_edge_name(stack, *given)) is None:
+            tasks.append(partial(_edge, design.support, stack, *given))
+    for number, solve in enumerate(tasks):
+        solve(in_series(report, number, len(tasks)))
     if pairs:
         pair_corrections(design, mechanics, indenter)
 
@@ -154,20 +149,22 @@ def prepare(
 def corrections(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> AnyCorrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
     height, given = design.thickness, (mechanics, indenter)
-    if _is_whole(design):
-        base, weights = _weighted(design, mechanics)
-        if isinstance(design.outline, Disc):
-            discs = [(_disc(design, stack, *given), weights[stack]) for stack in weights]
-            return DiscCorrections(height, _disc(design, base, *given), tuple(discs))
-        own, thickness = _edge(design, base, *given), design.encapsulated_thickness
-        edges = [(_edge(design, stack, *given).resampled(own), weights[stack]) for stack in weights]
-        return SideCorrections(height, thickness, _straight(design), own, tuple(edges))
-    base, strips = _needed(design, mechanics)
-    return Corrections(
-        design.thickness,
-        _stored(design, base, mechanics, indenter),
-        tuple((_strip(design, strip, mechanics, indenter), weight) for strip, weight in strips),
-    )
+    base, weights = _needed(design, mechanics)
+    if isinstance(design.outline, Disc):
+        discs = [(_disc(design, stack, *given), weight) for stack, weight in weights.items()]
+        return DiscCorrections(height, _disc(design, base, *given), tuple(discs))
+    sides = None
+    if weights:
+        own = _edge(design.support, base, *given)
+        edges = [
+            (_edge(design.support, stack, *given).resampled(own), weight)
+            for stack, weight in weights.items()
+        ]
+        thickness = design.encapsulated_thickness
+        sides = SideCorrections(height, thickness, _straight(design), own, tuple(edges))
+    if sides is not None and _by_sides(design):
+        return sides
+    return Corrections(height, _table(design, base, *given), sides)
 
 
 @lru_cache(maxsize=64)
@@ -189,15 +186,15 @@ def pair_corrections(
         return solve_pair_sides(width, stack, around, indenter, _WORKERS)
 
     wide = kept(PairTable, _pair_name(stack, mechanics, indenter), solve)
-    if _is_whole(design):
+    if not _has_table(design):
         return PairCorrections(wide, None)
     name = _pair_sides_name(design, stack, mechanics, indenter)
     return PairCorrections(wide, kept(PairSides, name, solve_sides))
 
 
-def _is_whole(design: SensorDesign) -> bool:
-    """Whether corrections are interpolated between whole tables of stacks, not strips."""
-    return isinstance(design.outline, Disc) or _by_sides(design)
+def _has_table(design: SensorDesign) -> bool:
+    """Whether the outline is a rectangle whose presses have a table of their own."""
+    return isinstance(design.outline, Rectangle) and not _by_sides(design)
 
 
 def _by_sides(design: SensorDesign) -> bool:
@@ -208,28 +205,20 @@ def _by_sides(design: SensorDesign) -> bool:
     return isinstance(outline, Polygon)
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Strip:
-    """Strip of a solved stack, and whether its mesh is good for differences of two steps."""
-
-    stack: Stack
-    fine: bool
-
-
-def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tuple[_Strip, float]]]:
-    """Solved stack next to a design's, and strips of that stack and its neighbours with weights.
+def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, dict[Stack, float]]:
+    """Solved stack next to a design's, and weights of that stack and its neighbours.
 
     Thickness and moduli are varied one at a time, quadratically, about the solved stack (cut-HDMR,
     Rabitz and Alis 1999): the correction is that of the solved stack plus weighted differences of
-    neighbours to it, for which presses on a strip and a coarse mesh suffice. The neighbours are the
-    next on both sides, for moduli beyond those the two next on one side, the farther on a finer
-    mesh.
+    neighbours to it. The neighbours are the next on both sides, for moduli beyond those the two
+    next on one side. On a rectangle, which has a table of its own, differences beside straight
+    sides suffice: weights add up to 0 there, else to 1.
     """
     stack = mechanics.stack(design)
     exact = _positions(stack, design, mechanics)
     nearest = tuple(0 if abs(t) < _FAR else round(t) for t in exact)
     base = _solved(stack, design, mechanics, nearest)
-    weights: dict[_Strip, float] = {}
+    weights: dict[Stack, float] = {}
     for axis, position in enumerate(exact):
         t = position - nearest[axis]
         near = axis == 0 or abs(t) <= 1.0  # thickness comes first
@@ -237,20 +226,11 @@ def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tup
         for step, weight in lagrange_weights(t, beside):
             if step:
                 steps = tuple(n + step * (k == axis) for k, n in enumerate(nearest))
-                fine = abs(step) > 1
-                weights[_Strip(_solved(stack, design, mechanics, steps), fine)] = weight
-                own = _Strip(base, fine)
-                weights[own] = weights.get(own, 0.0) - weight
-    return base, list(weights.items())
-
-
-def _weighted(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, dict[Stack, float]]:
-    """Solved stack next to a design's, and weights of it and its neighbours, of sum 1."""
-    base, strips = _needed(design, mechanics)
-    weights = {base: 1.0}
-    for strip, weight in strips:
-        weights[strip.stack] = weights.get(strip.stack, 0.0) + weight
-    return base, weights
+                weights[_solved(stack, design, mechanics, steps)] = weight
+    total = 0.0 if _has_table(design) else 1.0
+    if not weights and not total:
+        return base, {}
+    return base, {base: total - sum(weights.values())} | weights
 
 
 def _positions(stack: Stack, design: SensorDesign, mechanics: Mechanics) -> tuple[float, ...]:
@@ -281,7 +261,7 @@ def _solved(
     return stack
 
 
-def _stored(
+def _table(
     design: SensorDesign,
     stack: Stack,
     mechanics: Mechanics,
@@ -310,28 +290,16 @@ def _disc(
 
 
 def _edge(
-    design: SensorDesign,
+    support: Support,
     stack: Stack,
     mechanics: Mechanics,
     indenter: Indenter,
     report: Report | None = None,
 ) -> EdgeTable:
     def solve() -> EdgeTable:
-        around = _around(stack, mechanics)
-        return solve_edge(stack, around, design.support, indenter, report, _WORKERS)
+        return solve_edge(stack, _around(stack, mechanics), support, indenter, report, _WORKERS)
 
-    return kept(EdgeTable, _name(design, stack, mechanics, indenter), solve)
-
-
-def _strip(
-    design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
-) -> StripTable:
-    def solve() -> StripTable:
-        outline, around = _outline(design, Rectangle), _around(strip.stack, mechanics)
-        support, fine = design.support, strip.fine
-        return solve_strip(outline, strip.stack, around, support, indenter, _WORKERS, fine)
-
-    return kept(StripTable, _strip_name(design, strip, mechanics, indenter), solve)
+    return kept(EdgeTable, _edge_name(stack, mechanics, indenter), solve)
 
 
 def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
@@ -358,8 +326,6 @@ def _outline(design: SensorDesign, kind: type[Shape]) -> Shape:
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
     """Name of the file of a table of corrections of single presses."""
     size: dict[str, object] = {"margin": mechanics.margin}
-    if _by_sides(design):
-        return file_name("edges", stack, mechanics, indenter, size)
     if isinstance(design.outline, Disc):
         size["radius"] = design.outline.radius
         return file_name("discs", stack, mechanics, indenter, size)
@@ -368,12 +334,9 @@ def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: In
     return file_name("corrections", stack, mechanics, indenter, size)
 
 
-def _strip_name(
-    design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
-) -> str:
-    """Name of the file of a table of presses on a strip."""
-    kind = "fine-strips" if strip.fine else "strips"
-    return file_name(kind, strip.stack, mechanics, indenter, _across(design, mechanics))
+def _edge_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
+    """Name of the file of a table of presses beside a straight side."""
+    return file_name("edges", stack, mechanics, indenter, {"margin": mechanics.margin})
 
 
 def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
@@ -385,8 +348,6 @@ def _pair_sides_name(
     design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
 ) -> str:
     """Name of the file of a table of what the sides of a strip add to pairs."""
-    return file_name("pair-sides", stack, mechanics, indenter, _across(design, mechanics))
-
-
-def _across(design: SensorDesign, mechanics: Mechanics) -> dict[str, object]:
-    return {"width": _outline(design, Rectangle).width, "margin": mechanics.margin}
+    width = _outline(design, Rectangle).width
+    across: dict[str, object] = {"width": width, "margin": mechanics.margin}
+    return file_name("pair-sides", stack, mechanics, indenter, across)

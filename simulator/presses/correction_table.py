@@ -30,31 +30,33 @@ _ENDS = 11.0  # length of the field at an end
 _SHORTEST = 8.0  # sensor with two ends that do not feel each other
 _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _LEAST = 0.08  # of the thickness: from the rim of the contact to the side of the stack
-_STRIP, _END = (28, 20, 4), (20, 16, 4)
+_STRIP, _END = (40, 32, 4), (20, 16, 4)
 _STRETCH = 2.5
 # Corrections vary most at the sides beside a press. Near an end the strip's mesh would cost five
 # times as much, and the difference to a strip of the same mesh needs less.
 _ON_STRIP, _AT_END = Fineness(ends=0.0, sides=0.1, layers=2), Fineness(sides=0.0, layers=1)
-_FINER = Fineness(sides=0.0, layers=2)  # the same for stacks that differ more
 _VANISHED = 2.0  # beyond the last distance from an end, over the thickness
 SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripTable:
-    """Corrections of presses of one indenter on a long strip, by distance from a side and depth.
+class CorrectionTable:
+    """Corrections of presses of one indenter on a rectangular sensor, by position and depth.
 
-    Fields move along with their presses. They hold the displacement [m] and the mean stress [Pa] of
-    the gel as polynomials (`SmoothField`).
+    On a long strip fields move along with their presses. Near an end comes the difference to the
+    strip, in coordinates fixed to the end. Fields hold the displacement [m] and the mean stress
+    [Pa] of the gel as polynomials (`SmoothField`).
 
     Attributes:
         thickness: of the whole stack, () [m].
-        width: of the gel, () [m].
-        height: of the gel, () [m].
+        length, width, height: of the gel, () [m].
         aside: distances of solved presses from a long side, (m,) [m].
         depths: of solved presses, rising from 0, (d,) [m].
         strip: coefficients, (m, d - 1, nx, ny, nz, 4).
         sunk: by which presses sink deeper than in an unbounded stack, (m, d - 1) [m].
+        along: distances of solved presses from an end, and one without difference, (l,) [m].
+        ends: coefficients, (l - 1, m, d - 1, nx, ny, nz, 4).
+        sunk_more: the difference to the strip near an end, (l - 1, m, d - 1) [m].
     """
 
     thickness: Array
@@ -64,18 +66,37 @@ class StripTable:
     depths: Array
     strip: Array
     sunk: Array
+    length: Array
+    along: Array
+    ends: Array
+    sunk_more: Array
 
-    def at(self, x: float, y: float, depth: float) -> tuple[SmoothField, float]:
-        """Correction of a press at (x, y) to a depth [m], and how much it sinks [m]."""
-        deep, across = weights_over_depth(self.depths, depth), self._across(y)
-        H = float(self.thickness)
+    def at(self, x: float, y: float, depth: float) -> tuple[list[SmoothField], float]:
+        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+
+        The field of the strip comes first.
+        """
+        length, H = float(self.length), float(self.thickness)
+        deep = weights_over_depth(self.depths, depth)
+        across = across_strip(self.aside, float(self.width), y)
         weights = across[:, :, None] * deep
         field = self._field(self._box(-_REACH * H, _REACH * H), weights, self.strip, _STRETCH)
-        return field.shifted(x), float(across.sum(axis=0) @ self.sunk @ deep)
+        fields, sunk = [field.shifted(x)], float(across.sum(axis=0) @ self.sunk @ deep)
+        for distance, far in ((x, False), (length - x, True)):
+            if distance < self.along[-1]:
+                splines, ends, sunk_more = _along(self)
+                (first,), (near,), _ = splines.functions(np.array([distance]))
+                felt = slice(first, first + len(near))
+                weights = near[:, None, None] * (across[:, None, :, None] * deep)
+                end = self._field(self._box(0.0, _ENDS * H), weights, ends[felt], 0.0)
+                fields.append(end.mirrored(0, 0.5 * length) if far else end)
+                sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
+        return fields, sunk
 
-    def _across(self, y: float) -> Array:
-        """Weights of the solved distances from either long side, (2, m)."""
-        return across_strip(self.aside, float(self.width), y)
+    def covers(self, x: float, y: float) -> bool:
+        """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
+        x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
+        return bool(x >= self.along[0] - SAME and y >= self.aside[0] - SAME)
 
     def _box(self, low: float, high: float) -> Box:
         return Box((low, 0.0, 0.0), (high, float(self.width), float(self.height)))
@@ -88,53 +109,6 @@ class StripTable:
         here, there = both.reshape(2, *shape)
         image = SmoothField(box, there, stretch).mirrored(1, 0.5 * float(self.width))
         return SmoothField(box, here + image.coefficients, stretch)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrectionTable(StripTable):
-    """Corrections of presses of one indenter on a rectangular sensor, by position and depth.
-
-    Near an end comes the difference to the strip, in coordinates fixed to the end.
-
-    Attributes:
-        length: of the gel, () [m].
-        along: distances of solved presses from an end, and one without difference, (l,) [m].
-        ends: coefficients, (l - 1, m, d - 1, nx, ny, nz, 4).
-        sunk_more: the difference to the strip near an end, (l - 1, m, d - 1) [m].
-    """
-
-    length: Array
-    along: Array
-    ends: Array
-    sunk_more: Array
-
-    def near_ends(
-        self, x: float, y: float, depth: float, thicker: float = 1.0
-    ) -> tuple[list[SmoothField], float]:
-        """Differences to the strip near either end, and how much deeper a press sinks [m].
-
-        On a `thicker` stack an end is as far from the rim of the contact as in proportion.
-        """
-        length, H = float(self.length), float(self.thickness)
-        deep, across = weights_over_depth(self.depths, depth), self._across(y)
-        fields, sunk, rim = [], 0.0, max(float(self.along[0]) - _LEAST * H, 0.0)
-        for distance, far in ((x, False), (length - x, True)):
-            solved = rim + (distance - rim) / thicker
-            longer = distance / solved if solved else thicker
-            if solved < self.along[-1]:
-                splines, ends, sunk_more = _along(self)
-                (first,), (near,), _ = splines.functions(np.array([solved]))
-                felt = slice(first, first + len(near))
-                weights = near[:, None, None] * (across[:, None, :, None] * deep)
-                end = self._field(self._box(0.0, longer * _ENDS * H), weights, ends[felt], 0.0)
-                fields.append(end.mirrored(0, 0.5 * length) if far else end)
-                sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
-        return fields, sunk
-
-    def covers(self, x: float, y: float) -> bool:
-        """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
-        x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
-        return bool(x >= self.along[0] - SAME and y >= self.aside[0] - SAME)
 
 
 @lru_cache(maxsize=16)
@@ -282,27 +256,6 @@ def solve_corrections(
         ends=np.array([f for f, _ in ends]).reshape(*grid, *ends[0][0].shape),
         sunk_more=np.array([sunk for _, sunk in ends]).reshape(*grid, -1),
     )
-
-
-def solve_strip(
-    outline: Rectangle,
-    stack: Stack,
-    mechanics: Mechanics,
-    support: Support,
-    indenter: Indenter,
-    workers: int = 1,
-    fine: bool = False,
-) -> StripTable:
-    """Solve presses on a strip on a coarse mesh, good for differences between stacks.
-
-    Between stacks of moduli that differ twofold only a `fine` mesh, of three times the time, leaves
-    less than 1 % of the signal. Other arguments and errors as for `solve_corrections`.
-    """
-    setting, aside = _setting(outline, stack, mechanics, support, indenter)
-    fineness = _FINER if fine else _AT_END
-    with processes(workers) as run:
-        strips = list(run(partial(setting.on_strip, fineness), aside.tolist()))
-    return StripTable(**setting.tabulated(aside, strips))
 
 
 def _setting(

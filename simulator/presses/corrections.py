@@ -3,56 +3,23 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Polygon, Rectangle
-from eitskin.simulator.presses.correction_table import SAME, CorrectionTable, StripTable
+from eitskin.simulator.presses.correction_table import SAME, CorrectionTable
 from eitskin.simulator.presses.disc_table import DiscTable
 from eitskin.simulator.presses.edge_table import EdgeTable
 from eitskin.simulator.presses.fields.edge_field import EdgeField, sides_of
-from eitskin.simulator.presses.fields.smooth_field import SmoothField, together
+from eitskin.simulator.presses.fields.smooth_field import SmoothField
 from eitskin.simulator.presses.fields.spline_field import SplineField
 from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.pair_sides import PairSides
 from eitskin.simulator.presses.pair_table import PairTable, Place
 
+Array = NDArray[np.float64]
+
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Corrections:
-    """Corrections of presses on one sensor: those of a solved stack, and how others differ.
-
-    Attributes:
-        height: of the gel [m].
-        base: table of the solved stack.
-        strips: tables of neighbouring stacks, with their weights, which add up to 0.
-    """
-
-    height: float
-    base: CorrectionTable
-    strips: tuple[tuple[StripTable, float], ...]
-
-    def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
-        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
-
-        Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
-        """
-        self.check_depth(depth)
-        _require_covered(x, y, self.base)
-        higher = self.height / float(self.base.height)
-        ends, sunk = self.base.near_ends(x, y, depth / higher, higher)
-        fields, sunk = [end.raised(higher) for end in ends], sunk * higher
-        for table, weight in ((self.base, 1.0), *self.strips):
-            higher = self.height / float(table.height)
-            field, more = table.at(x, y, depth / higher)
-            fields.append(field.scaled(weight).raised(higher))
-            sunk += weight * higher * more
-        return tuple(together(fields)), sunk
-
-    def check_depth(self, depth: float) -> None:
-        """Raise ConfigurationError for a depth [m] beyond the tables."""
-        _require_depth(depth, self.height, self.base)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +66,7 @@ class SideCorrections:
         thickness: of the whole stack [m].
         outline: of the gel.
         base: table of the solved stack nearest to the sensor's.
-        tables: of solved stacks with their weights, which add up to 1.
+        tables: of solved stacks with their weights, which add up to 1, or to 0 for a change.
     """
 
     height: float
@@ -117,23 +84,65 @@ class SideCorrections:
         least = float(self.base.aside[0])
         if float(self.outline.nearest(np.array([x, y]))[1]) < least - SAME:
             raise _uncovered(x, y, least)
-        fields, sunk = [], 0.0
-        for side in sides_of(self.outline, x, y, self.base.reach):
-            field, more = self._beside(side.aside, depth)
-            found = EdgeField.of(field, side, float(self.base.middle), self.thickness)
-            fields.append(found)
-            sunk += more * found.weight_at(x, y)
-        return tuple(fields), sunk
+        sides = list(sides_of(self.outline, x, y, self.base.reach))
+        corrections, sunk = self._beside([side.aside for side in sides], depth)
+        fields, total = [], 0.0
+        for side, coefficients, more in zip(sides, corrections, sunk.tolist(), strict=True):
+            field = SplineField(self.base.nodes, self.height, coefficients)
+            fields.append(EdgeField.of(field, side, float(self.base.middle), self.thickness))
+            total += more * fields[-1].weight_at(x, y)
+        return tuple(fields), total
 
-    def _beside(self, aside: float, depth: float) -> tuple[SplineField, float]:
-        """Correction at a distance from a side without ends, and how much a press sinks [m]."""
-        coefficients, sunk = np.zeros(self.base.fields.shape[2:]), 0.0
-        for table, weight in self.tables:
+    def _beside(self, aside: list[float], depth: float) -> tuple[Array, Array]:
+        """Coefficients at distances from sides without ends, and how much a press sinks [m]."""
+        corrections, sunk = (
+            np.zeros((len(aside), *self.base.fields.shape[2:])),
+            np.zeros(len(aside)),
+        )
+        for table, weight in self.tables if aside else ():
             higher = self.height / float(table.height)
-            field, more = table.at(aside, depth / higher)
-            coefficients += field.raised(higher).scaled(weight).coefficients
+            found, more = table.at(aside, depth / higher)
+            corrections += found * (weight * np.array([1.0, 1.0, higher, 1.0], found.dtype))
             sunk += weight * higher * more
-        return SplineField((self.base.along, self.base.inward), self.height, coefficients), sunk
+        return corrections, sunk
+
+    def check_depth(self, depth: float) -> None:
+        """Raise ConfigurationError for a depth [m] beyond the tables."""
+        _require_depth(depth, self.height, self.base)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrections:
+    """Corrections of presses on one rectangle: those of a solved stack, and how others differ.
+
+    Attributes:
+        height: of the gel [m].
+        base: table of the solved stack.
+        change: by other heights and moduli than the solved stack's, beside each side; its weights
+            add up to 0. None for the solved stack.
+    """
+
+    height: float
+    base: CorrectionTable
+    change: SideCorrections | None = None
+
+    def at(
+        self, x: float, y: float, depth: float
+    ) -> tuple[tuple[SmoothField | SplineField, ...], float]:
+        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+
+        Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
+        """
+        self.check_depth(depth)
+        _require_covered(x, y, self.base)
+        higher = self.height / float(self.base.height)
+        solved, sunk = self.base.at(x, y, depth / higher)
+        fields, sunk = [field.raised(higher) for field in solved], higher * sunk
+        if self.change is None:
+            return tuple(fields), sunk
+        # A right corner throws back all of a side's field, which thus is that of the whole line.
+        beside, more = self.change.at(x, y, depth)
+        return (*fields, *(field.turned.straightened() for field in beside)), sunk + more
 
     def check_depth(self, depth: float) -> None:
         """Raise ConfigurationError for a depth [m] beyond the tables."""

@@ -1,7 +1,7 @@
 """Table of corrections of a press beside a straight side of a large stack."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +31,14 @@ Array = NDArray[np.float64]
 # Lengths over the thickness of the stack.
 _ASIDE = (0.0, 0.2, 0.45, 0.8, 1.25, 1.8, 2.5, 3.4, 4.6)  # from the side, beyond the least
 _VANISHED = 1.9  # beyond the last distance
-_REACH, _DEEP = 8.0, 9.0  # of the field along the side from the press, and from the side
+_REACH, _DEEP = 6.5, 7.5  # of the field along the side from the press, and from the side
 _FADE, _FREE = 2.0, 1.0  # length over which it is faded out, and of the mesh beyond
-_FINENESS = Fineness(ends=0.0, sides=0.2, layers=1)
-# Cells of the splines: even ones about the press and beside the side, and wider ones beyond.
-_EVEN, _CELL, _WIDE, _DEGREE = 2.5, 0.2, 0.5, 2
-_BESIDE = 0.02  # of the field beyond the side, so that points on it are within
+_FINENESS = Fineness(ends=0.0, sides=0.1, layers=2, growth=1.0)
+# Cells of the splines: even ones about the press, and wider ones beyond.
+_EVEN, _CELL, _WIDE, _DEGREE = 2.5, 0.2, 0.5, 3
+# Nodes beside the side, where stress is singular and electrodes lie. The first is beyond it, so
+# that points on it are within.
+_BESIDE = (-0.02, 0.0, 0.04, 0.09, 0.15, 0.22, 0.31, 0.44)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,15 +75,23 @@ class EdgeTable:
         """Distance of a press from a side from which nothing is corrected [m]."""
         return float(self.aside[-1])
 
-    def at(self, aside: float, depth: float) -> tuple[SplineField, float]:
-        """Correction of a press at a distance from the side to a depth [m], and its sinking [m]."""
-        beside = spline_weights(self.aside, max(aside, float(self.aside[0])))[:-1]
+    @property
+    def nodes(self) -> tuple[Array, Array]:
+        """Nodes of the splines along and across the side [m]."""
+        return self.along, self.inward
+
+    def at(self, aside: Sequence[float], depth: float) -> tuple[Array, Array]:
+        """Corrections of a press to a depth [m] beside sides at distances (n,) [m].
+
+        Returns coefficients of the fields (n, nx, ny, nz, 4) and sinkings (n,) [m].
+        """
+        least = float(self.aside[0])
+        beside = np.array([spline_weights(self.aside, max(each, least))[:-1] for each in aside])
         deep = weights_over_depth(self.depths, depth)
         shape = self.fields.shape[2:]
-        amounts = np.outer(beside, deep).ravel().astype(self.fields.dtype)
-        field = (amounts @ self.fields.reshape(-1, math.prod(shape))).reshape(shape)
-        nodes = (self.along, self.inward)
-        return SplineField(nodes, float(self.height), field), float(beside @ self.sunk @ deep)
+        amounts = (beside[:, :, None] * deep).reshape(len(beside), -1).astype(self.fields.dtype)
+        fields = amounts @ self.fields.reshape(-1, math.prod(shape))
+        return fields.reshape(len(beside), *shape), beside @ self.sunk @ deep
 
     def resampled(self, other: "EdgeTable") -> "EdgeTable":
         """The same table with splines on the nodes of another."""
@@ -90,7 +100,7 @@ class EdgeTable:
             return self
         lengths = self.along, self.inward + float(self.middle - other.middle)
         along, inward = (
-            CubicSplines(new).fit @ _values(CubicSplines(own), new)
+            CubicSplines(new).fit @ CubicSplines(own).at(new)
             for own, new in zip(lengths, nodes, strict=True)
         )
         fields = np.einsum("ai,bj,mdijlk->mdablk", along, inward, self.fields, optimize=True)
@@ -158,14 +168,15 @@ class _Setting:
     @property
     def middle(self) -> float:
         """Distance of the middle of the fields from the side [m]."""
-        return 0.5 * (_DEEP - _BESIDE) * self.stack.levels[-1]
+        return 0.5 * (_DEEP + _BESIDE[0]) * self.stack.levels[-1]
 
     @property
     def nodes(self) -> tuple[Array, Array]:
         """Nodes of the splines along and across the side [m]."""
         H = self.stack.levels[-1]
         half = _cells(_REACH)
-        inward = np.append(-_BESIDE, _cells(_DEEP))
+        cells = _cells(_DEEP)
+        inward = np.append(_BESIDE, cells[cells > _BESIDE[-1] + 0.5 * _CELL])
         return H * np.append(-half[:0:-1], half), H * inward - self.middle
 
     def solved(self, aside: float) -> tuple[Array, Array]:
@@ -190,14 +201,6 @@ def _cells(end: float) -> Array:
     even = np.arange(0.0, _EVEN + 0.5 * _CELL, _CELL)
     wide = math.ceil((end - even[-1]) / _WIDE)
     return np.append(even, np.linspace(even[-1], end, wide + 1)[1:])
-
-
-def _values(splines: CubicSplines, points: Array) -> Array:
-    """Splines at points of their range, (points, splines)."""
-    first, near, _ = splines.functions(np.clip(points, splines.nodes[0], splines.nodes[-1]))
-    found = np.zeros((len(points), len(splines.nodes)))
-    np.put_along_axis(found, first[:, None] + np.arange(near.shape[1]), near, axis=1)
-    return found
 
 
 def _faded(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import PartialError
+from eitskin.threads import one_thread_per_process
 
 
 @contextmanager
@@ -21,7 +22,10 @@ def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
         return
     context = multiprocessing.get_context("spawn")
     try:
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        with (
+            one_thread_per_process(),
+            ProcessPoolExecutor(workers, mp_context=context) as pool,
+        ):
             yield pool.map
     except BrokenProcessPool as error:
         raise PartialError(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.presses.correction_table import CorrectionTable, StripTable
+from eitskin.simulator.presses.correction_table import CorrectionTable
 from eitskin.simulator.presses.disc_table import DiscTable
 from eitskin.simulator.presses.edge_table import EdgeTable
 from eitskin.simulator.presses.pair_sides import PairSides
@@ -23,20 +23,18 @@ Array = NDArray[np.float64]
 
 # Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
 _VERSIONS = {
-    "corrections": 2,
-    "strips": 2,
-    "fine-strips": 2,
+    "corrections": 3,
     "pairs": 4,
     "pair-sides": 1,
     "discs": 1,
-    "edges": 1,
+    "edges": 2,
 }
 _KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 _PARTS = ("_scales", "_amplitudes", "_modes", "_shape")
 
-AnyTable = StripTable | PairTable | PairSides | DiscTable | EdgeTable
-Table = TypeVar("Table", CorrectionTable, StripTable, PairTable, PairSides, DiscTable, EdgeTable)
+AnyTable = CorrectionTable | PairTable | PairSides | DiscTable | EdgeTable
+Table = TypeVar("Table", CorrectionTable, PairTable, PairSides, DiscTable, EdgeTable)
 
 
 def is_shipped(name: str) -> bool:

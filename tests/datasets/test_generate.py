@@ -11,7 +11,6 @@ import time
 import numpy as np
 import pytest
 from slow_writers import slow_but_first
-from threadpoolctl import threadpool_limits
 
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset
@@ -27,6 +26,7 @@ from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
+from eitskin.threads import one_thread
 
 from killed_writers import killed_in_pool, was_killed
 from shards_here import contents, in_this_process, made_here
@@ -47,7 +47,7 @@ RECIPE = Recipe(
 @pytest.fixture(autouse=True, scope="module")
 def one_blas_thread():
     """As in the workers; two threads on busy cores take twenty times as long for small blocks."""
-    with threadpool_limits(1):
+    with one_thread():
         yield
 
 
@@ -237,15 +237,6 @@ def test_occupied_folders_are_refused(whole, tmp_path):
         generate(RECIPE, tmp_path, resume=True)
     with pytest.raises(ConfigurationError, match=r"workers.*at least 1"):
         generate(RECIPE, tmp_path / "new", workers=0)
-
-
-def test_environment_is_as_before(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with processes.one_thread_per_process():
-        assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
-    assert os.environ["OMP_NUM_THREADS"] == "7"
-    assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
 def test_equal_scenes_are_solved_once(monkeypatch):

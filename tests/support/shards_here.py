@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from threadpoolctl import threadpool_limits
 
 from eitskin.datasets import Recipe, generate, write_shard
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.store.shard import shard_name
+from eitskin.threads import one_thread
 
 _one_at_a_time = threading.Lock()  # simulators are shared
 
@@ -24,7 +24,7 @@ def make_shards(
 ) -> list[int]:
     """As that of `processes`, without the second that each worker takes to load."""
     for shard in shards:
-        with _one_at_a_time, threadpool_limits(1):  # as in workers, on whose sums bytes depend
+        with _one_at_a_time, one_thread():  # as in workers, on whose sums bytes depend
             data = simulate_shard(recipe, shard)
         write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
         report(shard)

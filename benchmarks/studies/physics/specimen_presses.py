@@ -20,7 +20,7 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
 
-THICKER, STIFFER = (0.95, 1.05), (0.7, 0.9, 1.1, 1.4)
+THICKER, STIFFER = (0.95, 1.05), (0.5, 0.7, 0.9, 1.1, 1.4, 2.0)
 FORCES = (5.0, 10.0)
 HEADINGS = (
     "specimen",

@@ -29,7 +29,7 @@ def command(
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
-    require_all(training="torch safetensors", bench="threadpoolctl matplotlib")
+    require_all(training="torch safetensors", bench="matplotlib")
     make_folder(out)
     found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]

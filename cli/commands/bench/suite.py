@@ -56,7 +56,7 @@ def run_all(
     output = Output(as_json, quiet, verbose)
     chosen = _chosen(only, long or quick)
     if only is None:
-        require_all(training=TRAINING, hardware="serial cobs", bench="threadpoolctl matplotlib")
+        require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")
     make_folder(out)
     done = []
     with ended_by_signals():  # or the benchmark that runs would go on without this one

@@ -30,7 +30,7 @@ def command(
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(json, quiet, verbose)
-    require_all(bench="threadpoolctl matplotlib")
+    require_all(bench="matplotlib")
     make_folder(out)
     found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]

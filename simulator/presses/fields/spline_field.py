@@ -138,25 +138,31 @@ class SplineField:
         return values, rates
 
 
-def spline_sum(fields: Iterable[SmoothField], nodes: tuple[Array, Array]) -> SplineField:
-    """Sum of polynomial fields whose boxes have the same sides along y and z, as splines.
+def spline_sum(
+    fields: Iterable[SmoothField | SplineField], nodes: tuple[Array, Array]
+) -> SplineField:
+    """Sum of fields over the same height, as splines on common nodes.
 
-    One evaluation serves all fields, at points that need not lie on a grid.
+    One evaluation serves all fields, at points that need not lie on a grid. Boxes of polynomials
+    have the same sides along y.
 
     Args:
         fields: one or more.
         nodes: of the splines along x and along y, (nx,) and (ny,) [m].
     """
-    along, across = (cubic_splines(tuple(each.tolist())).fit for each in nodes)
     fields = list(fields)
-    ny, nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (1, 2, 3))
-    lines = np.zeros((len(nodes[0]), ny, nz, k))
+    x, y = nodes
+    nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (2, 3))
+    values = np.zeros((len(x), nz, k, len(y)))
     for field in fields:
-        nx, *shape = field.coefficients.shape
-        values = field.basis(0, nodes[0]).values @ field.coefficients.reshape(nx, -1)
-        lines[:, : shape[0], : shape[1]] += values.reshape(-1, *shape)
-    widest = max(fields, key=lambda field: field.coefficients.shape[1])
-    fitted = (along @ lines.reshape(len(lines), -1)).reshape(len(along), ny, -1)
-    coefficients = (across @ widest.basis(1, nodes[1]).values) @ fitted
-    height = fields[0].box.high[2]
-    return SplineField(nodes, height, coefficients.reshape(len(along), len(across), nz, k))
+        nx, ny, height, _ = field.coefficients.shape
+        if isinstance(field, SmoothField):
+            along, across = (field.basis(axis, at).values for axis, at in enumerate(nodes))
+        else:
+            along, across = (axis.at(at) for axis, at in zip(field.splines, nodes, strict=True))
+        lines = (along @ field.coefficients.reshape(nx, -1)).reshape(len(x), ny, height, k)
+        values[:, :height] += np.tensordot(lines, across, (1, 1))
+    along, across = (cubic_splines(tuple(each.tolist())).fit for each in nodes)
+    fitted = (along @ values.reshape(len(x), -1)).reshape(values.shape) @ across.T
+    coefficients = np.ascontiguousarray(np.moveaxis(fitted, -1, 1))
+    return SplineField(nodes, max(field.box.high[2] for field in fields), coefficients)

@@ -26,6 +26,28 @@ class TurnedField:
     cos: float
     sin: float
 
+    def straightened(self) -> SplineField:
+        """The field in the sensor's own frame, where the frame is turned by a right angle or none.
+
+        Such frames are turned exactly: splines on mirrored nodes are the mirrored splines.
+        """
+        c, s = round(self.cos), round(self.sin)
+        along, across = self.field.nodes
+        coefficients = self.field.coefficients.copy()
+        u, v = coefficients[..., 0].copy(), coefficients[..., 1].copy()
+        coefficients[..., 0], coefficients[..., 1] = c * u - s * v, s * u + c * v
+        if s:
+            coefficients = coefficients.swapaxes(0, 1)
+            along, across = across, along
+        for axis, way in enumerate((c - s, c + s)):
+            if way < 0:
+                coefficients = np.flip(coefficients, axis)
+        x, y = (
+            at + (nodes if way > 0 else -nodes[::-1])
+            for at, way, nodes in ((self.x, c - s, along), (self.y, c + s, across))
+        )
+        return SplineField((x, y), self.field.height, np.ascontiguousarray(coefficients))
+
     def values(self, columns: Array) -> Array:
         """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3) [m]."""
         found = self.field.values(self._within(columns))

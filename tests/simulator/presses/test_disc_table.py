@@ -171,7 +171,7 @@ def test_discs_on_supports_that_are_alike_everywhere_are_tabulated() -> None:
 def test_specimens_share_tables_and_differ_in_their_weights() -> None:
     thicker = dataclasses.replace(DESIGN, thickness=0.0052, encapsulated_thickness=0.01248)
     softer = Mechanics(solved_thickness=HEIGHT, encapsulation=NeoHookean(26e3))
-    base, weights = store._weighted(thicker, softer)
+    base, weights = store._needed(thicker, softer)
     assert sum(weights.values()) == pytest.approx(1.0)
     assert len(weights) == 5
     assert base in weights

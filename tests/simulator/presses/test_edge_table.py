@@ -18,6 +18,7 @@ from eitskin.simulator.presses import edge_table
 from eitskin.simulator.presses.corrections import SideCorrections
 from eitskin.simulator.presses.edge_table import EdgeTable, solve_edge
 from eitskin.simulator.presses.fields.edge_field import re_entrant_distance, sides_of
+from eitskin.simulator.presses.fields.spline_field import SplineField
 
 HEIGHT, THICKNESS, DEPTH = 0.005, 0.012, 0.002
 MECHANICS, PUNCH = Mechanics(), Cylinder()
@@ -117,14 +118,12 @@ def test_sides_are_seen_within_reach_and_from_the_front() -> None:
 def test_a_solved_press_is_the_solved_one_and_far_from_the_side_there_is_none(table) -> None:
     for k in (0, 4, 8):
         for j, depth in enumerate(table.depths[1:]):
-            field, sunk = table.at(float(table.aside[k]), float(depth))
+            (field,), (sunk,) = table.at([float(table.aside[k])], float(depth))
             expected = table.fields[k, j]
-            assert field.coefficients == pytest.approx(
-                expected, abs=1e-5 * float(np.abs(expected).max())
-            )
+            assert field == pytest.approx(expected, abs=1e-5 * float(np.abs(expected).max()))
             assert sunk == pytest.approx(table.sunk[k, j])
-    field, sunk = table.at(table.reach, DEPTH)
-    assert np.abs(field.coefficients).max() < 1e-12
+    (field,), (sunk,) = table.at([table.reach], DEPTH)
+    assert np.abs(field).max() < 1e-12
     assert sunk == pytest.approx(0.0, abs=1e-12)
 
 
@@ -136,7 +135,8 @@ def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
     )
     points = np.random.default_rng(1).uniform((-0.05, -0.05, 0), (0.05, 0.02, HEIGHT), (50, 3))
     expected, found = (
-        each.at(0.02, DEPTH)[0].values(points[:, None]) for each in (table, table.resampled(finer))
+        SplineField(each.nodes, HEIGHT, each.at([0.02], DEPTH)[0][0]).values(points[:, None])
+        for each in (table, table.resampled(finer))
     )
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
@@ -189,7 +189,8 @@ def test_presses_are_solved_at_rising_distances_from_the_side(monkeypatch) -> No
     assert seen == sorted(seen)
     assert found.aside[:-1] == pytest.approx(seen)
     assert reports[-1] == (len(seen), len(seen))
-    field, sunk = found.at(seen[2], 1e-3)
+    (coefficients,), (sunk,) = found.at([seen[2]], 1e-3)
+    field = SplineField(found.nodes, float(found.height), coefficients)
     at = np.array([[[0.004, 0.01 - float(found.middle), 0.002]]])
     bell = math.exp(-((0.004 / 0.05) ** 2) - (0.01 / 0.05) ** 2)
     assert field.values(at).ravel() == pytest.approx(1e-3 * bell * np.ones(4), rel=1e-3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines
-from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.spline_field import SplineField, spline_sum
 from eitskin.simulator.presses.fields.turned_field import TurnedField
 
 HEIGHT = 0.004
@@ -53,6 +53,25 @@ def test_points_beyond_the_box_have_the_values_of_its_faces() -> None:
     at = np.array([[[0.05, 0.001, 0.002]], [[0.002, -0.09, 0.001]], [[0.0, 0.0, 0.006]]])
     nearest = np.clip(at, field.box.low, field.box.high)
     assert field.values(at) == pytest.approx(field.values(nearest))
+
+
+@pytest.mark.parametrize(("cos", "sin"), [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+def test_a_field_turned_by_right_angles_is_one_in_the_frame_of_the_sensor(cos, sin) -> None:
+    turned = TurnedField(SplineField.of(cubic, NODES, HEIGHT, 2), 0.05, 0.02, cos, sin)
+    at = columns(60, -0.01, 0.01) + np.array([0.05, 0.02, 0.0])
+    assert turned.straightened().values(at) == pytest.approx(turned.values(at), abs=1e-9)
+
+
+def test_sums_of_splines_take_the_values_of_all_fields_at_the_nodes() -> None:
+    rng = np.random.default_rng(3)
+    one, other = (
+        SplineField(NODES, HEIGHT, rng.normal(size=(6, 5, degree, 4))) for degree in (2, 3)
+    )
+    moved = TurnedField(other, 0.004, 0.002, 0.0, 1.0).straightened()
+    nodes = np.linspace(-0.012, 0.012, 7), np.linspace(-0.008, 0.008, 9)
+    at = np.stack(np.meshgrid(*nodes, [0.001, 0.003], indexing="ij"), axis=-1).reshape(-1, 2, 3)
+    expected = one.values(at) + moved.values(at)
+    assert spline_sum([one, moved], nodes).values(at) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_turned_field_turns_displacements_and_slopes() -> None:
