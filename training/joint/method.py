@@ -11,6 +11,7 @@ from eitskin.compiled import kernels
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,
     calibration_of,
@@ -136,6 +137,7 @@ class JointMethod(Method):
         object.__setattr__(self, "_rows", rows)
 
     @classmethod
+    @one_thread()  # sums, and so the bytes of a pipeline, depend on their number
     def fit(
         cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress
     ) -> "JointMethod":
