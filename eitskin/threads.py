@@ -10,6 +10,8 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
+from eitskin.extras import require
+
 _LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -18,6 +20,18 @@ def one_thread() -> Iterator[None]:
     """Limit linear algebra in this process to one thread; serves as a decorator too."""
     with _controller().limit(limits=1):
         yield
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Limit torch in this process to one thread, on which small networks are faster too."""
+    torch = require("torch", "training")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @lru_cache(maxsize=1)

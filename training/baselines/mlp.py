@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.threads import one_torch_thread
 from eitskin.training.baselines.table import Array, TableMethod
 from eitskin.training.method.settings import NetworkSettings, Progress
 
@@ -54,7 +55,6 @@ class MlpMethod(TableMethod):
         from torch.nn import Linear, ReLU, Sequential
 
         from eitskin.training.method.network_training import seeded_network, train_network
-        from eitskin.training.paper.networks import single_thread
 
         widths = [features.shape[1], *[options.width] * options.layers]
         pairs = list(itertools.pairwise(widths))
@@ -65,7 +65,7 @@ class MlpMethod(TableMethod):
 
         network = seeded_network(layers, seed)
         inputs, wanted = (torch.as_tensor(a, dtype=torch.float32) for a in (features, truth))
-        with single_thread():  # networks this small are slower on several
+        with one_torch_thread():  # networks this small are slower on several
             train_network(
                 network,
                 lambda chosen, _: (inputs[chosen], wanted[chosen]),

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
-from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
+from eitskin.threads import one_torch_thread
 from eitskin.training.joint.angles.bends import fit_bends
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import (
@@ -48,6 +48,7 @@ HOLD_OUT = 8  # every how many-th specimen is held out, to tell how far errors a
 CHECKED = 500  # frames of these, by which standard errors of places are scaled
 
 
+@one_torch_thread()
 def fit_joint(
     make: Callable[..., Made],
     dataset: Dataset,
@@ -65,8 +66,6 @@ def fit_joint(
     touches have a strength instead (`_with_strengths`). Raises DataError where it holds too few
     touches of known position, untouched frames at known angles, or idle frames.
     """
-    require("torch", "training")
-
     forces = bool(np.isfinite(dataset.touch_force).any())
     data = _usable(dataset)
     if not is_touched(data).any():

@@ -4,8 +4,7 @@ Imports torch at its top. The stages import this module inside the functions tha
 torch stays optional; `training/paper/layers.py` evaluates trained networks without it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch  # noqa: TID253  see above
@@ -134,17 +133,3 @@ def mirrored(batch: Batch, flips: Sequence[tuple[bool, bool]]) -> Batch:
 def weights_of(network: nn.Module) -> dict[str, NDArray[np.generic]]:
     """All weights and batch statistics, by name."""
     return {name: tensor.numpy().copy() for name, tensor in network.state_dict().items()}
-
-
-@contextmanager
-def single_thread() -> Iterator[None]:
-    """Context with one torch thread; the former number is restored."""
-    before = torch.get_num_threads()
-    if before == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -8,6 +8,7 @@ from known_frames import known_frames
 from smooth_joint import smooth_method
 
 from eitskin.datasets import State
+from eitskin.threads import one_torch_thread
 from eitskin.training.joint.angles import training as angle_training
 from eitskin.training.joint.angles.bends import fit_bends
 from eitskin.training.joint.angles.estimate import estimate_angle
@@ -19,7 +20,6 @@ from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.fit.objective import BEYOND_DEG
 from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
-from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import FLAT
 
@@ -58,7 +58,7 @@ def of_curves(data):
 
 
 def fitted(data, progress=silent, mixed=angle_training.MIXED):
-    with single_thread(), pytest.MonkeyPatch.context() as patch:
+    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (32, 32))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
         patch.setattr(angle_training, "MIXED", mixed)
@@ -244,7 +244,7 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
         np.zeros(len(change), np.int64),
     )
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
-    with single_thread(), pytest.MonkeyPatch.context() as patch:
+    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (24, 24))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))
         learned = fit_bends(data, _no_features(), COMBINATIONS, settings, 0, silent)

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from eitskin.threads import one_torch_thread
 from eitskin.training.joint import proposal_training as proposal_network
 from eitskin.training.joint.prior import MOST_TOUCHES
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
-from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import MEASUREMENTS, TOUCH_PRIOR, curves, response
 
@@ -23,7 +23,7 @@ MODEL = SyntheticFrames(
 def trained():
     """Smaller network trained for seconds, its learning curve and reported progress."""
     said = []
-    with single_thread(), pytest.MonkeyPatch.context() as patch:
+    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(proposal_network, "HIDDEN", (128, 128))
         settings = NetworkSettings(1e-2, epochs=5, batch=96)
         proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))

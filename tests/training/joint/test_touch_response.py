@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from eitskin.threads import one_torch_thread
 from eitskin.training.joint import response_training as response_network
 from eitskin.training.joint.response_training import (
     ResponseNetwork,
@@ -16,7 +17,6 @@ from eitskin.training.joint.response_training import (
 )
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.settings import NetworkSettings, silent
-from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import RANGES, TOUCH_PRIOR, response, touch_change
 
@@ -147,7 +147,7 @@ def frames(count, seed):
 @pytest.fixture(scope="module")
 def trained():
     """Smaller network trained for seconds, accurate to a tenth of the change."""
-    with single_thread(), pytest.MonkeyPatch.context() as patch:
+    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(response_network, "HIDDEN", 48)
         patch.setattr(response_network, "LAYERS", 2)
         settings = NetworkSettings(1e-2, epochs=50, batch=32)

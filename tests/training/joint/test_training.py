@@ -10,6 +10,7 @@ from known_frames import known_frames
 from eitskin.datasets import Dataset, State
 from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
+from eitskin.threads import one_torch_thread
 from eitskin.training.joint import (
     proposal_training as proposal_network,
 )
@@ -27,7 +28,6 @@ from eitskin.training.method.observations import Observations
 from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
 from eitskin.training.method.targets import Targets
 from eitskin.training.method.training_frames import TrainingFrames
-from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import (
     FLAT,
@@ -84,7 +84,7 @@ def dataset(count=900, specimens=24, seed=0):
 @contextmanager
 def small_networks(steps=40):
     """Context with smaller networks, and fewer steps of the proposals in an epoch."""
-    with single_thread(), pytest.MonkeyPatch.context() as patch:
+    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(response_network, "HIDDEN", 48)
         patch.setattr(response_network, "LAYERS", 2)
         patch.setattr(proposal_network, "HIDDEN", (96, 96))

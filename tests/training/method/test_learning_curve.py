@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from eitskin.errors import ConfigurationError
+from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.networks import single_thread
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 
@@ -21,7 +21,7 @@ TARGETS = INPUTS @ np.float32([[1.0], [-2.0], [0.5]])
 
 @pytest.fixture(scope="module", autouse=True)
 def one_thread():
-    with single_thread():
+    with one_torch_thread():
         yield
 
 

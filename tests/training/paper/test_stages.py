@@ -25,7 +25,6 @@ from eitskin.training.paper.networks import (
     StateNetwork,
     TouchMapNetwork,
     mirrored,
-    single_thread,
     weights_of,
 )
 from eitskin.training.paper.postprocessor import PostProcessor
@@ -47,7 +46,7 @@ JACOBIAN = np.array(
 @pytest.fixture(scope="module", autouse=True)
 def one_thread():
     """Small networks gain nothing from more, and lose where cores are shared."""
-    with single_thread():
+    with one_torch_thread():
         yield
 
 
@@ -277,7 +276,7 @@ def test_single_thread_gives_the_threads_back():
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        with suppress(KeyError), single_thread():
+        with suppress(KeyError), one_torch_thread():
             assert torch.get_num_threads() == 1
             raise KeyError
         assert torch.get_num_threads() == 2

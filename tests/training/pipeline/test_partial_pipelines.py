@@ -11,6 +11,7 @@ from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import Frame
+from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evaluate, open_pipeline
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
@@ -19,7 +20,6 @@ from eitskin.training.evaluation.selection import Selection, Trial, data_warning
 from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
-from eitskin.training.paper.networks import single_thread
 
 from small_dataset import make
 
@@ -61,7 +61,7 @@ def frames(kept, n=48, **changes):
 def _quick():
     """Maps of few pixels, and a Jacobian of nothing in particular in place of a simulated one."""
     jacobian = np.random.default_rng(1).standard_normal((28, 8 * 16))
-    with pytest.MonkeyPatch.context() as patch, single_thread():
+    with pytest.MonkeyPatch.context() as patch, one_torch_thread():
         patch.setattr(input_spec, "PIXELS", 160)
         model = SimpleNamespace(relative=jacobian)
         patch.setattr(paper_method, "linear_model", lambda *_: model)
