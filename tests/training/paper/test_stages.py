@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.threads import one_torch_thread
 from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.bend_subspace import bend_free_projection
@@ -272,7 +273,7 @@ def test_networks_survive_their_arrays(presses, reconstruction, embedding):
         Classifier.from_arrays(classifier.arrays(), (16, 16))
 
 
-def test_single_thread_gives_the_threads_back():
+def test_one_torch_thread_gives_the_threads_back():
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
