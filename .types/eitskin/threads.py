@@ -1,0 +1,1 @@
+../../eitskin/threads.py
