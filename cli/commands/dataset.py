@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich import box
+from rich.filesize import decimal
 from rich.markup import escape
 from rich.table import Table
 
@@ -124,17 +125,17 @@ def compaction(
             lambda done, total: bar.update(task, completed=done, total=total),
             workers,
         )
-    megabytes = sum((out / entry.name).stat().st_size for entry in manifest.shards) / 1e6
+    size = sum((out / entry.name).stat().st_size for entry in manifest.shards)
     found = {
         "out": str(out),
         "frames": manifest.frames,
         "shards": len(manifest.shards),
-        "megabytes": round(megabytes, 3),
+        "megabytes": round(size / 1e6, 3),
         "format_version": manifest.format_version,
     }
     output.result(
         found,
-        f"{manifest.frames} frames in {len(manifest.shards)} shards in {out}, {megabytes:.1f} MB",
+        f"{manifest.frames} frames in {len(manifest.shards)} shards in {out}, {decimal(size)}",
     )
 
 
@@ -204,13 +205,12 @@ def export(
             license_name,
             lambda n, total: bar.update(task, completed=n, total=total),
         )
-    megabytes = round(done.size / 1e6, 3)
     found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
     splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
     output.result(
-        found | {"megabytes": megabytes},
+        found | {"megabytes": round(done.size / 1e6, 3)},
         f"{sum(done.frames.values())} frames ({splits}) in {done.files} files in {out}, "
-        f"{megabytes:.1f} MB",
+        f"{decimal(done.size)}",
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.filesize import decimal
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
 from eitskin.datasets.recipe.shipped_recipes import shipped_names
@@ -114,7 +115,7 @@ def make_dataset(
         )
     seconds = time.perf_counter() - start
     made = finished - kept[0]
-    megabytes = sum(path.stat().st_size for path in out.glob("shard-*.h5")) / 1e6
+    size = sum(path.stat().st_size for path in out.glob("shard-*.h5"))
     data = {
         "out": str(out),
         "recipe": recipe.name,
@@ -124,12 +125,12 @@ def make_dataset(
         "complete": manifest is not None,
         "seconds": round(seconds, 3),
         "frames_per_second": round(made / seconds, 1),
-        "megabytes": round(megabytes, 3),
+        "megabytes": round(size / 1e6, 3),
     }
     complete = "" if manifest else "; other shards are missing still"
     return data, (
         f"{finished} frames in {out}: {made} made in {seconds:.1f} s "
-        f"({made / seconds:.0f}/s), {megabytes:.1f} MB{complete}"
+        f"({made / seconds:.0f}/s), {decimal(size)}{complete}"
     )
 
 
@@ -193,7 +194,7 @@ def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -
 
 
 def _size(megabytes: float) -> str:
-    return f"{megabytes:.1f} MB" if megabytes < 1000 else f"{megabytes / 1000:.1f} GB"
+    return decimal(round(1e6 * megabytes))
 
 
 def _duration(seconds: float) -> str:

@@ -77,6 +77,14 @@ def test_steps_are_skipped_and_what_ends_early_is_told(tmp_path, monkeypatch):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["mine-frames"]
 
 
+def test_a_board_that_is_typed_keeps_its_capitals_and_a_wrong_number_is_told(tmp_path):
+    words = ("reference.eitmodel", "--out", tmp_path / "mine.eitmodel")
+    ended = run(*words, typed="99\nserial:/dev/ttyNONE\n\n\n" + "s\n" * 4, code=None)
+    said = " ".join(ended.output.split())
+    assert "got '99'" in said
+    assert said.count("/dev/ttyNONE") > 1, "typed, and in what opening it says"
+
+
 def test_frames_and_pipelines_of_a_set_up_before_are_not_replaced_unasked(tmp_path):
     """With --replace the next step is reached: here one that finds no steps to take."""
     mine, frames = tmp_path / "mine.eitmodel", tmp_path / "mine-frames"

@@ -115,6 +115,17 @@ class Combinations:
         late: Array = self.lateness @ slope
         return late
 
+    def share_variance(self, combinations: Array, share: float) -> Array:
+        """Variance (C,) of independent errors of each measurement, by several changes.
+
+        Args:
+            combinations: of each change (k, K).
+            share: standard deviation of the error of a measurement, relative to its change.
+        """
+        changes = self.changes(combinations)
+        variance: Array = share**2 * np.einsum("kc,kc->c", changes, changes)
+        return variance
+
     def add_independent(self, covariance: Array, variance: Array) -> None:
         """Add independent errors of this variance in each measurement (C,) to a (K, K) in place."""
         if self.basis is None:

@@ -55,9 +55,8 @@ class KnownTouches:
             changes: by each touch, and their derivatives by x, y and force (4, k, K).
         """
         combinations = self.seen.combinations
-        each = combinations.changes(changes[0])
         total: Array = self.seen.noise.copy()
-        variance = response.response.mismatch**2 * np.einsum("kc,kc->c", each, each)
+        variance = combinations.share_variance(changes[0], response.response.mismatch)
         combinations.add_independent(total, variance)
         moved = PLACE_ERROR * changes[1:3].reshape(-1, len(total))
         forces = self.force_errors[:, None] * changes[0]

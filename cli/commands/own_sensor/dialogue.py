@@ -19,7 +19,8 @@ class Dialogue(Protocol):
 
         Args:
             text: the question.
-            choices: words of the possible answers, by answer; an empty answer comes first.
+            choices: words of the possible answers, by answer; an empty answer comes first. Empty
+                where the answer may be anything.
             place: position on the sensor that the question is about [m].
         """
 
@@ -44,7 +45,8 @@ class TerminalDialogue(Dialogue):
     ) -> str:
         keys = ", ".join(f"{key or 'Enter'}: {words}" for key, words in choices.items())
         shown = f"{text} ({keys})" if keys else text
-        return str(typer.prompt(shown, "", show_default=False, err=True)).strip().lower()
+        typed = str(typer.prompt(shown, "", show_default=False, err=True)).strip()
+        return typed.lower() if choices else typed  # a port's name may have capitals
 
     def note(self, text: str) -> None:
         self.output.note(text)

@@ -113,13 +113,17 @@ def _chosen_board(dialogue: Dialogue) -> str:
     ports = serial_ports()
     for number, port in enumerate(ports, 1):
         dialogue.note(f"{number}: {port}")
-    known = "a number, " if ports else "no serial port was found here; "
+    if not ports:
+        dialogue.note("no serial port was found here")
+    numbers = f"a number from 1 to {len(ports)}, or " if ports else ""
+    expected = f"{numbers}a URI such as virtual: or serial:PORT"
     while True:
-        text = dialogue.ask(f"board: {known}or a URI such as virtual: or serial:PORT", {})
+        text = dialogue.ask(f"board: {expected}", {})
         if text.isdigit() and 1 <= int(text) <= len(ports):
             return ports[int(text) - 1].uri
         if ":" in text:
             return text
+        dialogue.note(f"expected {expected}, got {text!r}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,9 +153,8 @@ class TouchObjective:
 
     def _mismatch_variance(self, changes: Array) -> Array:
         """Variance (C,) of each measurement's error of the response, by touches' changes (k, K)."""
-        each = self.combined.combinations.changes(changes)
-        variance: Array = self.response.response.mismatch**2 * np.einsum("kc,kc->c", each, each)
-        return variance
+        mismatch = self.response.response.mismatch
+        return self.combined.combinations.share_variance(changes, mismatch)
 
     def remainder_scale(self, at: Linearisation) -> Array:
         """Standard deviation (C,) of `CombinedChange.rest`, in its units."""
