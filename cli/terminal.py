@@ -1,10 +1,14 @@
 """Terminal on which no text of a file, a board or a pipeline acts as a command."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich import box
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType
+from rich.markup import escape
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from eitskin.input_files import visible
@@ -26,3 +30,43 @@ class Terminal(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """Text of a string, as wide as it is shown."""
         return super().render_str(visible(text), **options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FigureTable:
+    """Table of figures, which goes on below where the terminal is too narrow for all columns.
+
+    Attributes:
+        headings: of the columns.
+        rows: cells of each row.
+        names: number of first columns that name a row, and begin every part.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    names: int = 1
+
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> Iterator[RenderableType]:
+        """Parts of as many columns as fit, at least one each."""
+        start, count = self.names, len(self.headings)
+        while start < count:
+            end = start + 1
+            while end < count and self._width(console, start, end + 1) <= options.max_width:
+                end += 1
+            yield self._part(start, end)
+            start = end
+
+    def _width(self, console: Console, start: int, end: int) -> int:
+        unbounded = console.options.update(width=10_000)
+        return console.measure(self._part(start, end), options=unbounded).maximum
+
+    def _part(self, start: int, end: int) -> Table:
+        table = Table(box=box.SIMPLE, pad_edge=False)
+        for number in (*range(self.names), *range(start, end)):
+            justify: JustifyMethod = "left" if number < self.names else "right"
+            table.add_column(escape(self.headings[number]), justify=justify)
+        for row in self.rows:
+            table.add_row(*map(escape, (*row[: self.names], *row[start:end])))
+        return table

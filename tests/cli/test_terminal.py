@@ -9,7 +9,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from eitskin.cli.options import Output
-from eitskin.cli.terminal import Terminal
+from eitskin.cli.terminal import FigureTable, Terminal
 
 HOSTILE = "a\x1b]z\x9bb"
 SHOWN = r"a\x1b]z\x9bb"
@@ -48,3 +48,20 @@ def test_json_of_hostile_names_is_json():
 def test_notes_are_not_endless(printed):
     Output(notes=printed).note("name, " * 100_000)
     assert len(printed.file.getvalue()) < 6000
+
+
+@pytest.mark.parametrize(("width", "parts"), [(200, 1), (40, 2), (24, 4), (5, 4)])
+def test_a_table_of_figures_goes_on_below_where_it_is_too_wide(width, parts):
+    headings = ("experiment", "paper's", "theirs", "ours[mm]", "bound")
+    rows = [
+        ("one touch", "4.80 +- 2.80", "2.5", "1.38", "0.9"),
+        ("two", "5.5", "2.9", "1.5", "0.9"),
+    ]
+    console = Terminal(file=io.StringIO(), width=width)
+    console.print(FigureTable(headings, rows))
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    if width > 10:
+        assert sum(line.split()[:1] == ["two"] for line in lines) == parts
+        said = "".join(lines)
+        assert all(cell in said for row in (headings, *rows) for cell in row if " " not in cell)

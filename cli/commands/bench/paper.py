@@ -1,18 +1,14 @@
 """`eitskin bench paper`: the paper's experiments, repeated."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-from rich import box
-from rich.table import Table
 
 from eitskin.cli.commands.bench.skinbench import LeaderboardFile, entered, opened
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose, own_method
+from eitskin.cli.terminal import FigureTable
 from eitskin.extras import require_all
-
-if TYPE_CHECKING:
-    from eitskin.benchmarks.paper.run import PaperComparison
 
 MethodCodes = Annotated[
     list[str] | None,
@@ -61,7 +57,7 @@ def command(
 
     Frames are kept; a run that was stopped goes on from them.
     """
-    from eitskin.benchmarks.paper.report import NAME, as_data, sentences, write
+    from eitskin.benchmarks.paper.report import NAME, as_data, headings, sentences, table, write
     from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
     from eitskin.datasets.store.folder import make_folder
 
@@ -95,18 +91,8 @@ def command(
     paths = write(found, out)
     codes = zip(contenders[len(preset or ()) :], method or (), strict=True)
     paths += entered(board, out / NAME, {each.name: code for each, code in codes})
-    output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
+    drawn = FigureTable(headings(found), list(table(found)))
+    output.result(as_data(found) | {"files": [str(path) for path in paths]}, drawn)
     for line in sentences(found):
         output.show(line)
     output.note("written: " + ", ".join(str(path) for path in paths))
-
-
-def _as_table(found: "PaperComparison") -> Table:
-    from eitskin.benchmarks.paper.report import headings, table
-
-    drawn = Table(*headings(found), box=box.SIMPLE, pad_edge=False)
-    for column in drawn.columns[1:]:
-        column.justify = "right"
-    for row in table(found):
-        drawn.add_row(*row)
-    return drawn

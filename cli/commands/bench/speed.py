@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich import box
-from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, watched
+from eitskin.cli.terminal import FigureTable
 from eitskin.extras import require_all
 
 
@@ -33,11 +32,7 @@ def command(
     make_folder(out)
     found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]
-    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
-    for column in drawn.columns[1:]:
-        column.justify = "right"
-    for row in table(found):
-        drawn.add_row(*row)
+    drawn = FigureTable(HEADINGS, list(table(found)))
     ratio = found.peer_ratio if found.peer else None
     output.result(dataclasses.asdict(found) | {"pyeit_ratio": ratio, "files": paths}, drawn)
     for line in sentences(found):

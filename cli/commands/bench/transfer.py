@@ -4,12 +4,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich import box
-from rich.table import Table
 
 from eitskin.cli.commands.bench.accuracy import Out, Quick
 from eitskin.cli.commands.bench.skinbench import LeaderboardFile, entered, opened
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.terminal import FigureTable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
@@ -55,10 +54,6 @@ def command(
 
         found = run(named, out / NAME, seed, quick, workers, show)
     paths = [str(path) for path in (*write(found, out), *entered(board, out / NAME))]
-    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
-    for column in drawn.columns[2:]:
-        column.justify = "right"
-    for row in table(found):
-        drawn.add_row(*row)
+    drawn = FigureTable(HEADINGS, list(table(found)), names=3)
     output.result({"figures": dict(figures(found)), "files": paths}, drawn)
     output.note("written: " + ", ".join(paths))

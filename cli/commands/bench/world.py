@@ -4,11 +4,9 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich import box
-from rich.table import Table
-
 from eitskin.cli.commands.bench.accuracy import Out, Quick
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, watched
+from eitskin.cli.terminal import FigureTable
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
@@ -46,28 +44,19 @@ def command(
     output.note("written: " + ", ".join(paths))
 
 
-def _errors(found: "World") -> Table:
-    table = Table("case", "model", "error [%]", "reference [%]", "s", box=box.SIMPLE)
-    for column in table.columns[2:]:
-        column.justify = "right"
-    last = None
+def _errors(found: "World") -> FigureTable:
+    rows, last = [], None
     for row in found.errors:
-        table.add_row(
-            "" if row.case == last else row.case,
-            row.model,
-            f"{100 * row.error:.2f}",
-            f"{100 * row.reference_error:.1f}",
-            f"{row.seconds:.3f}",
-        )
+        case = "" if row.case == last else row.case
+        error, reference = f"{100 * row.error:.2f}", f"{100 * row.reference_error:.1f}"
+        rows.append((case, row.model, error, reference, f"{row.seconds:.3f}"))
         last = row.case
-    return table
+    return FigureTable(("case", "model", "error [%]", "reference [%]", "s"), rows, names=2)
 
 
-def _costs(found: "World") -> Table:
-    table = Table("deformation alone [ms]", *(c.resolution for c in found.costs), box=box.SIMPLE)
-    for column in table.columns[1:]:
-        column.justify = "right"
-    table.add_row("points", *(str(cost.points) for cost in found.costs))
+def _costs(found: "World") -> FigureTable:
+    headings = ("deformation alone [ms]", *(cost.resolution for cost in found.costs))
+    rows = [("points", *(str(cost.points) for cost in found.costs))]
     for name in found.costs[0].milliseconds:
-        table.add_row(name, *(f"{cost.milliseconds[name]:.1f}" for cost in found.costs))
-    return table
+        rows.append((name, *(f"{cost.milliseconds[name]:.1f}" for cost in found.costs)))
+    return FigureTable(headings, rows)
