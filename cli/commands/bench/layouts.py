@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
@@ -61,7 +62,7 @@ def command(
 def _as_table(found: "LayoutComparison") -> Table:
     from eitskin.benchmarks.layouts.report import HEADINGS, SHORT, table
 
-    drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=0)
+    drawn = Table(*map(escape, HEADINGS[:SHORT]), box=box.SIMPLE, pad_edge=False, padding=0)
     drawn.columns[0].width = 23
     for column in drawn.columns[1:]:
         column.justify, column.width = "right", 5
