@@ -28,7 +28,8 @@ MOST_TESTED = 20  # presses of a fold
 MISFIT = 6.0  # standard deviations; a channel that departs further is left out of the frame
 MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
 PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
-COVARIANCE_PRESSES = 10.0  # presses at which learned covariances double the error variance
+# Presses at which learned covariances double the error variance, without the design and with it.
+COVARIANCE_PRESSES, WITH_DESIGN = 10.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +89,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     off = errors / found.deviation
     square = float(np.sum(np.minimum(off, 5.0) ** 2))
     variance = (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
-    variance *= 1.0 + COVARIANCE_PRESSES / len(xy)
+    variance *= 1.0 + (COVARIANCE_PRESSES if known.span is None else WITH_DESIGN) / len(xy)
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
         fitted.grid(region),
@@ -124,12 +125,15 @@ class _Region:
     def of(cls, places: Array, design: SensorDesign | None) -> "_Region":
         """Region within reach of the labelled presses, and within the outline where known.
 
-        Reach is 1.5 times the distance of neighbours, were the presses on a square grid.
+        Reach is 1.5 times the distance of neighbours, were the presses on a square grid over the
+        sheet, which a few of them span in part: over their span only where its size is not known.
         """
+        outline = None if design is None else design.outline
         span = np.ptp(places, axis=0)
+        if isinstance(outline, PlaneOutline):
+            span = np.array([outline.length, outline.width])
         reach = 1.5 * float(np.sqrt(max(span[0] * span[1], 0.01 * span.max() ** 2) / len(places)))
         low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
-        outline = None if design is None else design.outline
         if isinstance(outline, PlaneOutline):
             low = np.maximum(low, 0.0)
             high = np.minimum(high, [outline.length, outline.width])
