@@ -33,16 +33,27 @@ class Presses:
     owner: NDArray[np.int64]
 
     @classmethod
-    def of(cls, places: ArrayLike, strength: ArrayLike, answers: ArrayLike) -> "Presses":
-        """Recorded presses, each of weight one."""
+    def of(
+        cls,
+        places: ArrayLike,
+        strength: ArrayLike,
+        answers: ArrayLike,
+        owner: NDArray[np.int64] | None = None,
+    ) -> "Presses":
+        """Recorded frames of weight one, each a press of its own unless `owner` says otherwise."""
         n = len(np.asarray(strength))
         return cls(
             np.asarray(places, dtype=float),
             np.asarray(strength, dtype=float),
             np.asarray(answers, dtype=float),
             np.ones(n),
-            np.arange(n),
+            np.arange(n) if owner is None else owner,
         )
+
+    @property
+    def owners(self) -> NDArray[np.int64]:
+        """Numbers of the recorded presses, each once."""
+        return np.unique(self.owner)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Presses":
         """Some of the presses, which keep their owners' numbers."""

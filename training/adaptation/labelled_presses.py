@@ -47,6 +47,13 @@ class LabelledPresses:
         """Number of presses."""
         return len(self.ratios)
 
+    @property
+    def held(self) -> Rows:
+        """Number of the press of each frame (n,): frames in succession that see one held touch."""
+        label = np.zeros(len(self)) if self.label is None else self.label
+        seen = np.column_stack([self.places, label])
+        return np.cumsum(np.any(np.diff(seen, axis=0, prepend=np.nan) != 0.0, axis=1)) - 1
+
     def select(self, rows: Rows) -> "LabelledPresses":
         """Presses at `rows` (k,)."""
         label = None if self.label is None else self.label[rows]

@@ -77,8 +77,8 @@ class SheetKnowledge:
         The score is the mean log predictive density of a press that is left out: in closed form,
         or, with few presses, with everything learned anew without it.
         """
-        count = len(presses.strength)
-        some = presses.select(np.arange(0, count, -(-count // MOST_CHOSEN_BY)))
+        rows, count = len(presses.strength), len(presses.owners)
+        some = presses.select(np.arange(0, rows, -(-rows // MOST_CHOSEN_BY)))
         shared = self.sectors is not None and count <= MOST_SHARED
         options: Sequence[tuple[str, Sequence[float]]] = (
             ("length", LENGTHS),
@@ -106,16 +106,17 @@ class SheetKnowledge:
         return best
 
     def density(self, choice: MapChoice, presses: Presses) -> Array:
-        """Log predictive density of each press, it left out, in the answers' own unit (n,)."""
-        kernel, count = self.kernel(choice), len(presses.strength)
+        """Log predictive density of each frame, its press left out, in the unit of answers (n,)."""
+        kernel, owners = self.kernel(choice), presses.owners
+        count = len(owners)
         if count > FEW:
             gains = self.gains(choice, presses)
             prepared = self.prepared(choice, presses, gains)
             maps = ChannelMaps.fit(kernel, prepared, choice.noise)
             return maps.left_out_density(prepared) - float(np.sum(np.log(np.abs(gains))))
-        found, folds = np.zeros(count), min(FOLDS, count)
+        found, folds = np.zeros(len(presses.owner)), min(FOLDS, count)
         for fold in range(folds):
-            tested = np.arange(count) % folds == fold
+            tested = np.isin(presses.owner, owners[fold::folds])
             learned, other = presses.select(~tested), presses.select(tested)
             gains = self.gains(choice, learned)
             maps = ChannelMaps.fit(kernel, self.prepared(choice, learned, gains), choice.noise)

@@ -67,20 +67,23 @@ class LearnedPlaces:
 def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     """Learn places from labelled presses.
 
-    With the sensor's design the span of its sensitivities is part of the prior, and with the
-    protocol it tells which sectors are alike.
+    Frames in succession that see one held touch are one press: they tell the noise, and are left
+    out together. With the sensor's design the span of its sensitivities is part of the prior, and
+    with the protocol it tells which sectors are alike.
 
     Raises DataError for fewer than `FEWEST` presses, or presses all at one place.
     """
     logs, xy, design = log_ratio(labelled.ratios), labelled.places, labelled.design
     extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
-    if len(logs) < FEWEST or extent == 0.0:
+    held = labelled.held
+    count = len(np.unique(held))
+    if count < FEWEST or extent == 0.0:
         raise DataError(
-            f"learning touch positions needs at least {FEWEST} frames with one touch, at different "
-            f"positions, and an untouched reference, got {len(logs)}; record more"
+            f"learning touch positions needs at least {FEWEST} presses of one touch, at different "
+            f"positions, and an untouched reference, got {count}; record more"
         )
     known = SheetKnowledge(extent, *_of_design(design, labelled.protocol, logs.shape[1]))
-    recorded = Presses.of(xy, np.ones(len(xy)), logs)
+    recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
     presses, law = _with_strength(known, recorded, labelled.label)
     choice = known.choose(presses)
     region = _Region.of(xy, design)
@@ -89,7 +92,8 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     off = errors / found.deviation
     square = float(np.sum(np.minimum(off, 5.0) ** 2))
     variance = (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
-    variance *= 1.0 + (COVARIANCE_PRESSES if known.span is None else WITH_DESIGN) / len(xy)
+    few = COVARIANCE_PRESSES if known.span is None else WITH_DESIGN
+    variance *= 1.0 + few / count
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
         fitted.grid(region),
@@ -215,12 +219,12 @@ def _cross_validated(
     known: SheetKnowledge, choice: MapChoice, presses: Presses, region: _Region
 ) -> tuple[Places, Array]:
     """Places of presses that are left out by blocks in time, and their errors (k,) [m]."""
-    count = len(presses.strength)
-    blocks = np.array_split(np.arange(count), min(FOLDS, count))
+    owners, first = np.unique(presses.owner, return_index=True)
+    blocks = np.array_split(np.arange(len(owners)), min(FOLDS, len(owners)))
     found, errors = [], []
     for block in blocks:
-        tested = block[:: -(-len(block) // MOST_TESTED)]
-        rest = presses.select(np.setdiff1d(np.arange(count), block))
+        tested = first[block[:: -(-len(block) // MOST_TESTED)]]
+        rest = presses.select(~np.isin(presses.owner, owners[block]))
         fewer = _Fitted.of(known, choice, rest)
         place = fewer.grid(region).locate(presses.answers[tested] / fewer.gains)
         found.append(place)

@@ -116,7 +116,7 @@ class RecordedTouches:
             dataset: labelled frames of one sensor.
             share: of the frames that is learned from; with 1 none is left to `evaluate` by.
 
-        Raises DataError for fewer than 5 such frames.
+        Raises DataError for fewer than 5 presses.
         """
         touches = single_touches(dataset)
         train = touches[: round(share * len(touches))]

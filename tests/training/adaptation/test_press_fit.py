@@ -88,6 +88,19 @@ def test_what_cannot_be_learned_is_refused(learned):
         learned.locator.apply(ratio[:, :7])
 
 
+def test_frames_of_a_held_touch_are_one_press():
+    """They are left out together: each alone would be told by the others."""
+    ratio, places, depth = toy_presses(9)
+    ratio, places, depth = (np.repeat(each, 4, axis=0) for each in (ratio, places, depth))
+    ratio *= 1.0 + 1e-5 * np.random.default_rng(0).standard_normal(ratio.shape)
+    once = learn_places(LabelledPresses(ratio[::4], places[::4], depth[::4])).validated
+    held = learn_places(LabelledPresses(ratio, places, depth)).validated
+    assert held.presses == once.presses == 9
+    assert held.mean_error_mm > 0.5 * once.mean_error_mm
+    with pytest.raises(DataError, match=r"at least 5 presses.*got 4"):
+        learn_places(LabelledPresses(ratio[:16], places[:16], depth[:16]))
+
+
 @pytest.mark.slow
 def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
     ratio, places, _ = toy_presses(40)
