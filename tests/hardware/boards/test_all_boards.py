@@ -200,7 +200,10 @@ def test_real_speed_waits_as_the_recording_did(recording):
 @pytest.mark.slow
 @pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
 def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_by, tmp_path):
-    script = "import typer; from eitskin.cli.commands.board import command; typer.run(command)"
+    # A program in the background of a script inherits that SIGINT is ignored.
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    script = heard + "import typer; from eitskin.cli.commands.board import command; "
+    script += "typer.run(command)"
     options = ["--speed", "max", "--quiet", "--link", str(tmp_path / "tty")]
     process = subprocess.Popen(
         [sys.executable, "-c", script, *options],
