@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.method.known_frames import held_numbers
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -15,7 +16,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledPresses:
-    """n presses of one sensor, in the order of time, and what is known of the sensor.
+    """n frames of presses of one sensor, in the order of time, and what is known of the sensor.
 
     Attributes:
         ratios: |V / ref| (n, C), ref being untouched.
@@ -44,15 +45,14 @@ class LabelledPresses:
         )
 
     def __len__(self) -> int:
-        """Number of presses."""
+        """Number of frames."""
         return len(self.ratios)
 
     @property
     def held(self) -> Rows:
-        """Number of the press of each frame (n,): frames in succession that see one held touch."""
-        label = np.zeros(len(self)) if self.label is None else self.label
-        seen = np.column_stack([self.places, label])
-        return np.cumsum(np.any(np.diff(seen, axis=0, prepend=np.nan) != 0.0, axis=1)) - 1
+        """Number of the press of each frame (n,): frames in succession may see one held touch."""
+        known = [self.places] if self.label is None else [self.places, self.label]
+        return held_numbers(np.column_stack(known))
 
     def select(self, rows: Rows) -> "LabelledPresses":
         """Presses at `rows` (k,)."""

@@ -106,7 +106,16 @@ class SheetKnowledge:
         return best
 
     def density(self, choice: MapChoice, presses: Presses) -> Array:
-        """Log predictive density of each frame, its press left out, in the unit of answers (n,)."""
+        """Log predictive density of each press, it left out, in the answers' own unit (n,).
+
+        It is the mean of those of its frames, which share the errors of the maps.
+        """
+        found = self._density_of_frames(choice, presses)
+        _, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
+        density: Array = np.bincount(number, found) / frames
+        return density
+
+    def _density_of_frames(self, choice: MapChoice, presses: Presses) -> Array:
         kernel, owners = self.kernel(choice), presses.owners
         count = len(owners)
         if count > FEW:

@@ -76,7 +76,8 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     logs, xy, design = log_ratio(labelled.ratios), labelled.places, labelled.design
     extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
     held = labelled.held
-    count = len(np.unique(held))
+    first = np.unique(held, return_index=True)[1]
+    count = len(first)
     if count < FEWEST or extent == 0.0:
         raise DataError(
             f"learning touch positions needs at least {FEWEST} presses of one touch, at different "
@@ -86,7 +87,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
     presses, law = _with_strength(known, recorded, labelled.label)
     choice = known.choose(presses)
-    region = _Region.of(xy, design)
+    region = _Region.of(xy[first], design)
     fitted = _Fitted.of(known, choice, presses)
     found, errors = _cross_validated(known, choice, presses, region)
     off = errors / found.deviation
@@ -127,7 +128,7 @@ class _Region:
 
     @classmethod
     def of(cls, places: Array, design: SensorDesign | None) -> "_Region":
-        """Region within reach of the labelled presses, and within the outline where known.
+        """Region within reach of the presses' places (n, 2), and within the outline where known.
 
         Reach is 1.5 times the distance of neighbours, were the presses on a square grid over the
         sheet, which a few of them span in part: over their span only where its size is not known.

@@ -14,7 +14,7 @@ from eitskin.training.joint.combinations import CombinedChange, log_change
 from eitskin.training.joint.own_response import own_response
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, SpecimenResponse
-from eitskin.training.method.known_frames import KnownFrames
+from eitskin.training.method.known_frames import KnownFrames, held_numbers
 
 Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
@@ -102,18 +102,10 @@ def response_given(
 
 
 def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
-    """Rows of frames in succession that see the same touches.
-
-    They are one touch to learn from: errors of the response and of the place are the same in all.
-    """
-    seen = np.column_stack(
-        [
-            np.nan_to_num(touched.touches.reshape(len(touched), -1), nan=-1.0),
-            np.nan_to_num(touched.reference_deg),
-        ]
-    )
-    starts = 1 + np.flatnonzero((seen[1:] != seen[:-1]).any(axis=1))
-    return np.split(np.arange(len(touched)), starts)
+    """Rows of frames in succession that see the same touches from the same reference."""
+    places = touched.touches.reshape(len(touched), -1)
+    numbers = held_numbers(np.column_stack([places, np.nan_to_num(touched.reference_deg)]))
+    return np.split(np.arange(len(touched)), 1 + np.flatnonzero(np.diff(numbers)))
 
 
 def _mean_change(dynamic: Array) -> Array:

@@ -90,6 +90,16 @@ class TwinPresses(Interface):
         """Whether places (n, 2) [m] are on the sensor (n,)."""
 
 
+def held_numbers(seen: Array) -> NDArray[np.intp]:
+    """Number of the held touches that each frame sees (n,): the same while `seen` (n, k) stays.
+
+    They are one touch to learn from: errors of a response and of the place are the same in all.
+    """
+    told = np.nan_to_num(seen, nan=-1.0)
+    moved = (told[1:] != told[:-1]).any(axis=1)
+    return np.cumsum(np.concatenate([np.zeros(min(len(told), 1), dtype=bool), moved]))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownFrames:
     """n labelled frames of one sensor with their references; up to k touches in one.

@@ -9,6 +9,7 @@ import pytest
 
 from eitskin.datasets import Dataset, RecordingNames, State, read_recording
 from eitskin.errors import DataError, FrameError
+from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import RecordedTouches
 from eitskin.training.adaptation.labelled_presses import LabelledPresses
@@ -99,6 +100,19 @@ def test_frames_of_a_held_touch_are_one_press():
     assert held.mean_error_mm > 0.5 * once.mean_error_mm
     with pytest.raises(DataError, match=r"at least 5 presses.*got 4"):
         learn_places(LabelledPresses(ratio[:16], places[:16], depth[:16]))
+
+
+@pytest.mark.parametrize("times", [1, 8])
+def test_few_presses_in_a_corner_leave_much_of_the_sheet_of_a_design(times):
+    design = SensorDesign.reference()
+    ratio, places, depth = toy_presses(5)
+    corner = 0.02 + 0.2 * (places - places.min(axis=0))
+    known = (np.repeat(each, times, axis=0) for each in (ratio, corner, depth))
+    grid = learn_places(LabelledPresses(*known, design=design)).locator.grid
+    rows, columns = grid.log_prior.shape
+    far = grid.low + grid.step * np.array([columns - 1, rows - 1])
+    reach = 1.5 * np.sqrt(0.15 * 0.06 / 5)  # whatever the presses themselves span
+    np.testing.assert_allclose(far, [corner[:, 0].max() + reach, 0.06], atol=grid.step)
 
 
 @pytest.mark.slow
