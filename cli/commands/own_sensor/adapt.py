@@ -209,7 +209,7 @@ def in_words(adapted: "Pipeline | RecordedTouches") -> str:
     if not isinstance(adapted, Pipeline):
         error = adapted.trained_on["validated"]["mean_error_mm"]
         return (
-            f"touch positions from {adapted.trained_on['frames']} presses, {error:.1f} mm off in "
+            f"touch positions from {adapted.trained_on['frames']} frames of presses, {error:.1f} mm off in "
             "presses that were left out"
         )
     known = adapted.adaptation

@@ -115,7 +115,7 @@ def _chosen_board(dialogue: Dialogue) -> str:
         dialogue.note(f"{number}: {port}")
     if not ports:
         dialogue.note("no serial port was found here")
-    numbers = f"a number from 1 to {len(ports)}, or " if ports else ""
+    numbers = {0: "", 1: "1, or "}.get(len(ports), f"a number from 1 to {len(ports)}, or ")
     expected = f"{numbers}a URI such as virtual: or serial:PORT"
     while True:
         text = dialogue.ask(f"board: {expected}", {})
