@@ -134,10 +134,10 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     assert {each["method"] for each in said["errors"]} == {"adapted", "ExtraTrees"}
     assert RecordedTouches.load(first).trained_on["frames"] == 25
     words = ("adapt", first, tmp_path / "presses", "--out", second, "--no-table")
-    assert "touch positions from 25 presses" in run(*words).stdout
+    assert "touch positions from 25 frames" in run(*words).stdout
     with pytest.raises(ConfigurationError, match="--replace"):
         run(*words)
-    assert "touch positions from 25 presses" in run(*words, "--replace").stdout
+    assert "touch positions from 25 frames" in run(*words, "--replace").stdout
 
 
 def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):

@@ -207,10 +207,13 @@ def in_words(adapted: "Pipeline | RecordedTouches") -> str:
     from eitskin.training.pipeline.pipeline import Pipeline
 
     if not isinstance(adapted, Pipeline):
-        error = adapted.trained_on["validated"]["mean_error_mm"]
+        frames, error = (
+            adapted.trained_on["frames"],
+            adapted.trained_on["validated"]["mean_error_mm"],
+        )
         return (
-            f"touch positions from {adapted.trained_on['frames']} frames of presses, {error:.1f} mm off in "
-            "presses that were left out"
+            f"touch positions from {frames} frames of presses, {error:.1f} mm off in presses that "
+            "were left out"
         )
     known = adapted.adaptation
     words = (
