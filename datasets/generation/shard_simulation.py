@@ -13,8 +13,10 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.writer import touch_columns
+from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.simulator.bends.bend_store import on_support
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
@@ -80,6 +82,7 @@ def simulate_frames(
         state=np.array([each.state for each in samples]),
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
+        **_clamps(recipe, samples),
         time=np.array([each.time for each in samples]),
         episode=np.array([each.episode for each in samples]),
         number=np.array([each.index for each in samples]),
@@ -90,6 +93,22 @@ def simulate_frames(
         seed=recipe.seed,
         design=recipe.sensor,
     )
+
+
+def _clamps(recipe: Recipe, samples: Sequence[Sample]) -> dict[str, NDArray[np.float64]]:
+    """Columns (n,) of what the bends of clamped sensors depend on; NaN for other fixtures."""
+    names = ("clamp_span", "clamp_offset", "clamp_faces", "clamp_stiffness")
+    rows = [_clamp(each.scene, specimen(recipe, each.specimen)) for each in samples]
+    return dict(zip(names, np.array(rows).T, strict=True))
+
+
+def _clamp(scene: Scene, made: Specimen) -> tuple[float, float, float, float]:
+    if not isinstance(made.fixture, Clamp):
+        return (np.nan,) * 4
+    clamp = on_support(made.fixture, scene.support or made.design.support)
+    laws = made.mechanics
+    stiffness = laws.encapsulation.shear_modulus / laws.gel.shear_modulus
+    return clamp.span, clamp.offset, 1.0 if clamp.faces == "bottom" else 2.0, stiffness
 
 
 def without_touches(scene: Scene) -> Scene:

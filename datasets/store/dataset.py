@@ -32,6 +32,10 @@ from eitskin.protocol import Protocol
 ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
 
 
+def _omitted() -> NDArray[np.float32]:
+    return np.zeros(0, dtype=np.float32)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
     """Frames of one or several specimens; n frames, C channels, S specimens.
@@ -50,6 +54,10 @@ class Dataset:
         touch_radius: of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
         touch_depth: travel of the indenter from first contact, (n, 4) float32 [m]; NaN where absent
             or unknown, and everywhere when omitted.
+        clamp_span, clamp_offset: free length of the clamp that bends the sensor, and its axis below
+            the mid-plane, (n,) float32 [m]; as the next two NaN where unknown, and when omitted.
+        clamp_faces: number of the faces that its plates hold, (n,) float32.
+        clamp_stiffness: shear modulus of the encapsulation over that of the layer, (n,) float32.
         time: since the episode's start, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
         episode: number of the episode, whose frames follow each other in time, (n,) uint32.
@@ -90,9 +98,11 @@ class Dataset:
     specimen_number: NDArray[np.uint32] = dataclasses.field(
         default_factory=lambda: np.zeros(0, dtype=np.uint32)
     )
-    touch_depth: NDArray[np.float32] = dataclasses.field(
-        default_factory=lambda: np.zeros((0, MAX_TOUCHES), dtype=np.float32)
-    )
+    touch_depth: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
+    clamp_span: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
+    clamp_offset: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
+    clamp_faces: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
+    clamp_stiffness: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
     quantity: str = ""
     names: Names = dataclasses.field(default_factory=Names)
 
@@ -105,8 +115,10 @@ class Dataset:
                 raise DataError(f"expected 1 to {LIMITS[axis]} {axis}s, got {sizes[axis]}")
         if np.size(self.specimen_number) == 0:
             object.__setattr__(self, "specimen_number", np.arange(sizes["specimen"]))
-        if np.size(self.touch_depth) == 0:
-            object.__setattr__(self, "touch_depth", np.full_like(self.touch_x, np.nan))
+        for field in FIELDS:
+            if field.since is None and np.size(getattr(self, field.name)) == 0:
+                shape = tuple(sizes[axis] for axis in field.axes)
+                object.__setattr__(self, field.name, np.full(shape, field.missing))
         object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
         for field in FIELDS:
             values = np.ascontiguousarray(getattr(self, field.name), dtype=field.dtype)

@@ -55,7 +55,8 @@ def _field(
     missing: float = 0,
     since: int | None = 1,
 ) -> Field:
-    path = name.replace("touch_", "touch/", 1) if axes == "frame touch" else name
+    grouped = axes == "frame touch" or name.startswith("clamp_")
+    path = name.replace("_", "/", 1) if grouped else name
     split = tuple(axes.split())
     return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, since)
 
@@ -116,6 +117,42 @@ FIELDS: Final = (
         "frame touch",
         "m",
         "depth of a touch; NaN where absent or unknown",
+        missing=NAN,
+        since=None,
+    ),
+    _field(
+        "clamp_span",
+        "<f4",
+        "frame",
+        "m",
+        "free length between the plates of the clamp; NaN where unknown",
+        missing=NAN,
+        since=None,
+    ),
+    _field(
+        "clamp_offset",
+        "<f4",
+        "frame",
+        "m",
+        "axis of the clamp below the mid-plane of the layer; NaN where unknown",
+        missing=NAN,
+        since=None,
+    ),
+    _field(
+        "clamp_faces",
+        "<f4",
+        "frame",
+        "1",
+        "faces held by the plates of the clamp, 1 or 2; NaN where unknown",
+        missing=NAN,
+        since=None,
+    ),
+    _field(
+        "clamp_stiffness",
+        "<f4",
+        "frame",
+        "1",
+        "shear modulus of the encapsulation over that of the layer; NaN where unknown",
         missing=NAN,
         since=None,
     ),

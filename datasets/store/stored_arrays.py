@@ -33,12 +33,12 @@ def all_arrays(group: h5py.h5g.GroupID, inside: str = "") -> Iterator[tuple[str,
 
 def one_array(root: h5py.h5g.GroupID, path: str, *, required: bool = True) -> Any:
     """One array of a file, checked as by `all_arrays`; None where a file need not have it."""
-    *groups, name = path.split("/")
-    for group in groups:
-        root = _plain(root, group.encode())
-    if not (required or name.encode() in root):
-        return None
-    return _plain(root, name.encode())
+    found = root
+    for name in path.encode().split(b"/"):
+        if not (required or name in found):
+            return None
+        found = _plain(found, name)
+    return found
 
 
 def _plain(group: h5py.h5g.GroupID, name: bytes) -> Any:

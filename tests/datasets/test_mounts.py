@@ -8,12 +8,13 @@ import pytest
 from eitskin.config import Location, read
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import deciding_specimens, missing_bend_tables
+from eitskin.datasets.generation.shard_simulation import simulate_frames
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Clamp, Hinge
+from eitskin.geometry import Clamp, Hinge, Plates
 from eitskin.simulator import Mechanics
 
 MOUNTS = Mounts(12, (0.025, 0.060), (0.004, 0.014), (0.5, 2.0), ("both", "bottom"))
@@ -68,6 +69,36 @@ def test_a_recipe_with_mounts_is_written_and_read_again():
     given = read(Mounts, data | {"faces": ["both", "bottom"]}, Location("here"))
     assert given == MOUNTS
     assert 'faces = ["both", "bottom"]' in asked.to_toml()
+
+
+def test_frames_say_the_clamp_of_their_specimen():
+    flat = (SceneGroup("idle", count=12),)
+    asked = dataclasses.replace(recipe(specimens=12), scenes=flat, resolution="fast")
+    data = simulate_frames(asked, range(12))
+    made = [specimen(asked, number) for number in data.specimen_number[data.specimen].tolist()]
+    ratios = [
+        each.mechanics.encapsulation.shear_modulus / each.mechanics.gel.shear_modulus
+        for each in made
+    ]
+    assert np.array_equal(data.clamp_span, np.float32([each.fixture.span for each in made]))
+    assert np.array_equal(data.clamp_offset, np.float32([each.fixture.offset for each in made]))
+    held = [1 if each.fixture.faces == "bottom" else 2 for each in made]
+    assert np.array_equal(data.clamp_faces, held)
+    assert set(held) == {1, 2}
+    assert np.array_equal(data.clamp_stiffness, np.float32(ratios))
+
+
+def test_plates_under_a_clamped_sensor_hold_its_lower_face():
+    group = SceneGroup("idle", count=1, support=Plates())
+    data = simulate_frames(Recipe("plates", scenes=(group,), resolution="fast"), range(1))
+    assert data.clamp_faces == 1
+
+
+def test_hinges_are_no_clamps():
+    flat = (SceneGroup("idle", count=1),)
+    data = simulate_frames(Recipe("h", scenes=flat, fixture=Hinge(), resolution="fast"), range(1))
+    assert np.isnan([data.clamp_span, data.clamp_offset, data.clamp_faces]).all()
+    assert np.isnan(data.clamp_stiffness).all()
 
 
 @pytest.mark.parametrize(
