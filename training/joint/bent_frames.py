@@ -27,6 +27,8 @@ class BentFrames:
         image: number of the symmetry (n,).
         combinations: of the measurements.
         noise: covariance of one frame's change (K, K).
+        clamp: span [m], offset [m], number of held faces and ratio of the moduli of each frame's
+            clamp (n, 4); NaN where unknown.
     """
 
     change: Array
@@ -36,6 +38,7 @@ class BentFrames:
     image: Integers
     combinations: Combinations
     noise: Array
+    clamp: Array
 
     def __getitem__(self, rows: "slice | NDArray[np.generic]") -> "BentFrames":
         """Some of the frames."""
@@ -46,6 +49,7 @@ class BentFrames:
             features=self.features[rows],
             specimen=self.specimen[rows],
             image=self.image[rows],
+            clamp=self.clamp[rows],
         )
 
     @property

@@ -25,6 +25,7 @@ class MirroredFrames:
         angle_deg: of the bend (n,) [deg].
         specimen: number of the specimen, from 0 on (n,); mirror images share it.
         image: number of the symmetry (n,).
+        clamp: properties of the clamp (n, 4), as of `BentFrames`.
     """
 
     change: Array
@@ -34,6 +35,7 @@ class MirroredFrames:
     angle_deg: Array
     specimen: NDArray[np.int64]
     image: NDArray[np.int64]
+    clamp: Array
 
     @classmethod
     def touched(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
@@ -77,7 +79,14 @@ class MirroredFrames:
             np.tile(data.bend_angle_deg[rows].astype(float), len(images)),
             np.tile(specimen.astype(np.int64), len(images)),
             np.repeat(np.arange(len(images)), len(rows)),
+            np.tile(_clamps(data)[rows], (len(images), 1)),
         )
+
+
+def _clamps(data: Dataset) -> Array:
+    """Properties of each frame's clamp (n, 4); held alike by its mirror images."""
+    columns = (data.clamp_span, data.clamp_offset, data.clamp_faces, data.clamp_stiffness)
+    return np.stack(columns, axis=1).astype(float)
 
 
 def is_touched(data: Dataset) -> NDArray[np.bool_]:

@@ -38,19 +38,24 @@ def bent(specimens, seed, tightness=0.35):
     number = np.repeat(np.arange(specimens), 6)
     factor = np.exp(tightness * rng.standard_normal(specimens))[number]
     angle = rng.uniform(-20.0, 50.0, len(number))
+    return changes(factor, angle, rng), angle, number
+
+
+def changes(factor, angle, rng):
     u = factor * angle / 50.0
     ways = np.random.default_rng(0).standard_normal((3, CHANNELS)) * 0.02
     ways -= ways.mean(axis=1, keepdims=True)  # drift, which is common, tells nothing
     change = np.tanh(u)[:, None] * ways[0] + (u**2)[:, None] * ways[1]
     change += (np.log(factor) * u)[:, None] * ways[2]
     change += NOISE * rng.standard_normal(change.shape)
-    return change, angle, number
+    return change
 
 
 def frames(specimens=150, seed=1, tightness=0.35):
     change, angle, number = bent(specimens, seed, tightness)
     image, noise = np.zeros(len(change), np.int64), NOISE**2 * np.eye(CHANNELS)
-    return BentFrames(change, angle, np.zeros((len(change), 0)), number, image, COMBINATIONS, noise)
+    none, clamp = np.zeros((len(change), 0)), np.full((len(change), 4), np.nan)
+    return BentFrames(change, angle, none, number, image, COMBINATIONS, noise, clamp)
 
 
 def of_curves(data):
@@ -196,7 +201,7 @@ def test_networks_tell_angles_of_clamps_never_seen(trained):
 def test_networks_learn_clamps_between_those_of_the_training_set():
     """Sensors whose curves are means of those of two clamps, of which alone networks learned."""
 
-    def clamps(shares, seed):
+    def between(shares, seed):
         rng, number = np.random.default_rng(seed), np.repeat(np.arange(100), 6)
         angle = rng.uniform(-20.0, 50.0, len(number))
         share, u = np.resize(shares, 100)[number, None], angle[:, None] / 50.0
@@ -206,10 +211,10 @@ def test_networks_learn_clamps_between_those_of_the_training_set():
         return replace(frames(100), change=change, angle_deg=angle, specimen=number)
 
     def error(mixed):
-        networks, _ = fitted(clamps([0.0, 1.0], 1), mixed=mixed)
-        between = clamps([0.5], 2)
-        found = [networks.estimate(each, np.zeros(0), 1e-4)[0] for each in between.change]
-        return np.sqrt(np.mean((found - between.angle_deg) ** 2))
+        networks, _ = fitted(between([0.0, 1.0], 1), mixed=mixed)
+        unseen = between([0.5], 2)
+        found = [networks.estimate(each, np.zeros(0), 1e-4)[0] for each in unseen.change]
+        return np.sqrt(np.mean((found - unseen.angle_deg) ** 2))
 
     mixed, apart = error(angle_training.MIXED), error((0.0, 0.0))
     assert mixed < 0.5 * apart, (mixed, apart)
@@ -231,6 +236,37 @@ def test_specimens_of_one_clamp_are_left_out_together():
     assert np.mean(within) < 0.5 * factors.std()
 
 
+def test_known_clamps_teach_those_between_them():
+    """Few clamps of many sensors each: networks that are told which one bends learn the others."""
+    ways = np.random.default_rng(7).standard_normal((2, CHANNELS)) * 0.02
+    ways -= ways.mean(axis=1, keepdims=True)
+
+    def of(clamps, seed, known):
+        rng = np.random.default_rng(seed)
+        number = np.repeat(np.arange(8 * len(clamps)), 6)
+        made = np.repeat(clamps, 48, axis=0)
+        angle = rng.uniform(-20.0, 50.0, len(number))
+        change = changes(0.04 / made[:, 0], angle, rng)
+        turned = np.column_stack([100.0 * (made[:, 1] - 0.008), np.log(made[:, 3])])
+        change += (angle / 50.0)[:, None] * (turned @ ways)
+        image, noise = np.zeros(len(change), np.int64), NOISE**2 * np.eye(CHANNELS)
+        none, clamp = np.zeros((len(change), 0)), made if known else np.full_like(made, np.nan)
+        return BentFrames(change, angle, none, number, image, COMBINATIONS, noise, clamp)
+
+    def clamps(count, seed):
+        span, offset, ratio = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, count))
+        return np.column_stack(
+            [0.04 + 0.015 * span, 0.008 + 0.004 * offset, np.full(count, 2.0), np.exp(ratio)]
+        )
+
+    unseen, error = of(clamps(30, 8), 5, known=False)[::3], {}
+    for known in (True, False):
+        networks, _ = fitted(of(clamps(16, 1), 1, known))
+        found = [networks.estimate(change, np.zeros(0), 1e-4)[0] for change in unseen.change]
+        error[known] = np.sqrt(np.mean((found - unseen.angle_deg) ** 2))
+    assert error[True] < 0.8 * error[False]
+
+
 @pytest.mark.parametrize(("tightness", "kept"), [(0.7, True), (0.0, False)])
 def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept):
     change, angle, number = bent(120, 1, tightness)
@@ -242,6 +278,7 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
         angle,
         number,
         np.zeros(len(change), np.int64),
+        np.full((len(change), 4), np.nan),
     )
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:

@@ -271,7 +271,9 @@ def made_up(rng, count, frames, covariance, features=None):
     noise = rng.multivariate_normal(np.zeros(CHANNELS), NOISE, len(angle))
     order = rng.permutation(len(angle))  # specimens' frames need not follow each other
     change, image = mean + departure + noise, np.zeros(len(angle), np.int64)
-    return BentFrames(change, angle, p[specimen], specimen, image, COMBINATIONS, NOISE)[order]
+    clamp = np.full((len(angle), 4), np.nan)
+    frames = BentFrames(change, angle, p[specimen], specimen, image, COMBINATIONS, NOISE, clamp)
+    return frames[order]
 
 
 def test_mixed_model_finds_covariance_and_mean(rng):

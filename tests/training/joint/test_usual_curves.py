@@ -41,6 +41,7 @@ def frames(alike, various, seed=1, spread=0.03):
         np.zeros(len(number), np.int64),
         COMBINATIONS,
         NOISE**2 * np.eye(CHANNELS),
+        np.full((len(number), 4), np.nan),
     )
 
 

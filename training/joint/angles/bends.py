@@ -60,6 +60,7 @@ def fit_bends(
         bent.image,
         combinations,
         _noise(bent, combinations, settings.drift),
+        bent.clamp,
     )
     progress("bend curve", 0, 2)
     curves = BendCurvePrior.fit(frames)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor, nn  # noqa: TID253  see above
 
+from eitskin.training.joint.angles.clamps import ClampCurves
 from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.bent_frames import SCALE, BentFrames
@@ -30,8 +31,9 @@ GROUPS = 25
 """Groups of similar specimens, of which each network goes without a `MEMBERS`-th."""
 MIXED = (-0.25, 0.25)
 """Range of the share of another specimen's bend curve in that of a frame's."""
-RELATIVE_NOISE = 0.05  # of the change
-FEATURE_NOISE = 0.3  # standard deviations
+MOVED = 0.9  # share of the frames of known clamps that move to another clamp in each step
+RELATIVE_NOISE = 0.05  # of the change, of frames that do not move
+FEATURE_NOISE = 0.3  # standard deviations, of frames that do not move
 
 
 def fit_angles(
@@ -43,10 +45,12 @@ def fit_angles(
 ) -> tuple[AngleNetworks, LearningCurve]:
     """Networks trained by maximum likelihood of the angle, each without a share of the specimens.
 
-    Every step bends the sensors as in clamps that the training set does not have: the curve of a
-    frame's specimen gets a share of that of another one, drawn anew (mixup of Zhang et al. 2018,
-    at equal angles). It adds the noise of a frame and of its reference, a common drift of any size,
-    which the networks are told, and further noise, with which they overfit less.
+    Every step bends the sensors as in clamps that the training set does not have. Where clamps are
+    known, most frames move to another one drawn anew: they change by the difference of both mean
+    curves (`ClampCurves`). Otherwise the curve of a frame's specimen gets a share of that of
+    another one (mixup of Zhang et al. 2018, at equal angles), and further noise, with which
+    networks overfit less. Every step adds the noise of a frame and of its reference, and a common
+    drift of any size, which the networks are told.
 
     Args:
         frames: of all specimens.
@@ -61,7 +65,7 @@ def fit_angles(
     """
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)
-    inputs = _Inputs.of(frames, curves, empty)
+    inputs = _Inputs.of(frames, curves, empty, ClampCurves.fit(frames, curves, seed))
     sizes = [inputs.raw.shape[1], *HIDDEN, 2]
     trained, learned = [], []
     for member in range(MEMBERS):
@@ -121,6 +125,10 @@ class _Inputs:
         curve: number of each frame's bend curve (n,).
         bends: coefficients (curves, M, K) of the expected curves.
         powers: of each frame's angle (n, M).
+        moved: share of the steps in which each frame moves to another clamp (n, 1).
+        specimen: number of each frame's specimen (n,).
+        left: coefficients (S, M, K) of the mean curve of each specimen's clamp.
+        drawn: coefficients (D, M, K) of those of clamps to which frames move.
     """
 
     raw: Tensor
@@ -131,9 +139,19 @@ class _Inputs:
     curve: Tensor
     bends: Tensor
     powers: Tensor
+    moved: Tensor
+    specimen: Tensor
+    left: Tensor
+    drawn: Tensor
 
     @classmethod
-    def of(cls, frames: BentFrames, curves: BendCurvePrior, empty: AngleNetworks) -> "_Inputs":
+    def of(
+        cls,
+        frames: BentFrames,
+        curves: BendCurvePrior,
+        empty: AngleNetworks,
+        clamps: ClampCurves,
+    ) -> "_Inputs":
         """Inputs from bent frames, for networks without layers."""
         bends = curves.expected(frames) / empty.unit
         still = np.full(len(frames.change), DRIFT[0])
@@ -146,6 +164,10 @@ class _Inputs:
             torch.as_tensor(frames.curve),
             _tensor(bends),
             _tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
+            _tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None]),
+            torch.as_tensor(frames.specimen),
+            _tensor(clamps.own / empty.unit),
+            _tensor(clamps.drawn / empty.unit),
         )
 
     def plain(self, rows: Tensor, chosen: Tensor, _: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -155,7 +177,7 @@ class _Inputs:
     def noisy(
         self, rows: Tensor, chosen: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """The same, with shares of other bend curves and with noise; see `fit_angles`."""
+        """The same, in other clamps and with noise; see `fit_angles`."""
         count, combinations = len(chosen), len(self.noise)
 
         def normal(columns: int) -> Tensor:
@@ -167,11 +189,15 @@ class _Inputs:
         own = rows[chosen]
         other = rows[torch.randint(len(rows), (count,), generator=generator)]
         values = self.raw[own]
-        apart = self.bends[self.curve[other]] - self.bends[self.curve[own]]
-        share = MIXED[0] + (MIXED[1] - MIXED[0]) * uniform()
+        stays = (uniform() >= self.moved[own]).float()
+        share = stays * (MIXED[0] + (MIXED[1] - MIXED[0]) * uniform())
+        apart = share[:, :, None] * (self.bends[self.curve[other]] - self.bends[self.curve[own]])
+        clamp = torch.randint(len(self.drawn), (count,), generator=generator)
+        moved = self.drawn[clamp] - self.left[self.specimen[own]]
+        apart += (1.0 - stays)[:, :, None] * moved
         change = values[:, :combinations]
-        change += share * torch.einsum("np,npk->nk", self.powers[own], apart)
-        change *= 1.0 + RELATIVE_NOISE * normal(combinations)
+        change += torch.einsum("np,npk->nk", self.powers[own], apart)
+        change *= 1.0 + stays * RELATIVE_NOISE * normal(combinations)
         change += normal(combinations) * self.noise
         size = float(np.log(DRIFT[1] / DRIFT[0])) * uniform().square()
         common = DRIFT[0] * size.exp()
@@ -179,7 +205,8 @@ class _Inputs:
         variance = common.square()
         told = variance * (change @ self.filter)[:, None]
         change -= told / (1.0 + variance * (self.drift @ self.filter)) * self.drift
-        values[:, combinations:-1] += FEATURE_NOISE * normal(values.shape[1] - combinations - 1)
+        features = values.shape[1] - combinations - 1
+        values[:, combinations:-1] += stays * FEATURE_NOISE * normal(features)
         values[:, -1:] = size
         return values, self.target[own]
 

@@ -1,0 +1,138 @@
+"""Mean bend curves of clamps: those of a training set, and of others between them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.training.joint.angles.clamps import DRAWN, ClampCurves
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import SCALE, BentFrames
+from eitskin.training.joint.combinations import Combinations
+
+CHANNELS = 3
+NOISE = 1e-5
+ANGLES = np.array([-18.0, -9.0, 8.0, 17.0, 26.0, 34.0, 43.0, 50.0])
+COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
+WAYS = np.random.default_rng(0).standard_normal((5, CHANNELS)) * 0.02
+
+
+def curve(clamps):
+    """Coefficients of the angle and its square (n, 2, K): smooth, but not linear, in the clamp."""
+    span, offset, faces, stiffness = np.asarray(clamps).T
+    first = np.column_stack([0.04 / span, offset / 0.01, 1.0 + 0.1 * faces])
+    second = np.column_stack([np.log(stiffness), np.ones_like(span)])
+    return np.stack([first @ WAYS[:3], second @ WAYS[3:]], axis=1)
+
+
+def clamps_of(count, seed=1):
+    rng = np.random.default_rng(seed)
+    low, high = (0.025, 0.004, np.log(0.7)), (0.060, 0.014, np.log(2.8))
+    span, offset, stiffness = rng.uniform(low, high, (count, 3)).T
+    return np.column_stack([span, offset, 1.0 + np.arange(count) % 2, np.exp(stiffness)])
+
+
+def bent(clamps, each=6, seed=2, feature=0.3):
+    """Bent frames of `each` specimens in every clamp, with one feature that scales the curve."""
+    rng = np.random.default_rng(seed)
+    made = np.repeat(clamps, each, axis=0)
+    features = rng.standard_normal((len(made), 1))
+    number = np.repeat(np.arange(len(made)), len(ANGLES))
+    u = np.tile(ANGLES, len(made))[:, None] / SCALE
+    shape = curve(np.where(np.isfinite(made), made, 1.0))[number]
+    change = u * shape[:, 0] + u**2 * shape[:, 1] + feature * u * features[number] * WAYS[4]
+    change += NOISE * rng.standard_normal(change.shape)
+    return BentFrames(
+        change,
+        np.tile(ANGLES, len(made)),
+        features[number],
+        number,
+        np.zeros(len(number), np.int64),
+        COMBINATIONS,
+        NOISE**2 * np.eye(CHANNELS),
+        made[number],
+    )
+
+
+def learned(frames, seed=0):
+    return ClampCurves.fit(frames, BendCurvePrior.fit(frames), seed)
+
+
+def at_40(coefficients):
+    powers = (40.0 / SCALE) ** np.arange(1, coefficients.shape[1] + 1)
+    return np.einsum("p,npk->nk", powers, coefficients)
+
+
+def expected(clamps):
+    return at_40(curve(clamps))
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values)))
+
+
+def test_the_curve_of_a_clamp_is_that_of_its_specimens_without_their_features():
+    clamps = clamps_of(40)
+    found = learned(bent(clamps))
+    own = at_40(found.own)[::6]
+    assert found.known.all()
+    assert rms(own - expected(clamps)) < 0.05 * rms(expected(clamps) - expected(clamps).mean(0))
+
+
+def test_curves_of_clamps_left_out_are_found_from_the_others():
+    clamps, others = clamps_of(60), clamps_of(30, seed=9)
+    scatter = rms(expected(others) - expected(others).mean(axis=0))
+    # Frames of a clamp left out of the spline count as known, but alone: one specimen each.
+    frames = bent(np.concatenate([clamps, others]), each=1, feature=0.0)
+    found = learned(frames)
+    assert rms(at_40(found.own)[60:] - expected(others)) < 0.1 * scatter
+
+
+def test_drawn_clamps_fill_the_range_of_the_set():
+    clamps = clamps_of(60)
+    found = at_40(learned(bent(clamps)).drawn)
+    many = expected(clamps_of(4000, seed=5))
+    assert found.shape == (DRAWN, CHANNELS)
+    assert np.allclose(found.mean(axis=0), many.mean(axis=0), atol=0.1 * many.std())
+    assert np.allclose(found.std(axis=0), many.std(axis=0), rtol=0.15)
+
+
+@pytest.mark.parametrize("count", [1, 5, 11])
+def test_few_clamps_are_not_generalised(count):
+    found = learned(bent(clamps_of(count)))
+    assert not found.known.any()
+    assert not found.own.any()
+
+
+def test_clamps_on_one_line_are_not_generalised():
+    share = np.linspace(0.0, 1.0, 20)[:, None]
+    ends = np.array([[0.025, 0.004, 2.0, 1.4], [0.060, 0.014, 2.0, 1.4]])
+    assert not learned(bent(ends[0] + share * (ends[1] - ends[0]))).known.any()
+
+
+def test_one_property_alone_is_generalised():
+    clamps = np.tile([0.040, 0.008, 2.0, 1.4], (20, 1))
+    clamps[:, 0] = np.linspace(0.025, 0.060, 20)
+    found = at_40(learned(bent(clamps)).drawn)
+    ends = expected(clamps[[0, -1]])
+    margin = 0.05 * np.ptp(ends, axis=0)
+    assert (found > ends.min(axis=0) - margin).all()
+    assert (found < ends.max(axis=0) + margin).all()
+
+
+def test_specimens_of_unknown_clamps_are_left_alone():
+    clamps = clamps_of(40)
+    frames = bent(clamps)
+    unknown = frames.specimen % 3 == 0
+    frames = dataclasses.replace(frames, clamp=np.where(unknown[:, None], np.nan, frames.clamp))
+    found = learned(frames)
+    assert np.array_equal(found.known, np.arange(240) % 3 != 0)
+    assert not found.own[~found.known].any()
+    assert rms(at_40(found.own)[1::6] - expected(clamps)[: len(found.own[1::6])]) < 0.01
+
+
+def test_equal_seeds_draw_equal_clamps():
+    frames = bent(clamps_of(14), each=2)
+    one, same, other = (learned(frames, seed).drawn for seed in (3, 3, 4))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)

@@ -1,0 +1,122 @@
+"""Bend curves of clamps between those of the training set.
+
+A set holds some dozens of clamps, whose bends are solved one by one; networks trained on these
+alone learn each by heart. What they have in common is smooth: the mean curve of a clamp as a
+function of its free length, axis, held faces and stiffness.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
+
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.bent_frames import BentFrames
+
+Array = NDArray[np.float64]
+
+FEWEST_CLAMPS = 12
+"""Known clamps from which on others are drawn; a linear function of four properties has five."""
+DRAWN = 4000  # clamps
+SMOOTHING = 0.1  # of the spline; errors of clamps left out are equal from 0 on
+_DIGITS = 1  # of the coordinates, from -1 to 1, of clamps whose curves are taken together
+_FLAT = 1e-3  # least extent of the clamps along any direction of their properties, relative
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClampCurves:
+    """Mean bend curves, of the clamps of a training set and of others.
+
+    Attributes:
+        own: coefficients of that of each specimen's clamp (S, M, K); zero where it is unknown.
+        known: whether the clamp of each specimen is known (S,).
+        drawn: coefficients of those of clamps drawn at random (D, M, K).
+    """
+
+    own: Array
+    known: NDArray[np.bool_]
+    drawn: Array
+
+    @classmethod
+    def fit(cls, frames: BentFrames, curves: BendCurvePrior, seed: int) -> "ClampCurves":
+        """Learn from all frames whose clamps are known; none counts as known where few differ.
+
+        The mean curve of a clamp is that of its specimens and their mirror images, less what their
+        features contribute. A thin-plate spline of the clamp's properties goes through them
+        (Duchon 1977). Those drawn follow the clamps of the set by a smoothed bootstrap (Silverman
+        and Young 1987), between the least and the largest value of each property.
+
+        Args:
+            frames: of all specimens, with their mirror images.
+            curves: distribution of their bend curves.
+            seed: of the clamps drawn.
+        """
+        first = np.unique(frames.specimen, return_index=True)[1]
+        known = np.asarray(np.isfinite(frames.clamp[first]).all(axis=1))
+        places = _coordinates(frames.clamp[first][known])
+        cells, number = np.unique(places.round(_DIGITS), axis=0, return_inverse=True)
+        if len(cells) < FEWEST_CLAMPS or _extent(places) < _FLAT:
+            none = np.zeros((1, *curves.mean.shape[1:]))
+            return cls(np.repeat(none, len(known), axis=0), np.zeros_like(known), none)
+        each = _without_features(frames, curves)
+        spline = RBFInterpolator(
+            _means(places, number.ravel()),
+            _means(each[known].reshape(len(places), -1), number.ravel()),
+            smoothing=SMOOTHING,
+            kernel="thin_plate_spline",
+            degree=1,
+        )
+        own = np.zeros_like(each)
+        own[known] = spline(places).reshape(-1, *each.shape[1:])
+        drawn = spline(_drawn(places, len(cells), np.random.default_rng(seed)))
+        return cls(own, known, drawn.reshape(DRAWN, *each.shape[1:]))
+
+
+def _coordinates(clamps: Array) -> Array:
+    """Properties of clamps (S, 4), each from -1 to 1; those that do not differ are left out."""
+    values = np.column_stack([clamps[:, :3], np.log(clamps[:, 3])])
+    if not len(values):
+        return values
+    low, high = values.min(axis=0), values.max(axis=0)
+    differ = high - low > _FLAT * np.abs(values).max(axis=0)
+    places: Array = (2.0 * (values - low) / np.where(differ, high - low, 1.0) - 1.0)[:, differ]
+    return places
+
+
+def _extent(places: Array) -> float:
+    """Least extent of points (n, d) along any direction, relative to the largest."""
+    sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return float(sizes[-1] / sizes[0]) if len(sizes) else 0.0
+
+
+def _drawn(places: Array, clamps: int, rng: np.random.Generator) -> Array:
+    """Points (`DRAWN`, d) distributed as others, but smoothly; coordinates of two values stay so.
+
+    By a normal kernel of the width of Scott (1992), which serves for as many different `clamps`.
+    """
+    several = np.array([len(np.unique(values)) > 2 for values in places.T])
+    width = places.std(axis=0) * clamps ** (-1.0 / (4 + places.shape[1])) * several
+    drawn = rng.choice(places, DRAWN) + width * rng.standard_normal((DRAWN, places.shape[1]))
+    inside: Array = np.clip(drawn, places.min(axis=0), places.max(axis=0))
+    return inside
+
+
+def _without_features(frames: BentFrames, curves: BendCurvePrior) -> Array:
+    """Expected curve of each specimen (S, M, K), less the part that its features explain.
+
+    The mean over its mirror images: clamps are symmetric.
+    """
+    _, first = np.unique(frames.curve, return_index=True)
+    explained = np.tensordot(frames.features[first], curves.mean[1:], axes=1)
+    left = curves.expected(frames) - explained
+    means = _means(left.reshape(len(left), -1), frames.specimen[first])
+    return means.reshape(-1, *left.shape[1:])
+
+
+def _means(rows: Array, group: NDArray[np.intp] | NDArray[np.int64]) -> Array:
+    """Mean of the rows (n, d) of each group, in the order of their numbers from 0 on."""
+    total = np.zeros((int(group.max()) + 1, rows.shape[1]))
+    np.add.at(total, group, rows)
+    mean: Array = total / np.bincount(group)[:, None]
+    return mean
