@@ -1,8 +1,8 @@
 """Bend curves of clamps between those of the training set.
 
 A set holds some dozens of clamps, whose bends are solved one by one; networks trained on these
-alone learn each by heart. What they have in common is smooth: the mean curve of a clamp as a
-function of its free length, axis, held faces and stiffness.
+alone learn each by heart. The mean curve of a clamp is a smooth function of its free length, axis,
+held faces and stiffness, and so it is known for any other.
 """
 
 from dataclasses import dataclass
