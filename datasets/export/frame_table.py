@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import FIELDS
+from eitskin.datasets.store.schema import CLAMP_FIELDS, FIELDS
 from eitskin.datasets.store.state import State
 from eitskin.extras import require
 
@@ -51,6 +51,9 @@ def _columns(channels: int, units: str) -> Iterator[Column]:
     yield Column("state", "text", 0, "1", "idle, touch or bend; null where unknown")
     yield Column("bend_angle_deg", "float32", 0, "degree", "bend; null where unknown")
     yield Column("touches", "touches", 0, "SI", f"{_TOUCH_TEXT}; null where unknown")
+    for name in CLAMP_FIELDS:
+        what = said[name].replace("NaN", "null")
+        yield Column(name, "float32", 0, _ROWS[name].units, what)
     for name in ("impedance", "touch_reference", "reference"):
         for part in ("real", "imag"):
             what = f"{part} part: {said[name].replace('NaN', 'null')}"

@@ -12,6 +12,7 @@ from eitskin.datasets.recipe.frame_sampling import Sample, Stream, generator, sa
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.schema import CLAMP_FIELDS
 from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
@@ -97,9 +98,8 @@ def simulate_frames(
 
 def _clamps(recipe: Recipe, samples: Sequence[Sample]) -> dict[str, NDArray[np.float64]]:
     """Columns (n,) of what the bends of clamped sensors depend on; NaN for other fixtures."""
-    names = ("clamp_span", "clamp_offset", "clamp_faces", "clamp_stiffness")
     rows = [_clamp(each.scene, specimen(recipe, each.specimen)) for each in samples]
-    return dict(zip(names, np.array(rows).T, strict=True))
+    return dict(zip(CLAMP_FIELDS, np.array(rows).T, strict=True))
 
 
 def _clamp(scene: Scene, made: Specimen) -> tuple[float, float, float, float]:

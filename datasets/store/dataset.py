@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -30,6 +30,18 @@ from eitskin.protocol import Protocol
 
 # Attributes that all parts of a dataset share.
 ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
+
+
+def _is_positive(values: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(values) & (values > 0))
+
+
+_POSSIBLE_CLAMPS: Final[dict[str, tuple[Callable[[NDArray[Any]], NDArray[np.bool_]], str]]] = {
+    "clamp_span": (_is_positive, "a positive length in m"),
+    "clamp_offset": (np.isfinite, "a length in m"),
+    "clamp_faces": (lambda values: np.isin(values, (1, 2)), "1 or 2"),
+    "clamp_stiffness": (_is_positive, "a positive ratio of moduli"),
+}
 
 
 def _omitted() -> NDArray[np.float32]:
@@ -369,6 +381,11 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
         specimens, most = len(columns["reference"]), columns["specimen"].max(initial=0)
         if most >= specimens:
             raise DataError(f"specimen {most} has no reference; there are {specimens}")
+    for name, (possible, wanted) in _POSSIBLE_CLAMPS.items():
+        values = columns.get(name, np.zeros(0))
+        wrong = values[~(np.isnan(values) | possible(values))]
+        if len(wrong):
+            raise DataError(f"{name} must be {wanted}, or NaN where unknown, got {wrong[0]:g}")
     if "state" in columns:
         _check_states(columns["state"])
     if "touch_x" in columns and "touch_y" in columns:

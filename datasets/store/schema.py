@@ -161,4 +161,5 @@ FIELDS: Final = (
     _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
     _field("number", "<u4", "frame", "1", "as counted; a gap is frames lost", since=2),
 )
+CLAMP_FIELDS: Final = tuple(field.name for field in FIELDS if field.path.startswith("clamp/"))
 FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame")

@@ -28,6 +28,9 @@ _RANGES: dict[str, Callable[[Dataset], Values]] = {
     "force_n": lambda data: data.touch_force,
     "depth_mm": lambda data: 1e3 * data.touch_depth,
     "radius_mm": lambda data: 1e3 * data.touch_radius,
+    "clamp_span_mm": lambda data: 1e3 * data.clamp_span,
+    "clamp_offset_mm": lambda data: 1e3 * data.clamp_offset,
+    "clamp_stiffness": lambda data: data.clamp_stiffness,
     "impedance_ohm": lambda data: _sizes(data, data.quantity != "voltage"),
     "voltage_v": lambda data: _sizes(data, data.quantity == "voltage"),
 }

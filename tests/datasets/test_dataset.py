@@ -190,3 +190,24 @@ def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
             writer.append(next(frames(1, Protocol.pairwise(5))))
     with pytest.raises(ConfigurationError, match="not empty"):
         ShardWriter(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("clamp_span", 0.0),
+        ("clamp_span", np.inf),
+        ("clamp_offset", -np.inf),
+        ("clamp_faces", 3.0),
+        ("clamp_stiffness", -1.4),
+    ],
+)
+def test_impossible_clamps_are_refused(name, value):
+    with pytest.raises(DataError, match=f"{name} must be .* got {value:g}"):
+        make(**{name: np.full(40, value)})
+
+
+def test_clamps_may_be_unknown_frame_by_frame():
+    span = np.where(np.arange(40) % 2, np.nan, 0.04)
+    assert np.isnan(make(clamp_span=span).clamp_span[1::2]).all()
+    assert np.isnan(make(clamp_span=np.zeros(0)).clamp_span).all()

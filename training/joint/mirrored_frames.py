@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.schema import CLAMP_FIELDS
 from eitskin.datasets.store.state import State
 from eitskin.training.method.symmetry import Mirror
 
@@ -85,8 +86,7 @@ class MirroredFrames:
 
 def _clamps(data: Dataset) -> Array:
     """Properties of each frame's clamp (n, 4); held alike by its mirror images."""
-    columns = (data.clamp_span, data.clamp_offset, data.clamp_faces, data.clamp_stiffness)
-    return np.stack(columns, axis=1).astype(float)
+    return np.stack([getattr(data, name) for name in CLAMP_FIELDS], axis=1).astype(float)
 
 
 def is_touched(data: Dataset) -> NDArray[np.bool_]:

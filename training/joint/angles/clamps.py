@@ -39,7 +39,9 @@ class ClampCurves:
     drawn: Array
 
     @classmethod
-    def fit(cls, frames: BentFrames, curves: BendCurvePrior, seed: int) -> "ClampCurves":
+    def fit(
+        cls, frames: BentFrames, curves: BendCurvePrior, bends: Array, seed: int
+    ) -> "ClampCurves":
         """Learn from all frames whose clamps are known; none counts as known where few differ.
 
         The mean curve of a clamp is that of its specimens and their mirror images, less what their
@@ -50,6 +52,7 @@ class ClampCurves:
         Args:
             frames: of all specimens, with their mirror images.
             curves: distribution of their bend curves.
+            bends: coefficients of the expected ones (curves, M, K).
             seed: of the clamps drawn.
         """
         first = np.unique(frames.specimen, return_index=True)[1]
@@ -59,7 +62,7 @@ class ClampCurves:
         if len(cells) < FEWEST_CLAMPS or _extent(places) < _FLAT:
             none = np.zeros((1, *curves.mean.shape[1:]))
             return cls(np.repeat(none, len(known), axis=0), np.zeros_like(known), none)
-        each = _without_features(frames, curves)
+        each = _without_features(frames, curves, bends)
         spline = RBFInterpolator(
             _means(places, number.ravel()),
             _means(each[known].reshape(len(places), -1), number.ravel()),
@@ -102,14 +105,14 @@ def _drawn(places: Array, clamps: int, rng: np.random.Generator) -> Array:
     return inside
 
 
-def _without_features(frames: BentFrames, curves: BendCurvePrior) -> Array:
+def _without_features(frames: BentFrames, curves: BendCurvePrior, bends: Array) -> Array:
     """Expected curve of each specimen (S, M, K), less the part that its features explain.
 
     The mean over its mirror images: clamps are symmetric.
     """
     _, first = np.unique(frames.curve, return_index=True)
     explained = np.tensordot(frames.features[first], curves.mean[1:], axes=1)
-    left = curves.expected(frames) - explained
+    left = bends - explained
     means = _means(left.reshape(len(left), -1), frames.specimen[first])
     return means.reshape(-1, *left.shape[1:])
 

@@ -65,7 +65,8 @@ def fit_angles(
     """
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)
-    inputs = _Inputs.of(frames, curves, empty, ClampCurves.fit(frames, curves, seed))
+    bends = curves.expected(frames)
+    inputs = _Inputs.of(frames, bends, empty, ClampCurves.fit(frames, curves, bends, seed))
     sizes = [inputs.raw.shape[1], *HIDDEN, 2]
     trained, learned = [], []
     for member in range(MEMBERS):
@@ -148,12 +149,11 @@ class _Inputs:
     def of(
         cls,
         frames: BentFrames,
-        curves: BendCurvePrior,
+        bends: Array,
         empty: AngleNetworks,
         clamps: ClampCurves,
     ) -> "_Inputs":
-        """Inputs from bent frames, for networks without layers."""
-        bends = curves.expected(frames) / empty.unit
+        """Inputs from bent frames and their curves, for networks without layers."""
         still = np.full(len(frames.change), DRIFT[0])
         return cls(
             _tensor(empty.inputs(frames.change, frames.features, still)),
@@ -162,7 +162,7 @@ class _Inputs:
             _tensor(empty.drift),
             _tensor(empty.filter),
             torch.as_tensor(frames.curve),
-            _tensor(bends),
+            _tensor(bends / empty.unit),
             _tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
             _tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None]),
             torch.as_tensor(frames.specimen),
