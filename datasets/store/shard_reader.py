@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
 from eitskin.contained import Answer, Limits, contained
-from eitskin.datasets.store.dataset import ORIGIN, Dataset, check_values, known_quantity
+from eitskin.datasets.store.dataset import ORIGIN, Dataset, known_quantity
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
@@ -32,6 +32,7 @@ from eitskin.datasets.store.schema import (
 )
 from eitskin.datasets.store.seal import unsealed
 from eitskin.datasets.store.stored_arrays import all_arrays, one_array
+from eitskin.datasets.store.values import check_values
 from eitskin.errors import DataError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.input_files import MOST_TEXT, quoted, read_bytes
