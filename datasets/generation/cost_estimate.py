@@ -11,7 +11,7 @@ from pathlib import Path
 from eitskin.datasets.generation.generate import free_bytes
 from eitskin.datasets.generation.preparation import prepare, solved_frames
 from eitskin.datasets.generation.shard_simulation import flat_impedance, simulate_frames
-from eitskin.datasets.recipe.frame_sampling import sample, specimen, specimen_numbers
+from eitskin.datasets.recipe.frame_sampling import instrument, sample, specimen, specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_bytes
 
@@ -118,7 +118,7 @@ def _run_trial(recipe: Recipe, frames: int) -> _Trial:
     others = _frame_numbers(recipe, frames, 0.5)
     specimens = {sample(recipe, index).specimen for index in others}
     for number in specimens:
-        flat_impedance(specimen(recipe, number), recipe)
+        flat_impedance(specimen(recipe, number), recipe, instrument(recipe, number))
     solved = time.perf_counter()
     simulate_frames(recipe, others)
     end = time.perf_counter()

@@ -72,17 +72,19 @@ def prepare(
         recipe: of the dataset.
         progress: called with the numbers of solved bends or presses and of all in the tables that
             are being solved.
-        workers: number of processes for dents of presses.
+        workers: number of processes.
         specimens: their numbers; `deciding_specimens` when omitted. Others find their tables
             solved; one that needs another table solves it when it is simulated.
 
     Raises ConfigurationError for forces or bends out of reach on one of the specimens.
     """
     specimens = deciding_specimens(recipe) if specimens is None else specimens
-    for bent in _clamped(recipe, specimens):
-        bend_store.prepare(*bent, progress)
-        for angle in recipe.extreme_angles:
-            bend_store.bend_table(*bent).check(angle)
+    clamped = list(_clamped(recipe, specimens))
+    for some in (clamped[:1], clamped[1:]):  # bends out of reach are told after the first table
+        bend_store.prepare(some, progress, workers)
+        for bent in some:
+            for angle in recipe.extreme_angles:
+                bend_store.bend_table(*bent).check(angle)
     pairs = _touches_together(recipe)
     for indenter, force in _indenters(recipe).items():
         pressed = list(_pressed(recipe, indenter, specimens))

@@ -8,7 +8,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recipe.frame_sampling import Sample, Stream, generator, sample, specimen
+from eitskin.datasets.recipe.frame_sampling import (
+    Sample,
+    Stream,
+    generator,
+    instrument,
+    sample,
+    specimen,
+)
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
@@ -139,15 +146,16 @@ class _Board:
 
 def _board(recipe: Recipe, protocol: Protocol, number: int, flat: Impedance) -> _Board:
     """Board of specimen `number`, whose flat and untouched impedances are `flat` [ohm]."""
+    own = instrument(recipe, number)
     full_scale = float(np.abs(flat[0]).max())
 
-    def session(instrument: Instrument) -> Session:
-        return instrument.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
+    def session(terms: Instrument) -> Session:
+        return terms.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
 
-    still = session(dataclasses.replace(recipe.instrument, snr_db=0.0, floor=0.0))
+    still = session(dataclasses.replace(own, snr_db=0.0, floor=0.0))
     rng = generator(recipe, Stream.SESSION, number)  # not used: all noise is switched off
     (reference,), _ = still.measure(flat[None], np.zeros(1), rng)
-    return _Board(session(recipe.instrument), reference)
+    return _Board(session(own), reference)
 
 
 def _solve(
@@ -165,17 +173,15 @@ def _solve(
         wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
     solved: dict[tuple[int, Scene], Impedance] = {}
     for number, distinct in wanted.items():
-        made = specimen(recipe, number)
+        made, board = specimen(recipe, number), instrument(recipe, number)
         before_solve()
-        solved[number, Scene()] = flat_impedance(made, recipe)
+        solved[number, Scene()] = flat_impedance(made, recipe, board)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
             simulator = _simulator(
                 made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
-            found = simulator.measure_all(
-                alike, before_each=before_solve, instrument=recipe.instrument
-            )
+            found = simulator.measure_all(alike, before_each=before_solve, instrument=board)
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
 
@@ -205,11 +211,11 @@ def _simulator(
     return made.simulator(nominal, resolution, protocol, touch_model)
 
 
-def flat_impedance(made: Specimen, recipe: Recipe) -> Impedance:
-    """Noise-free impedances of the flat, untouched specimen on the recipe's instrument.
+def flat_impedance(made: Specimen, recipe: Recipe, board: Instrument) -> Impedance:
+    """Noise-free impedances of the flat, untouched specimen on its board.
 
     They are those of the instrument's terminals, (2, measurements) [ohm].
     """
     simulator = _simulator(made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=True)
-    found: Impedance = simulator.measure_all([Scene()], instrument=recipe.instrument)[0]
+    found: Impedance = simulator.measure_all([Scene()], instrument=board)[0]
     return found

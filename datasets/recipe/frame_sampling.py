@@ -16,11 +16,13 @@ from eitskin.datasets.recipe.episode import PERIOD, Episodes, Timeline
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import (
     Specimen,
+    draw_meter,
     draw_specimen,
     free_length,
     with_wider_gap,
 )
 from eitskin.datasets.store.state import State
+from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.viscoelasticity import Prony, mixture
 from eitskin.simulator.scene.scene import Scene
@@ -41,6 +43,7 @@ class Stream(IntEnum):
     BEND = 4
     SESSION = 5
     EPISODE = 6
+    BOARD = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,16 @@ def specimen(recipe: Recipe, number: int) -> Specimen:
     """Specimen `number` of the recipe."""
     rng = generator(recipe, Stream.SPECIMEN, number)
     return draw_specimen(recipe.specimens, recipe.nominal(number), rng)
+
+
+@lru_cache(maxsize=256)
+def instrument(recipe: Recipe, number: int) -> Instrument:
+    """Instrument of specimen `number` of the recipe."""
+    nominal, spread = recipe.instrument, recipe.specimens
+    if nominal.meter is None or not spread.board_loads:
+        return nominal
+    rng = generator(recipe, Stream.BOARD, number)
+    return dataclasses.replace(nominal, meter=draw_meter(spread, nominal.meter, rng))
 
 
 def specimen_numbers(recipe: Recipe, frames: range) -> list[int]:

@@ -57,6 +57,7 @@ class Recipe:
             `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
         instrument: errors and noise of the board; each specimen has one board and one session.
+            Boards differ by `board_loads` of `specimens`.
         specimens: number of sensors and standard deviations between them.
         mounts: clamps and stiffnesses that specimens have in turn, in place of `fixture`.
         reference_frames: number of frames of the untouched sensor, each with its noise, averaged
@@ -234,6 +235,11 @@ class Recipe:
             )
 
     def _specimen_problems(self) -> Iterator[str]:
+        if self.specimens.board_loads and not self.instrument.is_loaded:
+            yield (
+                "specimens: board_loads is the spread of the loads of the instrument's meter, got "
+                "none there; give some, as instrument.meter = { source = 1.5e-5, sink = 1.5e-5 }"
+            )
         impossible = list(self.mounts.problems())
         impossible = impossible or list(self.mounts.unclampable(self.sensor, self.mechanics))
         yield from impossible

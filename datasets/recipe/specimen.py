@@ -19,6 +19,7 @@ from eitskin.geometry.design.support import Plates, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.instrument.meter import LOADS, FourTerminalMeter
 from eitskin.simulator.layer.pressed_touches import TouchModel
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
@@ -40,6 +41,7 @@ RANGES = {
     "electrode_place": (0.01, " m"),
     "hinge_span": (0.01, " m"),
     "hinge_offset": (0.01, " m"),
+    "board_loads": (10.0, ""),
 }
 
 
@@ -62,6 +64,7 @@ class Specimens:
         hinge_span: free length of the fixture or length of its arc, and between the plates of a
             support [m].
         hinge_offset: position of the fixture's axis across the layer, where it has one [m].
+        board_loads: of each load of the instrument's meter and of its common mode, independently.
     """
 
     count: int = 1
@@ -73,6 +76,7 @@ class Specimens:
     electrode_place: float = 0.0
     hinge_span: float = 0.0
     hinge_offset: float = 0.0
+    board_loads: float = 0.0
 
     def problems(self, design: SensorDesign, fixture: Fixture) -> Iterator[str]:
         """Impossible values for sensors like `design` on a `fixture`, a sentence each."""
@@ -176,6 +180,21 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
                 mechanics.encapsulation, factor("encapsulation_modulus", around)
             ),
         ),
+    )
+
+
+def draw_meter(
+    spread: Specimens, nominal: FourTerminalMeter, rng: np.random.Generator
+) -> FourTerminalMeter:
+    """Random meter of one specimen's board with deviations `spread` from `nominal`."""
+    terms = (*LOADS, "common_mode")
+    normals = truncated_normal(rng, len(terms)).tolist()
+    return dataclasses.replace(
+        nominal,
+        **{
+            name: getattr(nominal, name) * lognormal(spread.board_loads, normal)
+            for name, normal in zip(terms, normals, strict=True)
+        },
     )
 
 

@@ -10,7 +10,7 @@ is solved at one thickness and one modulus of the gel.
 import dataclasses
 import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamp
 from eitskin.simulator.bends.bend_table import BendTable
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.processes import processes
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -160,21 +161,31 @@ def missing(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> set[Pat
 
 
 def prepare(
-    design: SensorDesign, clamp: Clamp, mechanics: Mechanics, progress: Progress | None = None
+    clamped: Iterable[tuple[SensorDesign, Clamp, Mechanics]],
+    progress: Progress | None = None,
+    workers: int = 1,
 ) -> None:
-    """Solve the tables that `bend_table` needs and that are neither shipped nor on the disk.
+    """Solve the tables of clamped sensors that are neither shipped nor on the disk.
 
-    `progress` is called with the number of solved bends and of all bends.
+    Args:
+        clamped: arguments of `bend_table`.
+        progress: called with the number of solved bends and of all bends.
+        workers: number of processes, each with a table.
     """
-    cases = list(_absent(design, clamp, mechanics))
-    each = len(tables.ANGLES_DEG)
-    for number, case in enumerate(cases):
+    cases = list({case.name: case for each in clamped for case in _absent(*each)}.values())
+    each, workers = len(tables.ANGLES_DEG), max(min(workers, len(cases)), 1)
 
-        def report(done: int, _: int, before: int = number * each) -> None:
-            if progress:
-                progress(before + done, each * len(cases))
+    def report(before: int, done: int, _: int = 0) -> None:
+        if progress:
+            progress(before * each + done, each * len(cases))
 
-        _kept(case, report)
+    if workers == 1:
+        for number, case in enumerate(cases):
+            _kept(case, partial(report, number))
+        return
+    with processes(workers) as run:
+        for number, _ in enumerate(run(_kept, cases), 1):
+            report(number, 0)
 
 
 def on_support(clamp: Clamp, support: Support) -> Clamp:

@@ -13,10 +13,10 @@ from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines, spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
-from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 

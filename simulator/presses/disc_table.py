@@ -13,6 +13,7 @@ from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.processes import solved_places
 from eitskin.simulator.presses.correction_table import (
     DEPTHS,
     SAME,
@@ -27,7 +28,6 @@ from eitskin.simulator.presses.correction_table import (
 from eitskin.simulator.presses.fields.spline_field import SplineField
 from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.finite_stack import Correction
-from eitskin.simulator.presses.processes import solved_places
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 

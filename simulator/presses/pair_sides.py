@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses.correction_table import across_strip, least_distance
 from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField, together
 from eitskin.simulator.presses.pair_table import (
@@ -22,7 +23,6 @@ from eitskin.simulator.presses.pair_table import (
     near_weights,
     pair_setting,
 )
-from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from eitskin.geometry.design.support import Rigid
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.cubic_splines import spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses.correction_table import (
     dents_to,
 )
@@ -20,7 +21,6 @@ from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.fields.spline_field import SplineField
 from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
-from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 

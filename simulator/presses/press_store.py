@@ -12,10 +12,10 @@ import numpy as np
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses import press_table as tables
 from eitskin.simulator.presses.correction_table import Report
 from eitskin.simulator.presses.press_table import PressTable
-from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.scene.indenters import Indenter
 
 # Tables that come with the package.

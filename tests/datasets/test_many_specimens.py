@@ -33,9 +33,9 @@ def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
         flat.append(scenes == [Scene()])
         return measure_all(self, scenes, *arguments, **options)
 
-    def preparing(*arguments):
-        prepared.append(arguments)
-        return prepare_bends(*arguments)
+    def preparing(clamped, *arguments):
+        prepared.extend(clamped)
+        return prepare_bends(clamped, *arguments)
 
     monkeypatch.setattr(Simulator, "measure_all", measuring)
     monkeypatch.setattr(bend_store, "prepare", preparing)

@@ -61,7 +61,7 @@ def main(only_bends: bool) -> None:
         ("neighbours in a clamp", varied, stiffer, moved),
     ):
         with _reported(name):
-            bend_store.prepare(design, fixture, mechanics, _progress)
+            bend_store.prepare([(design, fixture, mechanics)], _progress)
     if only_bends:
         return
     with _reported("reference"):

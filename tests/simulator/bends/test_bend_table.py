@@ -127,7 +127,7 @@ def test_the_reference_sensor_bends_as_an_independent_solution_has_it() -> None:
 def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     design, materials = short()
     reports: list[tuple[int, int]] = []
-    bend_store.prepare(design, CLAMP, materials, lambda *done: reports.append(done))
+    bend_store.prepare([(design, CLAMP, materials)], lambda *done: reports.append(done))
     assert reports[-1] == (4, 4)
     assert bend_store.missing(design, CLAMP, materials) == set()
     found = bend_store.bend_table(design, CLAMP, materials)

@@ -13,10 +13,10 @@ from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses import press_store
 from eitskin.simulator.presses import press_table as tables
 from eitskin.simulator.presses.press_table import PressTable
-from eitskin.simulator.presses.processes import processes
 
 DESIGN = SensorDesign.reference()
 REFERENCE = Mechanics()
