@@ -19,6 +19,7 @@ from eitskin.simulator.mechanics.materials import NeoHookean
 COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)
 INSIDE = np.random.default_rng(1).uniform([0.0, 0.0, 0.0], [0.060, 0.012, 0.006], (500, 3))
 CLAMP = Clamp(0.020, 0.004)
+ALL_ANGLES = bend_table.ANGLES_DEG
 ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0)
 # Relative changes of the 28 resistances of the reference sensor at 20 degrees by an independent
 # finite-strain solution of the whole stack and the fine forward model; own error 0.3 %.
@@ -148,6 +149,23 @@ def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     bend_store.bend_table.cache_clear()
     again = bend_store.bend_table(design, CLAMP, materials)
     assert again.values == pytest.approx(found.values, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_tables_solved_by_several_processes_are_those_of_one(few_angles, monkeypatch) -> None:
+    design, materials = short()
+    clamps = [(design, dataclasses.replace(CLAMP, span=span), materials) for span in (0.02, 0.024)]
+    reports: list[tuple[int, int]] = []
+    bend_store.prepare([*clamps, clamps[0]], lambda *done: reports.append(done), workers=2)
+    assert [done / total for done, total in reports] == [0.5, 1.0]
+    assert len([*few_angles.glob("bend-*")]) == 2
+    monkeypatch.setattr(bend_table, "ANGLES_DEG", ALL_ANGLES)  # as the processes have them
+    monkeypatch.setenv("EITSKIN_CACHE", str(few_angles / "one"))
+    bend_store.prepare(clamps)
+    for file in few_angles.glob("bend-*"):
+        with np.load(few_angles / "one" / file.name) as one, np.load(file) as other:
+            for name in one.files:
+                np.testing.assert_array_equal(one[name], other[name])
 
 
 @pytest.mark.slow
