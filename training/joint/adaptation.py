@@ -17,14 +17,11 @@ from eitskin.training.joint.combinations import Combinations, CombinedChange, lo
 from eitskin.training.method.calibration import Calibration
 from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames
 from eitskin.training.method.observations import UNKNOWN_AGE
-from eitskin.training.method.predictions import FoundTouches
 
 Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
 
 STATED_ANGLES = 8  # at which standard errors are stated
-PRIOR_TOUCHES = 4.0  # touches with errors as stated, that count beside the known ones
-NEAREST = 0.015  # m, within which a found touch is a known one
 PRIOR_FRAMES = 1.0  # frames with noise as in training, that count beside the known ones
 NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 
@@ -138,23 +135,3 @@ def calibration_of(
         for each in (prior, curve)
     )
     return Calibration(angles, before, after, float(np.sqrt(np.mean(np.square(residuals)))))
-
-
-def error_scale(touches: Array, found: Sequence[FoundTouches]) -> float:
-    """Factor of the standard errors of places, from the errors of known touches.
-
-    Root mean square of error over stated standard error of the touches that were found; a few
-    touches with errors as stated count beside them, so that one touch does not tell all.
-
-    Args:
-        touches: x [m] and y [m] of those known, and more (n, k, 2 or more); NaN where absent.
-        found: touches of each frame, with standard errors before.
-    """
-    total = count = PRIOR_TOUCHES
-    for known, said in zip(touches, found, strict=True):
-        for place in known[np.isfinite(known[:, 0]), :2]:
-            away = np.linalg.norm(said.place - place, axis=1)
-            if len(away) and away.min() <= NEAREST:
-                total += float(away.min() / said.deviation[away.argmin()]) ** 2
-                count += 1.0
-    return float(np.sqrt(total / count))

@@ -15,7 +15,6 @@ from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,
     calibration_of,
-    error_scale,
     noise_scale,
     widened,
 )
@@ -30,6 +29,7 @@ from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
 from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
 from eitskin.training.joint.own_response import own_output, own_response, twin_trial
+from eitskin.training.joint.place_errors import ErrorScale, own_error_scale
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.problems import calibration_problems, fit_problems
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
@@ -90,8 +90,7 @@ class JointMethod(Method):
         usual: bend curves of the clamp that most sensors have, if training found one.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
         error_scale: factor of the standard errors of places, from training specimens that the
-            response was learned without: errors of the response are not as independent as the fit
-            takes them to be.
+            response was learned without.
         own_error_scale: a further one, from known touches of the sensor that the method is adapted
             to; 1 before.
         own_noise_scale: noise of that sensor's frames relative to that in training; 1 before.
@@ -123,7 +122,7 @@ class JointMethod(Method):
     angles: AngleNetworks | None = None
     usual: BendCurvePrior | None = None
     forces: bool = True
-    error_scale: float = 1.0
+    error_scale: ErrorScale = field(default_factory=ErrorScale)
     own_error_scale: float = 1.0
     own_noise_scale: float = 1.0
     own_output: Array | None = None
@@ -147,9 +146,11 @@ class JointMethod(Method):
         unseen = held_out_touches(frames.dataset) if method.touches else None
         if unseen is None:
             return method
-        found = method.predict(Observations.of(unseen)).touches
+        seen = Observations.of(unseen)
+        found = method.predict(seen).touches
         known = np.stack([unseen.touch_x, unseen.touch_y], axis=-1).astype(float)
-        return replace(method, error_scale=error_scale(known, found))
+        scale = ErrorScale.fit(known, found, method.features.bounded(seen.flat))
+        return replace(method, error_scale=scale)
 
     @property
     def targets(self) -> Targets:
@@ -210,7 +211,7 @@ class JointMethod(Method):
                 skew = objective.scan_skew(objective.curve.slope(found.angle_deg), moved)
                 seen = seen.noisier(skew)
             bend = specimen.angle(seen)
-        return self._prediction(found, bend, specimen.problems)
+        return self._prediction(found, bend, specimen)
 
     def _fitted(
         self,
@@ -253,7 +254,7 @@ class JointMethod(Method):
         return self.proposals.places(inputs, self.touch_prior.separation)
 
     def _prediction(
-        self, found: FrameFit, bend: AngleEstimate, problems: tuple[str, ...]
+        self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
     ) -> Predictions:
         """One frame's predictions from its fit."""
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
@@ -266,7 +267,7 @@ class JointMethod(Method):
         surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         force = found.touches[:, 2] if self.forces else None
-        scale = self.error_scale * self.own_error_scale
+        scale = self.error_scale.of(specimen.features) * self.own_error_scale
         bends = self.bend_prior.angle_deg if self.bend_prior.bends else None
         return Predictions(
             state_probabilities(found, bend, bends, self.touches)[None],
@@ -274,7 +275,7 @@ class JointMethod(Method):
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
-            (problems + fit_problems(found, bend, self.touches),),
+            (specimen.problems + fit_problems(found, bend, self.touches),),
         )
 
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
@@ -360,7 +361,7 @@ class JointMethod(Method):
             own = response_given(before, touched, adapted._combined, self.touch_prior, self.forces)
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             found = adapted.predict(touched.observations).touches
-            scale = error_scale(touched.touches, found)
+            scale = own_error_scale(touched.touches, found)
             adapted = replace(adapted, own_error_scale=scale)
         return adapted, replace(told, error_scale=adapted.own_error_scale, noise_scale=noise)
 
@@ -370,9 +371,11 @@ class JointMethod(Method):
         Places and their standard errors are checked as one picture, as version 0.1 saved them.
         """
         predictions = self.predict(observations)
-        scale = np.sqrt(2.0) * self.error_scale * self.own_error_scale
+        features = self.features.bounded(observations.flat)
+        scales = [np.sqrt(2.0) * self.own_error_scale * self.error_scale.of(p) for p in features]
         drawn = (self.radius, self.size, self.shape)
-        maps = [disc_map(t.place, t.deviation / scale, *drawn) for t in predictions.touches]
+        told = zip(predictions.touches, scales, strict=True)
+        maps = [disc_map(each.place, each.deviation / scale, *drawn) for each, scale in told]
         return {
             "probabilities": predictions.probabilities,
             "bend_angle_deg": predictions.bend_angle_deg,

@@ -1,6 +1,7 @@
 """Arrays that a joint method is saved as."""
 
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any
 from typing import Protocol as Interface
 
@@ -11,6 +12,7 @@ from eitskin.errors import DataError
 from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.place_errors import ErrorScale
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
@@ -41,7 +43,7 @@ def stored_arrays(fields: Mapping[str, Any]) -> Arrays:
         "bounds": np.array([prior.low, prior.high]),
         "places": fields["places"],
         "forces": np.array(fields["forces"]),
-        "error_scale": np.array(fields["error_scale"]),
+        "error_scale": np.array(astuple(fields["error_scale"])),
         "own_error_scale": np.array(fields["own_error_scale"]),
         "own_noise_scale": np.array(fields["own_noise_scale"]),
     }
@@ -104,8 +106,14 @@ def restored_fields(arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec) 
         "angles": AngleNetworks.from_arrays(angles) if "unit" in angles else None,
         "usual": BendCurvePrior.from_arrays(usual) if usual else None,
         "forces": bool(arrays.get("forces", one)),
-        "error_scale": float(arrays.get("error_scale", one)),
+        "error_scale": _error_scale(arrays.get("error_scale", one)),
         "own_error_scale": float(arrays.get("own_error_scale", one)),
         "own_noise_scale": float(arrays.get("own_noise_scale", one)),
         **{name: arrays[name].astype(float) if name in arrays else None for name in OWN},
     }
+
+
+def _error_scale(stored: NDArray[np.generic]) -> ErrorScale:
+    """Scale of the standard errors of places; pipelines before had one for all sensors."""
+    values = stored.astype(float)
+    return ErrorScale(*values.tolist()) if values.ndim else ErrorScale(float(values) ** 2)

@@ -20,8 +20,8 @@ from eitskin.training.joint import (
 from eitskin.training.joint import (
     training as joint_training,
 )
-from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.place_errors import ErrorScale
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
@@ -150,13 +150,15 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     numbers = checked.specimen_number[checked.specimen]
     assert set(numbers.tolist()) == set(specimens[7::8].tolist())
     assert (checked.touch_count > 0).all()
-    plain = replace(method, error_scale=1.0).predict(Observations.of(checked)).touches
+    seen = Observations.of(checked)
+    plain = replace(method, error_scale=ErrorScale()).predict(seen).touches
     known = np.stack([checked.touch_x, checked.touch_y], axis=-1)
-    assert method.error_scale == pytest.approx(error_scale(known, plain))
-    assert method.error_scale != 1.0
-    scaled = method.predict(Observations.of(checked)).touches
-    for before, after in zip(plain, scaled, strict=True):
-        np.testing.assert_allclose(after.deviation, method.error_scale * before.deviation)
+    features = method.features.bounded(seen.flat)
+    assert method.error_scale == ErrorScale.fit(known, plain, features)
+    assert method.error_scale != ErrorScale()
+    scaled = method.predict(seen).touches
+    for before, after, p in zip(plain, scaled, features, strict=True):
+        np.testing.assert_allclose(after.deviation, method.error_scale.of(p) * before.deviation)
 
 
 @pytest.mark.slow

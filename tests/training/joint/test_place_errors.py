@@ -1,0 +1,58 @@
+"""Standard errors of places: scales by known touches, of one sensor and of strange ones."""
+
+import numpy as np
+import pytest
+
+from eitskin.training.joint.place_errors import ErrorScale, own_error_scale
+from eitskin.training.method.predictions import FoundTouches
+
+
+def test_the_scale_of_one_sensor_is_the_rms_of_its_ratios():
+    touches = np.array([[[0.05, 0.03, 8.0]], [[0.10, 0.03, np.nan]], [[0.02, 0.02, 5.0]]])
+    found = [
+        FoundTouches.of([[0.053, 0.034]], [1.0], None, [0.001]),  # 5 mm, five standard errors
+        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # two
+        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
+    ]
+    assert own_error_scale(touches, found) == pytest.approx(np.sqrt((4 + 25 + 4) / (4 + 2)))
+
+
+def many(scale: ErrorScale, count: int = 4000):
+    """Touches with normal errors of 1 mm along each axis, times the scale of their sensors."""
+    rng = np.random.default_rng(3)
+    features = rng.standard_normal((count, 2)) * rng.uniform(0.2, 2.0, (count, 1))
+    touches = np.tile([[0.07, 0.03]], (count, 1, 1))
+    factors = np.array([scale.of(p) for p in features])[:, None]
+    places = touches[:, 0] + 1e-3 * factors * rng.standard_normal((count, 2))
+    spread = [np.sqrt(2.0) * 1e-3]
+    found = [FoundTouches.of(place[None], [1.0], None, spread) for place in places]
+    return touches, found, features
+
+
+@pytest.mark.parametrize(
+    "scale", [ErrorScale(1.5, 0.5), ErrorScale(0.6, 0.0), ErrorScale(1.0, 3.0)]
+)
+def test_the_scale_of_strange_sensors_is_found_again(scale):
+    learned = ErrorScale.fit(*many(scale))
+    # Standard errors of both are 3 to 6 %: squares of normal errors in two dimensions scatter by
+    # their mean.
+    assert learned.usual == pytest.approx(scale.usual, rel=0.1, abs=0.05)
+    assert learned.strange == pytest.approx(scale.strange, rel=0.2, abs=0.05)
+    assert learned.of(np.array([3.0, 1.0])) == pytest.approx(
+        np.sqrt(learned.usual + 5.0 * learned.strange)
+    )
+
+
+def test_a_scale_of_few_or_no_touches_stays_near_one():
+    assert ErrorScale.fit(np.zeros((0, 1, 2)), [], np.zeros((0, 3))) == ErrorScale()
+    touches, found, features = many(ErrorScale(0.01), 2)
+    assert 0.5 < ErrorScale.fit(touches, found, features).of(np.zeros(2)) <= 1.0
+    # Errors that only strange sensors have leave the others a scale above zero.
+    touches, found, features = many(ErrorScale(0.0, 2.0))
+    assert ErrorScale.fit(touches, found, features).of(np.zeros(2)) > 0.1
+
+
+def test_a_sensor_without_features_has_the_usual_scale():
+    touches, found, _ = many(ErrorScale(2.0))
+    scale = ErrorScale.fit(touches, found, np.zeros((len(touches), 0)))
+    assert scale.of(np.zeros(0)) ** 2 == pytest.approx(2.0, rel=0.1)
