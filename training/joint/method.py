@@ -87,6 +87,7 @@ class JointMethod(Method):
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
         angles: networks of the bend angle, for sensors that are not calibrated; None where the bend
             curve alone tells it as well.
+        angle_features: of a specimen, which the networks are told; None where those are `features`.
         usual: bend curves of the clamp that most sensors have, if training found one.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
         error_scale: factor of the standard errors of places, from training specimens that the
@@ -120,6 +121,7 @@ class JointMethod(Method):
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     angles: AngleNetworks | None = None
+    angle_features: SpecimenFeatures | None = None
     usual: BendCurvePrior | None = None
     forces: bool = True
     error_scale: ErrorScale = field(default_factory=ErrorScale)
@@ -311,6 +313,7 @@ class JointMethod(Method):
                 self._rows,
                 self.angles if self.calibrated is None else None,
                 usual.of(p) if usual else None,
+                self.angle_features.apply(flat) if self.angle_features else None,
             )
         return self._specimens[key]
 

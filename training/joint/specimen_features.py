@@ -1,6 +1,6 @@
 """Specimen features: principal components of the flat resistances over specimens of a design."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,8 @@ from eitskin.training.method.symmetry import Mirror
 
 Array = NDArray[np.float64]
 
-COUNT = 8  # most features; each costs weights that the specimens must determine
+COUNT = 8  # features of responses and curves; each costs weights that the specimens must determine
+MOST = 20  # features that networks of the angle are told
 FARTHEST = 5.0  # standard deviations of the training specimens
 
 
@@ -33,7 +34,7 @@ class SpecimenFeatures:
 
     @classmethod
     def fit(
-        cls, flat: ArrayLike, mirrors: Sequence[Mirror], count: int = COUNT
+        cls, flat: ArrayLike, mirrors: Sequence[Mirror], count: int = MOST
     ) -> "SpecimenFeatures":
         """Principal component analysis of specimens and their mirror images.
 
@@ -49,6 +50,10 @@ class SpecimenFeatures:
         deviations = sizes / np.sqrt(max(len(images), 1))
         kept = min(count, len(logs) // 5, int(np.sum(deviations > 1e-9)))
         return cls(middle, directions[:kept] / deviations[:kept, None])
+
+    def first(self, count: int = COUNT) -> "SpecimenFeatures":
+        """The features along which specimens differ most, `count` of them."""
+        return SpecimenFeatures(self.middle, self.directions[:count])
 
     def apply(self, flat: ArrayLike) -> Array:
         """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) are ignored."""
@@ -67,6 +72,11 @@ class SpecimenFeatures:
     def arrays(self) -> dict[str, Array]:
         """Attributes by name."""
         return {"middle": self.middle, "directions": self.directions}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "SpecimenFeatures":
+        """Restore the features that `arrays` came from."""
+        return cls(arrays["middle"].astype(float), arrays["directions"].astype(float))
 
 
 def _without_common(logs: Array) -> Array:

@@ -71,10 +71,15 @@ class SpecimenModel:
         rows: CandidateRows,
         networks: AngleNetworks | None = None,
         usual: BendCurve | None = None,
+        told: Array | None = None,
     ) -> None:
-        """Take the parts of the model; candidates follow when they are asked for."""
+        """Take the parts of the model; candidates follow when they are asked for.
+
+        `told` are the features of the specimen that networks are told; `features` when omitted.
+        """
         self.usual = usual
         self.features, self.response, self.curve = features, response, curve
+        self._told = features if told is None else told
         self.faults, self.problems = faults, problems
         self._rows, self._networks = rows, networks
         self._last: tuple[bytes, AngleEstimate] | None = None
@@ -101,7 +106,7 @@ class SpecimenModel:
         if self._networks is None:
             raise ValueError("expected networks of the angle, got a specimen without")
         drift = math.sqrt(combined.drift)
-        return self._networks.estimate(combined.change, self.features, drift)
+        return self._networks.estimate(combined.change, self._told, drift)
 
     @property
     def has_networks(self) -> bool:

@@ -54,6 +54,7 @@ def stored_arrays(fields: Mapping[str, Any]) -> Arrays:
         "proposals": fields["proposals"],
         "combinations": fields["combinations"],
         "angles": fields["angles"],
+        "angle_features": fields["angle_features"],
         "usual": fields["usual"],
         "calibrated": fields["calibrated"],
     }
@@ -80,14 +81,13 @@ def restored_fields(arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec) 
     if not np.all((positive > 0) & (positive < 1e3)):
         raise DataError("expected drift, sizes, forces and noise above zero; train it again")
     low, high = arrays["bounds"].astype(float)
-    features, angles = part("features"), part("angles")
+    features, angles, told = part("features"), part("angles"), part("angle_features")
     calibrated, usual = part("calibrated"), part("usual")
     basis = part("combinations").get("basis")  # version 0.1 has none
     one = np.ones(())  # of versions without the scale
     return {
-        "features": SpecimenFeatures(
-            features["middle"].astype(float), features["directions"].astype(float)
-        ),
+        "features": SpecimenFeatures.from_arrays(features),
+        "angle_features": SpecimenFeatures.from_arrays(told) if told else None,
         "response": TouchResponse.from_arrays(part("response")),
         "bend_prior": BendCurvePrior.from_arrays(part("curves")),
         "proposals": ProposalNetwork.from_arrays(part("proposals")),

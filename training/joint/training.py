@@ -73,12 +73,13 @@ def fit_joint(
     from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
     images = mirrors(spec.design, spec.protocol)
-    features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
+    every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
+    features = every.first()
     touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
     kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
     combinations = Combinations.fit(kinds, noise_of(data, images))
     touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
-    bends = fit_bends(bent, features, combinations, settings, seed, progress)
+    bends = fit_bends(bent, every, combinations, settings, seed, progress)
     response, response_curve = _response(
         touched, features, combinations, ranges, settings, seed, progress
     )
@@ -105,6 +106,7 @@ def fit_joint(
         spec.protocol,
         {"response": response_curve, "proposals": proposals_curve, "angles": bends.losses},
         angles=bends.networks,
+        angle_features=every if bends.networks else None,
         usual=bends.usual,
         forces=forces,
     )
@@ -120,10 +122,11 @@ def _bend_method(
 ) -> Made:
     """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
     images = mirrors(spec.design, spec.protocol)
-    features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
+    every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
+    features = every.first()
     bent = MirroredFrames.bent(data, images)
     combinations = Combinations.fit([(bent.change, bent.noise)], noise_of(data, images))
-    bends = fit_bends(bent, features, combinations, settings, seed, progress)
+    bends = fit_bends(bent, every, combinations, settings, seed, progress)
     return make(
         features,
         TouchResponse.none(len(features.directions), len(combinations), spec.outline),
@@ -139,6 +142,7 @@ def _bend_method(
         spec.protocol,
         {"angles": bends.losses},
         angles=bends.networks,
+        angle_features=every if bends.networks else None,
         usual=bends.usual,
         forces=False,
     )

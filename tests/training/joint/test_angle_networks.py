@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_frames import known_frames
-from smooth_joint import smooth_method
+from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.threads import one_torch_thread
@@ -18,7 +18,9 @@ from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.bent_frames import BentFrames
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.fit.objective import BEYOND_DEG
+from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.mirrored_frames import MirroredFrames
+from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 
 from smooth_sensor import FLAT
@@ -67,7 +69,7 @@ def fitted(data, progress=silent, mixed=angle_training.MIXED):
         patch.setattr(angle_training, "HIDDEN", (32, 32))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
         patch.setattr(angle_training, "MIXED", mixed)
-        return fit_angles(data, of_curves(data), SETTINGS, 0, progress)
+        return fit_angles(data, data.features, of_curves(data), SETTINGS, 0, progress)
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +182,36 @@ def test_the_curve_tells_flat_from_bent_where_networks_tell_the_angle():
     assert said.state.tolist() == [State.BEND, State.IDLE]
 
 
+def test_networks_are_told_features_of_their_own():
+    """Also by a method that was saved; `features` where they have none."""
+    method = smooth_method()
+    channels, flat = len(FLAT), FLAT * np.exp(0.02 * np.random.default_rng(4).standard_normal(28))
+    further = SpecimenFeatures(method.features.middle, 10.0 * np.eye(3, channels))
+
+    def angle(method, told):
+        weight = np.zeros((2, 2, channels + len(told) + 1))
+        weight[:, 0, channels:-1] = 0.1 * np.arange(1, len(told) + 1)
+        networks = AngleNetworks(
+            (weight,),
+            (np.tile([20.0 / UNIT_DEG, -2.0], (2, 1)),),
+            np.ones(channels),
+            np.zeros(channels),
+            np.zeros(channels),
+            method.bend_prior.angle_deg,
+        )
+        change = method.bend_prior.of([0.0]).value([20.0])
+        seen = known_frames(flat, 8, change, [20.0], before=change).observations
+        own = JointMethod.from_arrays(replace(method, angles=networks).arrays(), LAYOUT)
+        said = own.predict(seen).bend_angle_deg[0]
+        return said, 20.0 + UNIT_DEG * float(0.1 * np.arange(1, len(told) + 1) @ told)
+
+    own = angle(replace(method, angle_features=further), further.apply(flat))
+    without = angle(method, method.features.apply(flat))
+    assert own[0] == pytest.approx(own[1])
+    assert without[0] == pytest.approx(without[1])
+    assert abs(own[1] - without[1]) > 0.1
+
+
 # Learned
 
 
@@ -289,10 +321,4 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
 
 
 def _no_features():
-    class NoFeatures:
-        directions = np.zeros((0, CHANNELS))
-
-        def apply(self, flat):
-            return np.zeros((len(flat), 0))
-
-    return NoFeatures()
+    return SpecimenFeatures(np.zeros(CHANNELS), np.zeros((0, CHANNELS)))

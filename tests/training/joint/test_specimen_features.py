@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.joint.specimen_features import COUNT, FARTHEST, SpecimenFeatures
+from eitskin.training.joint.specimen_features import COUNT, FARTHEST, MOST, SpecimenFeatures
 from eitskin.training.method.symmetry import mirrors
 
 IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
@@ -35,12 +35,20 @@ def test_common_factor_does_not_matter(rng):
 
 def test_features_are_uncorrelated_and_of_variance_one(rng):
     """Unit variance over the specimens and their mirror images."""
-    flat = specimens(60, rng)
+    flat = specimens(120, rng)
     features = SpecimenFeatures.fit(flat, IMAGES)
     said = np.concatenate([features.apply(flat[:, mirror.order]) for mirror in IMAGES])
-    assert said.shape == (240, COUNT)
+    assert said.shape == (480, MOST)
     np.testing.assert_allclose(said.mean(axis=0), 0.0, atol=1e-9)
-    np.testing.assert_allclose(said.T @ said / 240, np.eye(COUNT), atol=1e-9)
+    np.testing.assert_allclose(said.T @ said / 480, np.eye(MOST), atol=1e-9)
+
+
+def test_the_first_features_are_those_of_an_analysis_of_fewer(rng):
+    flat = specimens(200, rng)
+    few, every = SpecimenFeatures.fit(flat, IMAGES, 5), SpecimenFeatures.fit(flat, IMAGES)
+    assert len(every.directions) == MOST
+    np.testing.assert_array_equal(every.first(5).apply(flat), few.apply(flat))
+    assert every.first().apply(flat).shape == (200, COUNT)
 
 
 def test_mirrors_make_specimens(rng):
@@ -83,7 +91,7 @@ def test_bad_channel_says_nothing(rng):
     np.testing.assert_allclose(features.apply(ordinary), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("count", "kept"), [(2, 0), (4, 0), (5, 1), (14, 2), (40, 8), (100, 8)])
+@pytest.mark.parametrize(("count", "kept"), [(2, 0), (4, 0), (5, 1), (14, 2), (40, 8), (300, 20)])
 def test_few_specimens_have_few_features(rng, count, kept):
     features = SpecimenFeatures.fit(specimens(count, rng), IMAGES)
     assert features.directions.shape == (kept, 28)

@@ -49,13 +49,17 @@ def fit_bends(
     seed: int,
     progress: Progress,
 ) -> LearnedBends:
-    """Learn from bent frames and the references of touches on the bent sensor, if there are any."""
+    """Learn from bent frames and the references of touches on the bent sensor, if there are any.
+
+    Curves depend on the first of the features, networks on all of them.
+    """
+    first = features.first()
     if not len(bent.change):
-        return LearnedBends(BendCurvePrior.flat(len(features.directions), len(combinations)))
+        return LearnedBends(BendCurvePrior.flat(len(first.directions), len(combinations)))
     frames = BentFrames(
         combinations.of(bent.change),
         bent.angle_deg,
-        features.apply(bent.flat),
+        first.apply(bent.flat),
         bent.specimen,
         bent.image,
         combinations,
@@ -67,7 +71,8 @@ def fit_bends(
     progress("bend curve", 1, 2)
     usual = usual_curves(frames, curves)
     progress("bend curve", 2, 2)
-    networks, losses = fit_networks(frames, curves, settings, seed, progress)
+    told = features.apply(bent.flat)
+    networks, losses = fit_networks(frames, told, curves, settings, seed, progress)
     return LearnedBends(curves, usual, networks, losses)
 
 
@@ -81,6 +86,7 @@ def _noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Ar
 
 def fit_networks(
     frames: BentFrames,
+    features: Array,
     curves: BendCurvePrior,
     settings: JointSettings,
     seed: int,
@@ -90,12 +96,20 @@ def fit_networks(
 
     They are compared by the likelihood of the angles of specimens that they were trained without;
     the curves were not fitted without these, and are a little the better for it.
+
+    Args:
+        frames: n frames of all specimens.
+        features: that the networks are told (n, Q).
+        curves: distribution of the bend curves.
+        settings: of the training.
+        seed: of everything random.
+        progress: called after every epoch.
     """
     if frames.specimens < FEWEST_SPECIMENS:
         return None, LearningCurve()
     from eitskin.training.joint.angles.training import fit_angles, loss_of_estimates
 
-    networks, losses = fit_angles(frames, curves, settings.angles, seed, progress)
+    networks, losses = fit_angles(frames, features, curves, settings.angles, seed, progress)
     few = frames[:: -(-len(frames.change) // COMPARED)]
     pairs = zip(few.change, few.features, strict=True)
     by_curves = np.array([estimate_angle(curves.of(p), change, few.noise) for change, p in pairs])

@@ -38,6 +38,7 @@ FEATURE_NOISE = 0.3  # standard deviations, of frames that do not move
 
 def fit_angles(
     frames: BentFrames,
+    features: Array,
     curves: BendCurvePrior,
     settings: NetworkSettings,
     seed: int,
@@ -53,7 +54,8 @@ def fit_angles(
     drift of any size, which the networks are told.
 
     Args:
-        frames: of all specimens.
+        frames: n frames of all specimens.
+        features: that the networks are told of them (n, Q).
         curves: distribution of their bend curves.
         settings: of the training.
         seed: of weights, order, noise and shares.
@@ -66,7 +68,8 @@ def fit_angles(
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)
     bends = curves.expected(frames)
-    inputs = _Inputs.of(frames, bends, empty, ClampCurves.fit(frames, curves, bends, seed))
+    clamps = ClampCurves.fit(frames, curves, bends, seed)
+    inputs = _Inputs.of(frames, features, bends, empty, clamps)
     sizes = [inputs.raw.shape[1], *HIDDEN, 2]
     trained, learned = [], []
     for member in range(MEMBERS):
@@ -116,10 +119,10 @@ def _without_layers(frames: BentFrames) -> AngleNetworks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Inputs:
-    """Inputs of the networks, K combinations and P features of n frames, and their targets.
+    """Inputs of the networks, K combinations and Q features of n frames, and their targets.
 
     Attributes:
-        raw: inputs without added noise (n, K + P + 1).
+        raw: inputs without added noise (n, K + Q + 1).
         target: angles, in units (n, 1).
         noise: of a frame and of its reference (K,).
         drift, filter: as of the networks (K,).
@@ -149,6 +152,7 @@ class _Inputs:
     def of(
         cls,
         frames: BentFrames,
+        features: Array,
         bends: Array,
         empty: AngleNetworks,
         clamps: ClampCurves,
@@ -156,7 +160,7 @@ class _Inputs:
         """Inputs from bent frames and their curves, for networks without layers."""
         still = np.full(len(frames.change), DRIFT[0])
         return cls(
-            _tensor(empty.inputs(frames.change, frames.features, still)),
+            _tensor(empty.inputs(frames.change, features, still)),
             _tensor(frames.angle_deg[:, None] / UNIT_DEG),
             _tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit),
             _tensor(empty.drift),
