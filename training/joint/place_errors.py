@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count beside the known ones
 NEAREST = 0.015  # m, within which a found touch is a known one
 ROUNDS = 5  # of weighted least squares
+STRANGEST = 3.0  # mean square of features, beyond which too few specimens tell how errors grow
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,7 @@ class ErrorScale:
 
     Attributes:
         usual: square of the factor in the middle of the training specimens.
-        strange: its growth with the mean square of a sensor's features.
+        strange: its growth with the mean square of a sensor's features, up to `STRANGEST`.
     """
 
     usual: float = 1.0
@@ -92,6 +93,6 @@ def _squares(touches: Array, said: FoundTouches) -> list[float]:
 
 
 def _strangeness(features: Array) -> Array:
-    """Mean square (...) of features (..., P); 1 for the usual training specimen, 0 without any."""
-    count = max(features.shape[-1], 1)
-    return np.asarray(np.sum(np.square(features), axis=-1) / count)
+    """Mean square (...) of features (..., P), at most `STRANGEST`; 0 without any."""
+    square = np.sum(np.square(features), axis=-1) / max(features.shape[-1], 1)
+    return np.asarray(np.minimum(square, STRANGEST))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.joint.place_errors import ErrorScale, own_error_scale
+from eitskin.training.joint.place_errors import STRANGEST, ErrorScale, own_error_scale
 from eitskin.training.method.predictions import FoundTouches
 
 
@@ -38,9 +38,9 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
     # their mean.
     assert learned.usual == pytest.approx(scale.usual, rel=0.1, abs=0.05)
     assert learned.strange == pytest.approx(scale.strange, rel=0.2, abs=0.05)
-    assert learned.of(np.array([3.0, 1.0])) == pytest.approx(
-        np.sqrt(learned.usual + 5.0 * learned.strange)
-    )
+    for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
+        expected = np.sqrt(learned.usual + square * learned.strange)
+        assert learned.of(np.array(features)) == pytest.approx(expected)
 
 
 def test_a_scale_of_few_or_no_touches_stays_near_one():
