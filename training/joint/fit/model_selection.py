@@ -28,6 +28,8 @@ from eitskin.training.joint.fit.pruning import (
     gain_of,
     gains_of,
     improbability,
+    price,
+    price_of_next,
     pruned,
 )
 from eitskin.training.joint.fit.touch_search import (
@@ -190,7 +192,8 @@ def _fit(
             found = started
     most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
     while len(found.unknowns.touches) < most and _may_gain(found):
-        starts = single_starts(objective, found, candidates, START_THRESHOLD * TOUCH_THRESHOLD)
+        least = price_of_next(len(found.unknowns.touches))
+        starts = single_starts(objective, found, candidates, START_THRESHOLD * least)
         if not starts:
             break
         trials = [
@@ -199,7 +202,7 @@ def _fit(
         more = min(trials, key=lambda trial: trial.misfit)
         gain = gain_of(objective, found, more)
         evidence = max(evidence, gain)
-        if gain < TOUCH_THRESHOLD:
+        if gain < least:
             break
         found = more
     best = alone = pruned(objective, found)
@@ -250,7 +253,7 @@ def _may_gain(found: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
     degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
-    return found.misfit - lowest > TOUCH_THRESHOLD
+    return found.misfit - lowest > price_of_next(len(found.unknowns.touches))
 
 
 def _split(
@@ -268,8 +271,8 @@ def _split(
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
         at = objective.linearised(start)
         whitening = objective.whitening(at)
-        more = len(start.touches) - len(best.unknowns.touches)
-        goal = objective.misfit(best.at, whitening) - TOUCH_THRESHOLD * more
+        more = price(len(start.touches)) - price(len(best.unknowns.touches))
+        goal = objective.misfit(best.at, whitening) - more
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial

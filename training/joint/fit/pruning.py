@@ -14,15 +14,28 @@ Array = NDArray[np.float64]
 TOUCH_THRESHOLD = 25.0
 """Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
 of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
+FURTHER_THRESHOLD = 20.0
+"""The same of a touch beside others: above this once in 100 frames. Several touches are missed more
+often than one is made up."""
 
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 
 
+def price(touches: int) -> float:
+    """Decrease of the misfit that is asked of so many touches together."""
+    return TOUCH_THRESHOLD + FURTHER_THRESHOLD * (touches - 1) if touches else 0.0
+
+
+def price_of_next(touches: int) -> float:
+    """Decrease of the misfit that is asked of a touch beside so many others."""
+    return price(touches + 1) - price(touches)
+
+
 def improbability(found: MapEstimate) -> float:
     """Minus twice the logarithm of a model's posterior density, but for a constant."""
-    return found.improbability + TOUCH_THRESHOLD * len(found.unknowns.touches)
+    return found.improbability + price(len(found.unknowns.touches))
 
 
 def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
@@ -52,7 +65,7 @@ def threshold_of(found: MapEstimate) -> float:
     if len(found.unknowns.touches) < 2:
         return TOUCH_THRESHOLD
     usual = found.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * found.degrees_of_freedom)
-    return TOUCH_THRESHOLD * max(found.misfit / usual, 1.0)
+    return FURTHER_THRESHOLD * max(found.misfit / usual, 1.0)
 
 
 def _without(

@@ -21,9 +21,9 @@ from one_frame import (
 
 from eitskin.training.joint.fit import model_selection
 from eitskin.training.joint.fit.linearisation import Unknowns
-from eitskin.training.joint.fit.model_selection import TOUCH_THRESHOLD, apart, fit_frame
+from eitskin.training.joint.fit.model_selection import apart, fit_frame
 from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
-from eitskin.training.joint.fit.pruning import pruned
+from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD, pruned
 from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 
@@ -314,6 +314,22 @@ def test_weak_touch_is_found_from_the_threshold_on():
         said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
         assert len(said.touches) == count
         assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
+
+
+def test_a_touch_beside_another_needs_less_evidence_than_one_alone():
+    """The weakest that is found: its misfit goes with the square of its change."""
+    weak, tried = faint(0.05)
+    strong, other = weak(np.array(TOUCHES[2]), 0.0)
+
+    def weakest(beside):
+        for share in np.arange(0.1, 1.5, 0.005):
+            seen = replace(changed(frame(), beside + share * other), response=weak)
+            if len(fit_frame(seen, tried).touches) > bool(beside.any()):
+                return share
+        return np.inf
+
+    alone, beside = weakest(np.zeros(28)), weakest(2.0 * strong)
+    assert beside < alone
 
 
 def test_errors_beyond_the_model_are_no_further_touches():
