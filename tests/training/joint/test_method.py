@@ -11,6 +11,7 @@ from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.place_errors import ErrorScale
 from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
 
@@ -114,10 +115,18 @@ def test_touch_map_is_drawn_like_the_true_one(method):
 def test_saved_copies_are_checked_by_places_and_standard_errors(method):
     """`scaled` states other standard errors of places, which its checks undo."""
     frame = observed(method, [TOUCH], rng=np.random.default_rng(0))
-    scaled = replace(method, error_scale=2.0, own_error_scale=1.5)
+    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5), own_error_scale=1.5)
     once, again = (each.outputs(frame)["touch_map"] for each in (method, scaled))
     np.testing.assert_allclose(once, again, atol=1e-6)
     assert not np.array_equal(once, method.predict(frame).touch_map)  # blurred
+
+
+def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it(method):
+    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5))
+    arrays = scaled.arrays()
+    assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
+    before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
+    assert before.error_scale.of(np.array([1.5])) == 2.0
 
 
 def test_probabilities_add_up_and_follow_the_evidence(method):
