@@ -1,6 +1,7 @@
 """Processes in which tables are solved."""
 
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -24,7 +25,7 @@ def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
     try:
         with (
             one_thread_per_process(),
-            ProcessPoolExecutor(workers, mp_context=context) as pool,
+            ProcessPoolExecutor(workers, context, _end_at_interrupt) as pool,
         ):
             yield pool.map
     except BrokenProcessPool as error:
@@ -32,6 +33,11 @@ def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
             "a process died while tables were solved. Look for lack of memory, or, in a script, "
             "for a missing if __name__ == '__main__'; then run it again"
         ) from error
+
+
+def _end_at_interrupt() -> None:
+    """Let Ctrl-C end this process at once, which would go on with the next table otherwise."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def solved_places(

@@ -116,4 +116,6 @@ def restored_fields(arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec) 
 def _error_scale(stored: NDArray[np.generic]) -> ErrorScale:
     """Scale of the standard errors of places; pipelines before had one for all sensors."""
     values = stored.astype(float)
+    if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
+        raise DataError("expected two factors of standard errors from 0 to 1e6; train it again")
     return ErrorScale(*values.tolist()) if values.ndim else ErrorScale(float(values) ** 2)

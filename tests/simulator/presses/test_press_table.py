@@ -1,19 +1,17 @@
 """Tabulated presses against presses, and where they are kept."""
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError, PartialError
+from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.processes import processes
 from eitskin.simulator.presses import press_store
 from eitskin.simulator.presses import press_table as tables
 from eitskin.simulator.presses.press_table import PressTable
@@ -223,11 +221,6 @@ def test_all_that_sensors_lack_is_solved_once_beforehand(solves) -> None:
     press_store.prepare(sensors, Cylinder(), lambda *_: pytest.fail("nothing is missing"))
     fresh(), fresh(mechanics=harder)
     assert len(solves) == len(reports)
-
-
-def test_a_process_that_dies_is_told_in_words() -> None:
-    with pytest.raises(PartialError, match=r"__main__"), processes(2) as run:
-        list(run(os._exit, [1]))
 
 
 def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkeypatch) -> None:

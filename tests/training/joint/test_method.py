@@ -9,6 +9,7 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.errors import DataError
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.place_errors import ErrorScale
@@ -127,6 +128,9 @@ def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it(method):
     assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
     before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
     assert before.error_scale.of(np.array([1.5])) == 2.0
+    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
+        with pytest.raises(DataError, match="standard errors"):
+            JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)
 
 
 def test_probabilities_add_up_and_follow_the_evidence(method):
