@@ -13,7 +13,12 @@ from eitskin.training.joint.angles.estimate import (
     mixture_moments,
     robust_angle,
 )
-from eitskin.training.joint.angles.networks import AngleNetworks, blended
+from eitskin.training.joint.angles.networks import (
+    FAR_DEG,
+    NEAR_DEG,
+    AngleNetworks,
+    blended,
+)
 from eitskin.training.joint.angles.posterior import posterior_angle
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve
@@ -144,7 +149,8 @@ class SpecimenModel:
             angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
         else:
             angle, deviation = blended(by_curve, by_networks)
-        told = None if found.faults else by_curve
+        lost = abs(by_networks[0]) < NEAR_DEG and abs(by_curve[0]) >= FAR_DEG
+        told = None if found.faults or lost else by_curve
         return replace(found, angle_deg=angle, deviation_deg=deviation, by_curve=told)
 
     def candidates(self, angle_deg: float) -> TouchCandidates:

@@ -9,10 +9,17 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.threads import one_torch_thread
+from eitskin.training.joint import specimen_model
 from eitskin.training.joint.angles import training as angle_training
 from eitskin.training.joint.angles.bends import fit_bends
-from eitskin.training.joint.angles.estimate import estimate_angle
-from eitskin.training.joint.angles.networks import NEAR_DEG, UNIT_DEG, AngleNetworks, blended
+from eitskin.training.joint.angles.estimate import AngleEstimate, estimate_angle
+from eitskin.training.joint.angles.networks import (
+    FAR_DEG,
+    NEAR_DEG,
+    UNIT_DEG,
+    AngleNetworks,
+    blended,
+)
 from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.bent_frames import BentFrames
@@ -148,6 +155,28 @@ def test_the_curve_counts_near_zero(by_networks, expected):
     assert angle == pytest.approx(expected)
     share = min(by_networks / NEAR_DEG, 1.0)
     assert deviation == pytest.approx(0.1 + share * 0.4)
+
+
+def test_a_large_bend_by_the_curve_alone_does_not_count(monkeypatch):
+    """Networks see none: the frame is flat, neither bent nor of an angle in between."""
+    assert blended((2.0 * FAR_DEG, 17.0), (0.3, 0.5)) == (0.3, 0.5)
+    assert blended((0.1 * FAR_DEG, 17.0), (0.3, 0.5))[0] > 1.5
+    method = smooth_method()
+    sized = len(FLAT) + len(method.features.directions) + 1
+    flat = AngleNetworks(
+        (np.zeros((2, 2, sized)),),
+        (np.tile([0.3 / UNIT_DEG, np.log(0.5 / UNIT_DEG)], (2, 1)),),
+        np.ones(len(FLAT)),
+        np.zeros(len(FLAT)),
+        np.zeros(len(FLAT)),
+        method.bend_prior.angle_deg,
+    )
+    lost = AngleEstimate(55.0, 10.0, 1.0)
+    monkeypatch.setattr(specimen_model, "robust_angle", lambda *_: lost)
+    seen = known_frames(FLAT, 8, np.zeros((1, 28)), [0.0]).observations
+    said = replace(method, angles=flat).predict(seen)
+    assert said.bend_angle_deg[0] == pytest.approx(0.3)
+    assert said.state.tolist() == [State.IDLE]
 
 
 @pytest.mark.slow

@@ -20,6 +20,9 @@ UNIT_DEG = 20.0  # deg, of the networks' outputs
 LOG_DEVIATION = (-5.0, 0.0)  # bounds of the logarithm of the standard deviation, in units
 NEAR_DEG = 5.0
 """Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
+FAR_DEG = 20.0
+"""Angle by a bend curve beyond which it does not count where networks see no bend: curves of any
+clamp are so wide there that a large bend explains almost any frame."""
 DRIFT = (1e-4, 0.1)
 """Bounds of the standard deviation of the common change, from one of seconds to one of days."""
 FEATURE_LIMIT = 4.0  # standard deviations; features of stranger sensors count as so strange
@@ -128,9 +131,11 @@ class AngleNetworks:
 def blended(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
     """Angle and its standard error [deg] from those by the bend curve and by the networks.
 
-    Near zero the curve counts, from `NEAR_DEG` on the networks alone.
+    Near zero the curve counts; the networks alone do from `NEAR_DEG` by themselves on, or `FAR_DEG`
+    by the curve.
     """
-    share = min(abs(networks[0]) / NEAR_DEG, 1.0)
+    far = (abs(curve[0]) - NEAR_DEG) / (FAR_DEG - NEAR_DEG)
+    share = min(max(abs(networks[0]) / NEAR_DEG, far), 1.0)
     angle, deviation = (
         (1.0 - share) * one + share * other for one, other in zip(curve, networks, strict=True)
     )
