@@ -9,7 +9,6 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.errors import DataError
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.place_errors import ErrorScale
@@ -120,17 +119,6 @@ def test_saved_copies_are_checked_by_places_and_standard_errors(method):
     once, again = (each.outputs(frame)["touch_map"] for each in (method, scaled))
     np.testing.assert_allclose(once, again, atol=1e-6)
     assert not np.array_equal(once, method.predict(frame).touch_map)  # blurred
-
-
-def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it(method):
-    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5))
-    arrays = scaled.arrays()
-    assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
-    before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
-    assert before.error_scale.of(np.array([1.5])) == 2.0
-    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
-        with pytest.raises(DataError, match="standard errors"):
-            JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)
 
 
 def test_probabilities_add_up_and_follow_the_evidence(method):

@@ -1,8 +1,13 @@
 """Standard errors of places: scales by known touches, of one sensor and of strange ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from smooth_joint import LAYOUT, smooth_method
 
+from eitskin.errors import DataError
+from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.place_errors import STRANGEST, ErrorScale, own_error_scale
 from eitskin.training.method.predictions import FoundTouches
 
@@ -56,3 +61,15 @@ def test_a_sensor_without_features_has_the_usual_scale():
     touches, found, _ = many(ErrorScale(2.0))
     scale = ErrorScale.fit(touches, found, np.zeros((len(touches), 0)))
     assert scale.of(np.zeros(0)) ** 2 == pytest.approx(2.0, rel=0.1)
+
+
+def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it():
+    method = smooth_method()
+    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5))
+    arrays = scaled.arrays()
+    assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
+    before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
+    assert before.error_scale.of(np.array([1.5])) == 2.0
+    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
+        with pytest.raises(DataError, match="standard errors"):
+            JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)
