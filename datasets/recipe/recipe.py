@@ -14,7 +14,7 @@ from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
-from eitskin.datasets.recipe.specimen import Specimen, Specimens
+from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Specimen, Specimens
 from eitskin.datasets.recipe.support_problems import support_problems
 from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
@@ -235,7 +235,8 @@ class Recipe:
             )
 
     def _specimen_problems(self) -> Iterator[str]:
-        if self.specimens.board_loads and not self.instrument.is_loaded:
+        loads = [getattr(self.instrument.meter, name, 0.0) for name in SPREAD_LOADS]
+        if self.specimens.board_loads and not any(loads):
             yield (
                 "specimens: board_loads is the spread of the loads of the instrument's meter, got "
                 "none there; give some, as instrument.meter = { source = 1.5e-5, sink = 1.5e-5 }"

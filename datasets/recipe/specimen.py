@@ -45,6 +45,9 @@ RANGES = {
 }
 
 
+SPREAD_LOADS = (*LOADS, "common_mode")  # terms of a meter that differ between boards
+
+
 @dataclass(frozen=True, slots=True)
 class Specimens:
     """Number of specimens in a recipe, and standard deviations from the design.
@@ -64,7 +67,8 @@ class Specimens:
         hinge_span: free length of the fixture or length of its arc, and between the plates of a
             support [m].
         hinge_offset: position of the fixture's axis across the layer, where it has one [m].
-        board_loads: of each load of the instrument's meter and of its common mode, independently.
+        board_loads: of the load of each role on the instrument's meter, and of its common mode,
+            independently.
     """
 
     count: int = 1
@@ -187,13 +191,12 @@ def draw_meter(
     spread: Specimens, nominal: FourTerminalMeter, rng: np.random.Generator
 ) -> FourTerminalMeter:
     """Random meter of one specimen's board with deviations `spread` from `nominal`."""
-    terms = (*LOADS, "common_mode")
-    normals = truncated_normal(rng, len(terms)).tolist()
+    normals = truncated_normal(rng, len(SPREAD_LOADS)).tolist()
     return dataclasses.replace(
         nominal,
         **{
             name: getattr(nominal, name) * lognormal(spread.board_loads, normal)
-            for name, normal in zip(terms, normals, strict=True)
+            for name, normal in zip(SPREAD_LOADS, normals, strict=True)
         },
     )
 

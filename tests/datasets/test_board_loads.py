@@ -65,7 +65,7 @@ def test_frames_and_references_of_a_specimen_are_read_by_its_own_board():
 
 
 def test_a_spread_of_loads_needs_a_board_that_has_some():
-    for meter in (None, FourTerminalMeter(scale=2.0)):
+    for meter in (None, FourTerminalMeter(scale=2.0), FourTerminalMeter(leaks=(1e-5,) * 8)):
         with pytest.raises(ConfigurationError, match="board_loads is the spread"):
             recipe(1.0, meter=meter)
     with pytest.raises(ConfigurationError, match="board_loads must be from 0 to 10"):
