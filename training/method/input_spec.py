@@ -1,7 +1,7 @@
 """Input specification of a pipeline: sensor, protocol and units; refusal of other frames."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.method.symmetry import electrode_orders
 
 FREQUENCY_TOLERANCE = 0.01  # relative
 LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
@@ -22,6 +23,7 @@ LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07,
 # scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
 SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
 WIDEST_SPREAD = 0.5
+EXCHANGED = 0.5  # share of the scatter that another order of the electrodes leaves of a wrong one
 SMALL = 0.1  # of the rms of all values, below which a channel counts less
 PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
 FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
@@ -128,14 +130,36 @@ class InputSpec:
                 f"at {frequency:g} Hz; set the board to that frequency"
             )
 
+    def of_sensor(self, flat: NDArray[np.float64]) -> "InputSpec":
+        """Specification for one sensor of this design.
+
+        Args:
+            flat: its magnitudes, flat and untouched (measurements,) [ohm]; NaN where unknown.
+        """
+        known = np.isfinite(flat) & (flat > 0)
+        common = np.median(flat[known] / self.reference[known])
+        return replace(self, reference=np.where(known, flat, common * self.reference))
+
     def require_same_sensor(self, voltages: NDArray[np.complex128]) -> None:
         """Refuse a first frame (measurements,) [ohm] of another sensor; raises FrameError.
 
         The median of the log ratios to the trained reference is a common factor, the gel's
         conductivity or the board's gain; `LARGEST_SCALE` limits it. The remainder is due to
         contacts and geometry; `spread` limits its root mean square. (A median would
-        overlook two swapped electrodes, which leave most channels unchanged.)
+        overlook two swapped electrodes, which leave most channels unchanged.) Where another order
+        of the electrodes leaves far less, that is the reason.
         """
+        self._require_like(voltages, self.spread)
+
+    def require_adaptable(self, voltages: NDArray[np.complex128]) -> None:
+        """Refuse a flat frame (measurements,) [ohm] that is not of this design; raises FrameError.
+
+        Known frames make a pipeline that of a sensor whose contacts and electrodes differ by more
+        than those trained with, so `WIDEST_SPREAD` is the limit here.
+        """
+        self._require_like(voltages, WIDEST_SPREAD)
+
+    def _require_like(self, voltages: NDArray[np.complex128], limit: float) -> None:
         known = np.flatnonzero(np.isfinite(voltages))
         logs = np.log(np.abs(voltages[known] / self.reference[known]))
         spread, common = _spread(logs, _weights(self.reference)[known])
@@ -146,15 +170,31 @@ class InputSpec:
                 f"trained for (expected {1 / LARGEST_SCALE:g} to {LARGEST_SCALE:g}): another "
                 "sensor, or other units than ohm; train a pipeline for it"
             )
-        if spread > self.spread:
+        if spread > LARGEST_SPREAD and (other := self._other_order(voltages, spread)):
             raise FrameError(
                 f"the channels scatter by {spread:.1%} against the sensor this pipeline was "
-                f"trained for (expected up to {self.spread:.1%}, after one common factor of "
+                f"trained for, and by {other}: they are in another order; plug them in that of the "
+                "design"
+            )
+        if spread > limit:
+            raise FrameError(
+                f"the channels scatter by {spread:.1%} against the sensor this pipeline was "
+                f"trained for (expected up to {limit:.1%}, after one common factor of "
                 f"{np.exp(common):.3g}), most of all {worst}: another sensor, a board that loads "
                 "it otherwise, a bad contact, or electrodes in another order; check the wiring, or "
                 "train a pipeline for it (own frames go together with simulated ones: eitskin "
                 "dataset combine)"
             )
+
+    def _other_order(self, voltages: NDArray[np.complex128], spread: float) -> str:
+        """Order of the electrodes that leaves far less than `spread`, in words; empty for none."""
+        weights, best, words = _weights(self.reference), EXCHANGED * spread, ""
+        for name, order in electrode_orders(self.protocol):
+            logs = np.log(np.abs(voltages[order]) / self.reference)
+            known = np.isfinite(logs)
+            if (left := _spread(logs[known], weights[known])[0]) < best:
+                best, words = left, f"{left:.1%} with {name}"
+        return words
 
 
 def _weights(reference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -167,7 +167,7 @@ class KnownFrames:
         _require_on_sensor(labels, spec)
         logs = np.log(np.abs([spec.voltages(frame)[0] for frame in frames]))
         reference = _mean(logs[flat])
-        spec.require_same_sensor(np.exp(reference).astype(np.complex128))
+        spec.require_adaptable(np.exp(reference).astype(np.complex128))
         time = np.array([frame.time for frame in frames])
         befores = [_reference_rows(labels, row) for row in range(len(labels))]
         before = np.array([_mean(logs[rows]) if rows else reference for rows in befores])
@@ -202,7 +202,7 @@ class KnownFrames:
                 f"{len(specimens)} specimens and the protocol {data.protocol}; select those of one"
             )
         spec.require_same_measurements(data.protocol, data.frequency)
-        spec.require_same_sensor(data.reference[specimens[0]].astype(np.complex128))
+        spec.require_adaptable(data.reference[specimens[0]].astype(np.complex128))
         own = np.isfinite(data.touch_reference).all(axis=1)
         idle = data.state == State.IDLE
         angle = np.where(idle, 0.0, data.bend_angle_deg.astype(float))

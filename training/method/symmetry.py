@@ -1,6 +1,8 @@
 """Mirror symmetries of a sensor and its protocol, by which every frame counts up to four times."""
 
 import dataclasses
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +59,29 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
         if order is not None:
             found.append(Mirror(flips, order, (length, width)))
     return tuple(found)
+
+
+def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Wrong orders of the electrodes, in words, and the measurements that these exchange.
+
+    Two electrodes are exchanged, or all are counted from another one, in either direction.
+
+    Yields:
+        name: of the order.
+        order: number of the measurement that is in each one's place (m,).
+    """
+    numbers = np.arange(protocol.n_electrodes)
+    orders = []
+    for a, b in itertools.combinations(numbers.tolist(), 2):
+        exchanged = numbers.copy()
+        exchanged[[a, b]] = b, a
+        orders.append((f"electrodes {a} and {b} exchanged", exchanged))
+    for first, way in itertools.product(numbers.tolist(), ("", "backwards ")):
+        counted = (first + (-numbers if way else numbers)) % len(numbers)
+        orders.append((f"electrodes counted {way}from {first} on", counted))
+    for name, partner in orders:
+        if (order := _order(protocol, partner)) is not None:
+            yield name, order
 
 
 def _alike(design: SensorDesign, a: int, b: int) -> bool:

@@ -139,6 +139,20 @@ class FlatSensors:
         fitted = cls(*_moments(logs), len(logs), curve, bend_range)
         return replace(fitted, inflation=_cross_validated(fitted, logs))
 
+    def of_sensor(self, flat: Array) -> "FlatSensors":
+        """Distribution of one sensor's values from session to session.
+
+        They are taken to scatter about those of a known session as those of different sensors do:
+        more than they do, so that none of them is doubted for contacts of its own.
+
+        Args:
+            flat: its magnitudes, flat and untouched (C,) [ohm]; NaN where unknown.
+        """
+        known = np.isfinite(flat) & (flat > 0)
+        logs = np.log(np.where(known, flat, 1.0))
+        departure = logs - np.mean(logs[known] - self.mean[known])
+        return replace(self, mean=np.where(known, departure, self.mean))
+
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the predictive distribution."""

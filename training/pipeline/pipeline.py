@@ -154,7 +154,8 @@ class Pipeline:
         """Adaptation to one sensor by frames of which it is known what they show.
 
         Each label tells what is known of its frame: a bend angle, touches with or without forces.
-        The session begins anew. An adaptation replaces the one before: give all frames at once.
+        The session begins anew. An adaptation replaces the one before: give all frames at once. The
+        flat frames are from now on what a sensor is to be like to be taken for this one.
 
         Args:
             frames: n frames of one session, flat ones among them; or a dataset of one specimen.
@@ -168,8 +169,9 @@ class Pipeline:
         known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
         adapted, said = self.method.adapted(known)
         said.require_fit(known)
-        self.method = adapted
-        self.adaptation = said.as_dict()
+        self.method, self.adaptation = adapted, said.as_dict()
+        self.layout = self.layout.of_sensor(flat := known.observations.flat[0])
+        self.flat_sensors = self.flat_sensors and self.flat_sensors.of_sensor(flat)
         self.reset()
         return said
 
@@ -187,8 +189,7 @@ class Pipeline:
                 or a pipeline that does not estimate the angle; the pipeline is unchanged then.
         """
         self.require_bends()
-        angles = np.asarray(angles_deg, dtype=float).reshape(-1).tolist()
-        labels = [FrameLabel(angle) for angle in angles]
+        labels = [FrameLabel(angle) for angle in np.ravel(angles_deg).astype(float).tolist()]
         if all(label.flat for label in labels):
             raise ConfigurationError(
                 f"expected a frame of the bent sensor to calibrate by, got {len(labels)} flat ones"
@@ -335,8 +336,7 @@ class Pipeline:
         golden |= {f"output.{name}": array for name, array in outputs.items()}
         weights = {**self.method.arrays(), "layout.reference": self.layout.reference}
         if self.flat_sensors is not None:
-            arrays = self.flat_sensors.arrays()
-            weights |= {f"{FLAT_SENSORS}{name}": array for name, array in arrays.items()}
+            weights |= {f"{FLAT_SENSORS}{n}": a for n, a in self.flat_sensors.arrays().items()}
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),

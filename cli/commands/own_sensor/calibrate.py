@@ -52,7 +52,7 @@ def command(
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
     board: BoardUri,
     reference: ReferenceFile = None,
-    angles: Angles = "-20,-2.5,15,32.5,50",
+    angles: Angles = "-20,20,35,45,50",
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
     method: MethodCode = None,
@@ -131,5 +131,5 @@ def _from_board(
         )
         for frame, label in taken:
             if label.flat:  # refused now, not after the work of all angles
-                layout.require_same_sensor(layout.voltages(frame)[0])
+                layout.require_adaptable(layout.voltages(frame)[0])
             yield frame

@@ -47,3 +47,35 @@ def test_readings_in_the_noise_hardly_count():
     spec.require_same_sensor((flat + noise).astype(complex))
     with pytest.raises(FrameError, match="scatter by"):
         spec.require_same_sensor(np.roll(flat, 20).astype(complex))
+
+
+def test_another_order_of_the_electrodes_is_named_however_sensors_scatter():
+    flat = 500.0 * np.exp(0.3 * np.random.default_rng(4).normal(size=28))
+    rows = {frozenset(row[:2]): number for number, row in enumerate(PROTOCOL.table)}
+
+    def plugged(partner):
+        return flat[[rows[frozenset(partner[e] for e in row[:2])] for row in PROTOCOL.table]]
+
+    spec = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, flat, spread=0.5)
+    exchanged = [0, 6, 2, 3, 4, 5, 1, 7]
+    backwards = [(3 - e) % 8 for e in range(8)]
+    for refuse in (spec.require_same_sensor, spec.require_adaptable):
+        with pytest.raises(FrameError, match=r"electrodes 1 and 6 exchanged: .* another order"):
+            refuse(plugged(exchanged).astype(complex))
+        with pytest.raises(FrameError, match="counted backwards from 3 on"):
+            refuse(plugged(backwards).astype(complex))
+
+
+def test_a_sensor_that_scatters_more_is_taken_once_its_flat_values_are_known():
+    spec, rng = of_specimens(0.01)
+    strange = 1.5 * FLAT * np.exp(0.2 * rng.normal(size=28))
+    with pytest.raises(FrameError, match=r"expected up to 10\.0%"):
+        spec.require_same_sensor(strange.astype(complex))
+    spec.require_adaptable(strange.astype(complex))
+    partly = np.where(np.arange(28) == 5, np.nan, strange)
+    for own in (spec.of_sensor(strange), spec.of_sensor(partly)):
+        own.require_same_sensor((0.8 * strange).astype(complex))
+        with pytest.raises(FrameError, match="scatter by"):
+            own.require_same_sensor(FLAT.astype(complex))
+    with pytest.raises(FrameError, match="scatter by"):
+        spec.require_adaptable((FLAT * np.exp(0.8 * rng.normal(size=28))).astype(complex))

@@ -89,3 +89,16 @@ def test_arrays_restore_the_distribution():
     assert again.judge(value).chance == pytest.approx(fitted.judge(value).chance, rel=1e-4)
     assert again.judge(value).bend_deg == fitted.judge(value).bend_deg
     assert FlatSensors.among(arrays, "other.") is None
+
+
+def test_own_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
+    strange = sensors(1, seed=5)[0] * np.exp(0.1 * (np.arange(C) == 4))
+    own = known().of_sensor(np.abs(strange))
+    later = 1.3 * strange * np.exp(0.004 * np.random.default_rng(9).normal(size=(100, C)))
+    assert doubted(known(), later) == 1.0
+    assert doubted(own, later) <= 10 * FALSE_ALARM
+    bent = [own.judge(each) for each in later * np.exp(change(40.0))]
+    assert np.mean([bool(start.doubt) for start in bent]) > 0.9
+    assert np.median([start.bend_deg for start in bent]) == pytest.approx(40.0, abs=5.0)
+    partly = np.where(np.arange(C) == 2, np.nan, np.abs(strange))
+    assert not known().of_sensor(partly).judge(strange).doubt

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import State
+from eitskin.errors import FrameError
 from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Frame, Instrument, Scene, Simulator, Touch
 from eitskin.training import Pipeline
@@ -160,3 +161,31 @@ def test_a_stored_reference_tells_a_sensor_that_starts_bent_and_touched(simulato
     assert said.state is State.TOUCH
     assert abs(said.bend_angle_deg - 30.0) < 3.0 * said.bend_deviation_deg
     assert np.hypot(*(said.found.place[0] - (0.050, 0.020))) < 5e-3
+
+
+def test_a_sensor_with_contacts_like_no_other_is_adapted_to_and_then_taken_for_its_own():
+    """Refused as trained; five angles make the pipeline its own, sessions included."""
+    design = SensorDesign.reference()
+    factors = np.exp([-1.0, 1.8, -1.0, -1.0, -1.0, 1.8, -1.0, 1.8])
+    electrodes = tuple(
+        replace(each, contact_impedance=factor * each.contact_impedance)
+        for each, factor in zip(design.electrodes, factors, strict=True)
+    )
+    simulator = Simulator(replace(design, electrodes=electrodes), "fast")
+    rng = np.random.default_rng(1)
+
+    def frame(angle_deg, number):
+        measured = simulator.measure(Scene(Bend(angle_deg)), Instrument(), rng)
+        return replace(measured, time=0.3 * number, number=number)
+
+    pipeline = Pipeline.load("reference.eitmodel")
+    with pytest.raises(FrameError, match="scatter by"):
+        pipeline.process(frame(0.0, 0))
+    angles = (0.0, -20.0, 20.0, 35.0, 45.0, 50.0)
+    frames = [frame(angle, number) for number, angle in enumerate(angles)]
+    pipeline.calibrate(frames, angles)
+    pipeline.process(frame(0.0, 0))
+    for number, angle in enumerate((30.0, -15.0, 10.0), 1):
+        said = pipeline.process(frame(angle, number))
+        assert said.problems == ()
+        assert abs(said.bend_angle_deg - angle) < min(1.5, 3.0 * said.bend_deviation_deg)
