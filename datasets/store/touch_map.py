@@ -51,7 +51,8 @@ def touch_maps(
     for touch in range(x.shape[1]):
         frames = np.flatnonzero(np.isfinite(x[:, touch]))
         cx, cy, r = (values[frames, touch, None, None] for values in (x, y, radius))
-        distance = np.hypot(across[None, None, :] - cx, up[None, :, None] - cy)
+        # Several times as fast as `hypot`; metres neither overflow nor underflow.
+        distance = np.sqrt((across[None, None, :] - cx) ** 2 + (up[None, :, None] - cy) ** 2)
         # The edge is one pixel wide, so that moving a touch changes its map smoothly.
         disc = np.clip((r - distance) / pixel + np.float32(0.5), 0.0, 1.0)
         maps[frames] = np.maximum(maps[frames], disc)

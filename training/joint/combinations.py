@@ -194,7 +194,7 @@ class CombinedChange:
         """Note whether any measurement is left out."""
         object.__setattr__(self, "_whole", bool(self.good.all()))
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of measurements that count."""
         return int(np.count_nonzero(self.good))

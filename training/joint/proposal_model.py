@@ -61,10 +61,11 @@ class ProposalNetwork:
         remaining = values.copy()
         found: list[Array] = []
         while len(found) < MOST_TOUCHES and remaining[best := int(remaining.argmax())] > THRESHOLD:
-            away = np.hypot(*(self._centres - self._centres[best]).T)
-            around = values * (away < 2.0 * WIDTH)
+            x, y = self._centres.T
+            square = (x - x[best]) ** 2 + (y - y[best]) ** 2
+            around = values * (square < (2.0 * WIDTH) ** 2)
             found.append(around @ self._centres / around.sum())
-            remaining[away < 0.6 * separation] = 0.0
+            remaining[square < (0.6 * separation) ** 2] = 0.0
         return np.array(found).reshape(-1, 2)
 
     def arrays(self) -> dict[str, NDArray[np.floating]]:

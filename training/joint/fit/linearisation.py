@@ -24,7 +24,8 @@ class Unknowns:
 
     def without_touch(self, number: int) -> "Unknowns":
         """The same values less one touch."""
-        return Unknowns(np.delete(self.touches, number, axis=0), self.angle_deg)
+        others = np.concatenate([self.touches[:number], self.touches[number + 1 :]])
+        return Unknowns(others, self.angle_deg)
 
     def with_touches(self, touches: Array) -> "Unknowns":
         """The same values and further touches (n, 3)."""
