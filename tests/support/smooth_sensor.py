@@ -64,7 +64,7 @@ def curve(size=5e-4):
 def curves(features=0):
     """Distribution of bend curves, independent of the features."""
     mean = np.concatenate([bend_mean()[None], np.zeros((features, MEAN_POWERS, 28))])
-    return BendCurvePrior(mean, own_covariance(), (-20.0, 50.0))
+    return BendCurvePrior(mean, own_covariance(), (-20.0, 50.0), np.ones(features))
 
 
 def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):

@@ -8,7 +8,7 @@ calibration.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -22,6 +22,11 @@ Array = NDArray[np.float64]
 MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
 RANDOM_POWERS = 5  # in a specimen's departure from the mean (random effects); 3 in version 0.1
 EM_ITERATIONS = 15
+LEAST_SPREAD = 1e-3  # of a feature
+TRUSTED = 4.0
+"""Standard deviations up to which features move the mean curve of a sensor whose curve is known at
+some angles. On 32 sensors with rough electrodes it errs by 0.98 deg after five of them with this
+bound, by 1.07 deg with the one of uncalibrated curves; with a lower one it errs more after one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,11 +184,14 @@ class BendCurvePrior:
             (1 + P, M, K).
         covariance: of the random effects (R K, R K).
         angle_deg: smallest and largest angle learned from; zero lies between them [deg].
+        spread: mean square of each feature among the specimens learned from (P,); ones in older
+            pipelines.
     """
 
     mean: Array
     covariance: Array
     angle_deg: tuple[float, float]
+    spread: Array
 
     @classmethod
     def fit(cls, frames: BentFrames) -> "BendCurvePrior":
@@ -202,7 +210,9 @@ class BendCurvePrior:
         covariance = _mixed_model(random, residual, frames.curve, frames.noise)
         shape = (share.shape[1], MEAN_POWERS, change.shape[1])
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
-        return cls(mean.reshape(shape), covariance, ends)
+        first = np.unique(frames.curve, return_index=True)[1]
+        spread = np.mean(frames.features[first] ** 2, axis=0)
+        return cls(mean.reshape(shape), covariance, ends, spread)
 
     def log_likelihood(self, frames: BentFrames) -> Array:
         """Log-likelihood of the frames of each curve, in the order of their numbers (S,).
@@ -255,7 +265,7 @@ class BendCurvePrior:
         """Curves of sensors that are never bent: no change at the one angle of 0 deg."""
         size = RANDOM_POWERS * channels
         mean = np.zeros((1 + features, MEAN_POWERS, channels))
-        return cls(mean, np.zeros((size, size)), (0.0, 0.0))
+        return cls(mean, np.zeros((size, size)), (0.0, 0.0), np.ones(features))
 
     @property
     def bends(self) -> bool:
@@ -271,17 +281,34 @@ class BendCurvePrior:
         effects = np.zeros((len(self.covariance) // channels, channels))
         return BendCurve(mean, effects, self.covariance, self.angle_deg)
 
+    def widened(self, features: Array, rate: float) -> BendCurve:
+        """Prior of the curve of a specimen, the less certain the stranger it is.
+
+        The mean is linear in the features, and what it leaves grows with their mean square over
+        that of the specimens learned from. Beyond `TRUSTED` they move it no further.
+
+        Args:
+            features: of the specimen (P,).
+            rate: factor of the covariance over that ratio; at least 1 in all.
+        """
+        spread = np.maximum(self.spread, LEAST_SPREAD)
+        strangeness = float(np.mean(features**2 / spread)) if len(features) else 0.0
+        curve = self.of(np.clip(features, -TRUSTED, TRUSTED))
+        return replace(curve, covariance=max(1.0, rate * strangeness) * curve.covariance)
+
     def arrays(self) -> dict[str, Array]:
         """Arrays from which `from_arrays` restores the distribution, by name."""
         ends = np.array(self.angle_deg)
-        return {"mean": self.mean, "covariance": self.covariance, "angle_deg": ends}
+        arrays = {"mean": self.mean, "covariance": self.covariance, "angle_deg": ends}
+        return {**arrays, "spread": self.spread}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurvePrior":
         """Restore the distribution that `arrays` came from."""
         values = {name: array.astype(float) for name, array in arrays.items()}
         low, high = values["angle_deg"].tolist()
-        return cls(values["mean"], values["covariance"], (low, high))
+        spread = values.get("spread", np.ones(len(values["mean"]) - 1))
+        return cls(values["mean"], values["covariance"], (low, high), spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,8 +15,8 @@ from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,
     calibration_of,
+    curve_priors,
     noise_scale,
-    widened,
 )
 from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.angles.networks import AngleNetworks
@@ -346,8 +346,7 @@ class JointMethod(Method):
             own_latent=None,
         )
         if len(bent):
-            priors = [(widened(self.bend_prior.of(p), p), 0.0)]
-            priors += [(widened(self.usual.of(p), p), LOG_ODDS)] if self.usual else []
+            priors = curve_priors(self.bend_prior, self.usual, p)
             prior, curve = adapted_curve(priors, bent, self.combinations, self.drift, noise)
             calibration = calibration_of(prior, curve, bent, adapted._combined)
             told = replace(told, calibration=calibration)
@@ -364,8 +363,7 @@ class JointMethod(Method):
             own = response_given(before, touched, adapted._combined, self.touch_prior, self.forces)
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
             found = adapted.predict(touched.observations).touches
-            scale = own_error_scale(touched.touches, found)
-            adapted = replace(adapted, own_error_scale=scale)
+            adapted = replace(adapted, own_error_scale=own_error_scale(touched.touches, found))
         return adapted, replace(told, error_scale=adapted.own_error_scale, noise_scale=noise)
 
     def outputs(self, observations: Observations) -> Arrays:

@@ -346,3 +346,23 @@ def test_arrays_make_them_again(rng, curve):
     np.testing.assert_array_equal(same.value(44.0), known.value(44.0))
     np.testing.assert_array_equal(same.uncertainty(44.0), known.uncertainty(44.0))
     assert same.angle_deg == RANGE
+
+
+def test_curves_of_strange_specimens_are_less_certain(rng):
+    prior = BendCurvePrior(
+        np.concatenate([mean_curve()[None], np.zeros((2, MEAN_POWERS, CHANNELS))]),
+        own_covariance(rng),
+        RANGE,
+        np.array([1.0, 0.04]),
+    )
+    usual = prior.of(np.zeros(2)).covariance
+    for features, rate, factor in (
+        ((0.5, 0.1), 1.0, 1.0),
+        ((2.0, 0.4), 1.0, 4.0),
+        ((2.0, 0.4), 0.5, 2.0),
+        ((0.0, 1.0), 0.2, 2.5),
+    ):
+        wide = prior.widened(np.array(features), rate)
+        np.testing.assert_allclose(wide.covariance, factor * usual)
+    again = BendCurvePrior.from_arrays(prior.arrays())
+    np.testing.assert_array_equal(again.spread, prior.spread)
