@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ Array = NDArray[np.float64]
 LENGTHS = (1.0, 1.5, 2.2)  # of the presses' standard deviation along an axis
 SHARES = (0.0, 0.5, 0.9)
 COPIES = (0.0, 1 / 64, 1 / 256)
+AVERAGED_COPIES = (1 / 64, 1 / 16)
 NOISES = (0.01, 0.1)
+MOST_AVERAGED_BY = 8  # presses
 MOST_SHARED = 64  # presses; beyond that, own ones say more than those of other sectors
 MOST_CHOSEN_BY = 200
 FEW = 40  # presses; covariances and gains learned from fewer must not have seen those left out
@@ -70,6 +73,18 @@ class SheetKnowledge:
         if choice.copies == 0.0 or self.sectors is None:
             return scaled
         return self.sectors.shared(scaled, choice.copies)
+
+    def choices(self, presses: Presses) -> Sequence[MapChoice]:
+        """Choices over which places are averaged: the best one, or several where presses are few.
+
+        A handful of presses tells none of them from the others, and the errors of each are its own:
+        on the round skin of `bench adaptation`, five presses err by a tenth less so.
+        """
+        if len(presses.owners) > MOST_AVERAGED_BY:
+            return [self.choose(presses)]
+        shares = SHARES[:2] if self.span is not None else (0.0,)
+        copies = AVERAGED_COPIES if self.sectors is not None else (0.0,)
+        return [MapChoice(*each) for each in product(LENGTHS[:2], shares, copies, NOISES[::-1])]
 
     def choose(self, presses: Presses) -> MapChoice:
         """Best choice, one attribute after the other, by a clear margin: its standard error.

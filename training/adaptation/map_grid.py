@@ -1,6 +1,7 @@
 """Maps of all channels on a grid over the sheet, inverted for place and strength of a touch."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,21 @@ class Places:
     misfit: Array
 
 
+def mixture_places(each: Sequence[Places]) -> Places:
+    """Mean and standard error of places by several models, each as likely as another.
+
+    Strength and misfit are means, too.
+    """
+    if len(each) == 1:
+        return each[0]
+    place = np.mean([one.place for one in each], axis=0)
+    squares = [one.deviation**2 + np.sum((one.place - place) ** 2, axis=1) for one in each]
+    strength, misfit = (
+        np.mean([getattr(one, name) for one in each], axis=0) for name in ("strength", "misfit")
+    )
+    return Places(place, np.sqrt(np.mean(squares, axis=0)), strength, misfit)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapGrid:
     """Posterior maps of the channels on a regular grid.
@@ -52,6 +68,10 @@ class MapGrid:
     log_prior: Array
     whitening: Array
     strength: Array
+
+    def of_units(self, units: Array) -> "MapGrid":
+        """The same for answers in units `units` (C,) times as large."""
+        return replace(self, whitening=units[:, None] * self.whitening)
 
     def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
         """Place and strength of one touch in each frame.

@@ -1,5 +1,6 @@
 """Learning of touch places from few labelled presses of one sensor."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from eitskin.protocol import Protocol
 from eitskin.training.adaptation.channel_maps import ChannelMaps, Presses
 from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.adaptation.map_choice import MapChoice, SheetKnowledge
-from eitskin.training.adaptation.map_grid import MapGrid, Places
+from eitskin.training.adaptation.map_grid import MapGrid, Places, mixture_places
 from eitskin.training.adaptation.place_kernel import DesignSpan
 from eitskin.training.adaptation.position_regressor import log_ratio
 from eitskin.training.adaptation.press_locator import PressLocator
@@ -54,7 +55,7 @@ class LearnedPlaces:
     Attributes:
         locator: of touches.
         law: between strength and depth or force; None where neither was known.
-        choice: how the maps are modelled.
+        choice: how the maps are modelled; the first where several ways are averaged over.
         validated: errors in presses that were left out.
     """
 
@@ -86,10 +87,10 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     known = SheetKnowledge(extent, *_of_design(design, labelled.protocol, logs.shape[1]))
     recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
     presses, law = _with_strength(known, recorded, labelled.label)
-    choice = known.choose(presses)
+    choices = known.choices(presses)
     region = _Region.of(xy[first], design)
-    fitted = _Fitted.of(known, choice, presses)
-    found, errors = _cross_validated(known, choice, presses, region)
+    fitted = [_Fitted.of(known, each, presses) for each in choices]
+    found, errors = _cross_validated(known, choices, presses, region)
     off = errors / found.deviation
     square = float(np.sum(np.minimum(off, 5.0) ** 2))
     variance = (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
@@ -97,17 +98,18 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     variance *= 1.0 + few / count
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
-        fitted.grid(region),
-        fitted.gains,
+        fitted[0].grid(region),
+        fitted[0].gains,
         unit_scale(recorded),
         xy.mean(axis=0),
         float(np.sqrt(variance)),
         max(MISFIT, MISFIT_MARGIN * usual),
+        tuple(each.grid(region, fitted[0].gains) for each in fitted[1:]),
     )
     validated = CrossValidation(
         len(off), float(errors.mean()) * 1e3, float(np.sqrt(np.mean(off**2)))
     )
-    return LearnedPlaces(locator, law, choice, validated)
+    return LearnedPlaces(locator, law, choices[0], validated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,11 +181,11 @@ class _Fitted:
         prior = np.array([s.mean(), s.std() + 0.15 * s.mean()])
         return cls(gains, maps, prior)
 
-    def grid(self, region: _Region) -> MapGrid:
-        """Maps on the grid of a region."""
+    def grid(self, region: _Region, gains: Array | None = None) -> MapGrid:
+        """Maps on the grid of a region, for answers in units of other gains (C,) where given."""
         mean, variance = self.maps.at(region.points)
         shape = (*region.shape, mean.shape[1])
-        return MapGrid(
+        made = MapGrid(
             region.low,
             region.step,
             mean.reshape(shape),
@@ -192,6 +194,7 @@ class _Fitted:
             self.maps.covariance.whitening,
             self.strength,
         )
+        return made if gains is None else made.of_units(gains / self.gains)
 
 
 def _of_design(
@@ -217,7 +220,7 @@ def _with_strength(
 
 
 def _cross_validated(
-    known: SheetKnowledge, choice: MapChoice, presses: Presses, region: _Region
+    known: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
 ) -> tuple[Places, Array]:
     """Places of presses that are left out by blocks in time, and their errors (k,) [m]."""
     owners, first = np.unique(presses.owner, return_index=True)
@@ -226,8 +229,9 @@ def _cross_validated(
     for block in blocks:
         tested = first[block[:: -(-len(block) // MOST_TESTED)]]
         rest = presses.select(~np.isin(presses.owner, owners[block]))
-        fewer = _Fitted.of(known, choice, rest)
-        place = fewer.grid(region).locate(presses.answers[tested] / fewer.gains)
+        fitted = [_Fitted.of(known, each, rest) for each in choices]
+        answers = presses.answers[tested]
+        place = mixture_places([each.grid(region).locate(answers / each.gains) for each in fitted])
         found.append(place)
         errors.append(np.linalg.norm(place.place - presses.places[tested], axis=1))
     names = ("place", "deviation", "strength", "misfit")

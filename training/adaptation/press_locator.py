@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
-from eitskin.training.adaptation.map_grid import MapGrid, Places
+from eitskin.training.adaptation.map_grid import MapGrid, Places, mixture_places
 from eitskin.training.adaptation.position_regressor import log_ratio
 
 Array = NDArray[np.float64]
 
 MOST_LEFT_OUT = 4  # a channel in so many
 SUSPECTS = 3  # channels that are tried without
+OWN = ("gain", "channel_scale", "centre", "error_factor", "misfit_limit")  # arrays of no grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +23,7 @@ class PressLocator:
 
     Attributes:
         grid: the maps.
+        others: further models of the maps, in the same units; places are means over all.
         gain: of the channels (C,); log |V / ref| is divided by it.
         channel_scale: root mean square of the log ratios (C,).
         centre: mean of the training places (2,) [m].
@@ -35,6 +37,7 @@ class PressLocator:
     centre: Array
     error_factor: float
     misfit_limit: float
+    others: tuple[MapGrid, ...] = ()
 
     def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
         """Place and strength of one touch in each frame, and the channels left out (n, C).
@@ -48,7 +51,7 @@ class PressLocator:
         self.require_channels(logs.shape[-1])
         bad = ~(np.isfinite(size) & (size > 0))
         answers = logs / self.gain
-        found = self.grid.locate(answers, bad)
+        found = self._located(answers, bad)
         most = bad.sum(axis=1) + logs.shape[1] // MOST_LEFT_OUT
         for _ in range(logs.shape[1] // MOST_LEFT_OUT):
             over = np.abs(found.misfit).max(axis=1) > self.misfit_limit
@@ -61,13 +64,17 @@ class PressLocator:
             for suspect in worst.T:
                 less = before.copy()
                 less[np.arange(len(again)), suspect] = True
-                other = self.grid.locate(answers[again], less)
+                other = self._located(answers[again], less)
                 size = np.abs(other.misfit).max(axis=1)
                 better = size < smallest
                 smallest[better] = size[better]
                 bad[again[better]] = less[better]
                 found = _replaced(found, again[better], other, better)
         return replace(found, deviation=found.deviation * self.error_factor), bad
+
+    def _located(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
+        """Places by all models from answers (n, C) without the bad ones (n, C)."""
+        return mixture_places([grid.locate(answers, bad) for grid in (self.grid, *self.others)])
 
     def apply(self, ratio: ArrayLike) -> Array:
         """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
@@ -91,18 +98,25 @@ class PressLocator:
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Arrays from which `from_arrays` restores the locator, by name."""
-        own = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "grid"}
-        grid = {f"grid.{each.name}": getattr(self.grid, each.name) for each in fields(self.grid)}
-        return {name: np.asarray(value) for name, value in (own | grid).items()}
+        arrays = {name: np.asarray(getattr(self, name)) for name in OWN}
+        named = {"grid": self.grid} | {f"other{i}": grid for i, grid in enumerate(self.others)}
+        for name, grid in named.items():
+            parts = {f"{name}.{each.name}": getattr(grid, each.name) for each in fields(grid)}
+            arrays |= {key: np.asarray(value) for key, value in parts.items()}
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PressLocator":
         """Restore the locator that `arrays` came from; raises KeyError where one is missing."""
         values: dict[str, Any] = {name: array.astype(float) for name, array in arrays.items()}
         values |= {name: float(value) for name, value in values.items() if value.ndim == 0}
-        grid = MapGrid(**{each.name: values[f"grid.{each.name}"] for each in fields(MapGrid)})
-        own = (each.name for each in fields(cls) if each.name != "grid")
-        return cls(grid, **{name: values[name] for name in own})
+
+        def grid(name: str) -> MapGrid:
+            return MapGrid(**{each.name: values[f"{name}.{each.name}"] for each in fields(MapGrid)})
+
+        others = sum(name.startswith("other") and name.endswith(".step") for name in arrays)
+        own = {name: values[name] for name in OWN}
+        return cls(grid("grid"), **own, others=tuple(grid(f"other{i}") for i in range(others)))
 
 
 def _replaced(

@@ -79,6 +79,23 @@ def test_arrays_restore_the_locator(learned):
     np.testing.assert_array_equal(restored.apply(ratio), learned.locator.apply(ratio))
 
 
+def test_few_presses_are_explained_in_several_ways():
+    """Places are means over them, in whatever units each has its channels, and saved with them."""
+    ratio, places, depth = toy_presses(6)
+    few = learn_places(LabelledPresses(ratio, places, depth)).locator
+    assert len(few.others) == 3  # lengths and noises, without a design
+    other = toy_presses(20, seed=5)[0]
+    answers = np.log(other) / few.gain
+    alone = [grid.locate(answers).place for grid in (few.grid, *few.others)]
+    np.testing.assert_allclose(few.apply(other), np.mean(alone, axis=0), atol=1e-12)
+    units = np.linspace(0.5, 2.0, 8)
+    same = few.grid.of_units(units).locate(answers / units)
+    np.testing.assert_allclose(same.place, alone[0], atol=1e-9)
+    restored = PressLocator.from_arrays(few.arrays())
+    np.testing.assert_array_equal(restored.apply(other), few.apply(other))
+    assert learn_places(LabelledPresses(*toy_presses(9))).locator.others == ()
+
+
 def test_what_cannot_be_learned_is_refused(learned):
     ratio, places, _ = toy_presses()
     with pytest.raises(DataError, match="at least 5"):
