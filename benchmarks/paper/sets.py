@@ -23,7 +23,7 @@ SPECIMENS = {"indentation": 8, "touch": 40, "states": 40, "bending": 10, "demo":
 """Experiments, and how many unseen sensors each is made with."""
 CALIBRATED = ("bending", "touch")
 """Experiments whose unseen sensors are calibrated."""
-KNOWN_DEG = (-20.0, -2.5, 15.0, 32.5, 50.0)
+KNOWN_DEG = (-20.0, 15.0, 30.0, 42.5, 50.0)
 """Angles that a sensor is calibrated with, beside the flat one."""
 REFERENCE_FRAMES = 8
 QUICK = 10  # times fewer frames

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from eitskin.benchmarks.transfer.worlds import WORLDS
 
-NAME, VERSION = "skinbench", 1
+NAME, VERSION = "skinbench", 2
 SEED = 0
 RECORDING_SHA256 = "4bd805972f635f3e38884d42385b8b5a020c27abfc8f90550fdee9166d80c3a6"
 """Of `ohmc8.mat` (DSHardman/HydrogelEIT), the frames of the track `real`."""

@@ -55,7 +55,7 @@ def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others(
         bend_angle_deg=np.array([0.0, 49.0, 0.0, *worlds.KNOWN_DEG, 0.0], dtype=np.float32),
     )
     assert Labelled(1, 0).rows(mine) == [2, 7]
-    assert Labelled(6, 1).rows(mine) == [2, 7, 6, 3, 5, 4, 1, 0]
+    assert Labelled(6, 1).rows(mine) == [2, 7, 6, 5, 3, 4, 1, 0]
     assert Labelled(5, 9).rows(mine)[-2:] == [0, 8]
     with pytest.raises(DataError):
         Labelled(7, 0).rows(mine)

@@ -37,7 +37,7 @@ PERIOD = 0.303  # s, the paper's
 PAPER_MS = {"acquisition": 303.0, "state": 91.6, "reconstruction": 86.7, "all of a frame": 606.6}
 MOMENTS = {"a1": -10.0, "a2": 20.0, "a3": 40.0, "a4": 0.0}
 """The paper's four moments: the angle at which touches are set on, in their order."""
-ANGLES_DEG = (0.0, -20.0, -2.5, 15.0, 32.5, 50.0)
+ANGLES_DEG = (0.0, -20.0, 15.0, 30.0, 42.5, 50.0)
 PER_ANGLE = 8
 
 

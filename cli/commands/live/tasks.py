@@ -59,7 +59,7 @@ class SetupCommand:
         frames: number in each pose.
     """
 
-    angles: str = "-20,-2.5,15,32.5,50"
+    angles: str = "-20,15,30,42.5,50"
     presses: int = 10
     frames: int = 8
 

@@ -52,7 +52,7 @@ def command(
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
     board: BoardUri,
     reference: ReferenceFile = None,
-    angles: Angles = "-20,20,35,45,50",
+    angles: Angles = "-20,15,30,42.5,50",
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
     method: MethodCode = None,

@@ -55,7 +55,7 @@ def command(
     out: Annotated[Path, typer.Option(help="File of the sensor's own pipeline, NAME.eitmodel.")],
     board: BoardOption = None,
     sensor: SensorFile = None,
-    angles: Angles = "-20,-2.5,15,32.5,50",
+    angles: Angles = "-20,15,30,42.5,50",
     presses: Annotated[int, typer.Option(min=0, help="Number of presses that are asked for.")] = 10,
     frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8,
     no_prompt: Annotated[

