@@ -15,6 +15,7 @@ from eitskin.protocol import Protocol
 Array = NDArray[np.float64]
 
 _GRID = 37  # points along x and along y at which an outline is compared with its image
+MOST_ORDERED = 64  # electrodes, of which wrong orders are tried
 _TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
 
 
@@ -55,7 +56,7 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
             and distance.min(axis=1).max() < _TOLERANCE
             and all(_alike(design, a, b) for a, b in enumerate(partner.tolist()))
         )
-        order = _order(protocol, partner) if same else None
+        order = _order(np.array(protocol.table), partner) if same else None
         if order is not None:
             found.append(Mirror(flips, order, (length, width)))
     return tuple(found)
@@ -64,13 +65,16 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
 def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Wrong orders of the electrodes, in words, and the measurements that these exchange.
 
-    Two electrodes are exchanged, or all are counted from another one, in either direction.
+    Two electrodes are exchanged, or all are counted from another one, in either direction; none of
+    more than `MOST_ORDERED` electrodes, whose pairs are too many to try.
 
     Yields:
         name: of the order.
         order: number of the measurement that is in each one's place (m,).
     """
     numbers = np.arange(protocol.n_electrodes)
+    if len(numbers) > MOST_ORDERED:
+        return
     orders = []
     for a, b in itertools.combinations(numbers.tolist(), 2):
         exchanged = numbers.copy()
@@ -79,8 +83,9 @@ def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64
     for first, way in itertools.product(numbers.tolist(), ("", "backwards ")):
         counted = (first + (-numbers if way else numbers)) % len(numbers)
         orders.append((f"electrodes counted {way}from {first} on", counted))
+    table = np.array(protocol.table)
     for name, partner in orders:
-        if (order := _order(protocol, partner)) is not None:
+        if (order := _order(table, partner)) is not None:
             yield name, order
 
 
@@ -102,19 +107,21 @@ def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
     return bool(np.array_equal(here, there))
 
 
-def _order(protocol: Protocol, partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
-    """Number of each measurement's mirror image (m,); None where the protocol lacks one.
+def _order(table: NDArray[np.int64], partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
+    """Number of each measurement's image (m,) under partners of the electrodes.
 
-    Reversed polarities change the sign of a measurement, not its magnitude.
+    None where a protocol's table (m, 4) lacks one. Reversed polarities change the sign of a
+    measurement, not its magnitude.
     """
-    numbers = {_unsigned(row): i for i, row in enumerate(protocol.table)}
-    images = [_unsigned(tuple(int(partner[e]) for e in row)) for row in protocol.table]
-    if not all(image in numbers for image in images):
-        return None
-    return np.array([numbers[image] for image in images], dtype=np.int64)
+    codes, images = _codes(table, len(partner)), _codes(partner[table], len(partner))
+    sorter = np.argsort(codes, kind="stable")
+    order = sorter[np.searchsorted(codes[sorter], images, "right") - 1]
+    return order if np.array_equal(codes[order], images) else None
 
 
-def _unsigned(row: tuple[int, ...]) -> tuple[int, ...]:
-    """A row of the table with both pairs of electrodes sorted."""
-    a, b, c, d = row
-    return min(a, b), max(a, b), min(c, d), max(c, d)
+def _codes(table: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Numbers (m,), the same for rows whose pairs of electrodes are the same in either order."""
+    low, high = np.moveaxis(np.sort(table.reshape(-1, 2, 2), axis=2), 2, 0)
+    drive, sense = (low * count + high).T
+    codes: NDArray[np.int64] = drive * count**2 + sense
+    return codes
