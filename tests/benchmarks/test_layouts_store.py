@@ -40,7 +40,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(fresh, tmp_path, workers):
     with pytest.raises(KeyboardInterrupt), judging(tmp_path, workers, stop) as judge:
         judge(many)
     assert not multiprocessing.active_children()
-    finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
+    finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("[!.]*.json")}
     assert 1 <= len(finished) < len(many)
     with judging(tmp_path) as judge:
         resumed = judge(questions)
