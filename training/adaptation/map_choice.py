@@ -77,9 +77,7 @@ class SheetKnowledge:
     def choices(self, presses: Presses) -> Sequence[MapChoice]:
         """Choices over which places are averaged: the best one, or several where presses are few.
 
-        A handful of presses tells none of them from the others, and the errors of each are its own:
-        on the round skin of the study `adaptation`, with its design, five presses err by a tenth
-        less so.
+        A handful of presses tells none of them from the others, and the errors of each are its own.
         """
         if len(presses.owners) > MOST_AVERAGED_BY:
             return [self.choose(presses)]

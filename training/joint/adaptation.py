@@ -26,8 +26,7 @@ PRIOR_FRAMES = 1.0  # frames with noise as in training, that count beside the kn
 NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 # Growth of the covariance of curves with how strange a sensor is among those learned from
 # (`BendCurvePrior.widened`). The usual ones were learned from sensors that differ by a tenth as
-# much, so that any other is strange among them. On 32 sensors with rough electrodes, whose curves
-# were known at one angle, errors were 2.2 times as large as stated so, 3.4 times without.
+# much, so that any other is strange among them.
 WIDENING, USUAL_WIDENING = 1.0, 0.2
 
 

@@ -149,7 +149,11 @@ class InputSpec:
         overlook two swapped electrodes, which leave most channels unchanged.) Where another order
         of the electrodes leaves far less, that is the reason.
         """
-        self._require_like(voltages, self.spread)
+        self._require_like(
+            voltages,
+            self.spread,
+            "make the pipeline its own by known angles (eitskin calibrate, eitskin adapt)",
+        )
 
     def require_adaptable(self, voltages: NDArray[np.complex128]) -> None:
         """Refuse a flat frame (measurements,) [ohm] that is not of this design; raises FrameError.
@@ -157,9 +161,14 @@ class InputSpec:
         Known frames make a pipeline that of a sensor whose contacts and electrodes differ by more
         than those trained with, so `WIDEST_SPREAD` is the limit here.
         """
-        self._require_like(voltages, WIDEST_SPREAD)
+        self._require_like(
+            voltages,
+            WIDEST_SPREAD,
+            "train a pipeline for it (own frames go together with simulated ones: eitskin dataset "
+            "combine)",
+        )
 
-    def _require_like(self, voltages: NDArray[np.complex128], limit: float) -> None:
+    def _require_like(self, voltages: NDArray[np.complex128], limit: float, remedy: str) -> None:
         known = np.flatnonzero(np.isfinite(voltages))
         logs = np.log(np.abs(voltages[known] / self.reference[known]))
         spread, common = _spread(logs, _weights(self.reference)[known])
@@ -182,8 +191,7 @@ class InputSpec:
                 f"trained for (expected up to {limit:.1%}, after one common factor of "
                 f"{np.exp(common):.3g}), most of all {worst}: another sensor, a board that loads "
                 "it otherwise, a bad contact, or electrodes in another order; check the wiring, or "
-                "train a pipeline for it (own frames go together with simulated ones: eitskin "
-                "dataset combine)"
+                f"{remedy}"
             )
 
     def _other_order(self, voltages: NDArray[np.complex128], spread: float) -> str:
