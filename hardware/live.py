@@ -42,7 +42,7 @@ class Estimate(typing.Protocol):
 
     @property
     def touches(self) -> Sequence[tuple[float, float, float]] | None:
-        """Touches as (x [m], y [m], strength)."""
+        """Touches as (x [m], y [m], strength), with attributes force and deviation if known."""
 
     @property
     def problems(self) -> tuple[str, ...]:

@@ -29,6 +29,9 @@ from eitskin.training.method.predictions import (
 from eitskin.training.method.predictions import (
     Predictions as Predictions,
 )
+from eitskin.training.method.predictions import (
+    TouchEstimate as TouchEstimate,
+)
 from eitskin.training.method.settings import (
     NetworkSettings as NetworkSettings,
 )

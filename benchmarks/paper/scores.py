@@ -174,7 +174,7 @@ def _touches(name: str, score: TouchScore) -> Figures:
 
 def _distances(data: Dataset, row: int, estimate: Estimate) -> list[float]:
     true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-    found = () if estimate.found is None else estimate.found.place
+    found = [touch[:2] for touch in estimate.touches or ()]
     return match_distances(true[np.isfinite(true[:, 0])], found)
 
 

@@ -183,10 +183,10 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
 
 def found_presses(estimate: "Estimate") -> list[DrawnPress]:
     """x [m], y [m] and force [N] of each estimated touch; NaN where the force is not estimated."""
-    touches = estimate.touches or ()
-    forces = getattr(getattr(estimate, "found", None), "force", None)
-    known = [math.nan] * len(touches) if forces is None else [float(f) for f in forces]
-    return [(float(x), float(y), f) for (x, y, _), f in zip(touches, known, strict=True)]
+    return [
+        (float(touch[0]), float(touch[1]), float(getattr(touch, "force", math.nan)))
+        for touch in estimate.touches or ()
+    ]
 
 
 def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:

@@ -41,7 +41,7 @@ for number, scene in enumerate([Scene()] * 8 + scenes):
     seen = sim.measure(scene, Instrument(), rng).impedance
     estimate = pipeline.process(Frame(seen, sim.protocol, time=0.3 * number, number=number))
     if scene.touches:
-        found.append(estimate.found.force[0] if len(estimate.found.force) else np.nan)
+        found.append(estimate.touches[0].force if estimate.touches else np.nan)
 for true, told in zip(forces, found, strict=True):
     print(f"{true:4.1f} N " + ("not found" if np.isnan(told) else f"found as {told:.1f} N"))
 assert np.abs(np.array(found) - forces)[forces >= 6.0].max() < 2.0

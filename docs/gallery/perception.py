@@ -35,13 +35,11 @@ print(f"bent by {felt.bend_angle_deg:.1f} +- {felt.bend_deviation_deg:.1f} deg")
 assert abs(felt.bend_angle_deg - 30.0) < 3.0
 
 # Each touch that was found, the true one next to it, and how far apart they are.
-for place, force, deviation in zip(
-    felt.found.place, felt.found.force, felt.found.deviation, strict=True
-):
-    true = min(touches, key=lambda touch: np.hypot(touch.x - place[0], touch.y - place[1]))
-    error = np.hypot(true.x - place[0], true.y - place[1])
-    print(f"{true.force:4.1f} N found as {force:4.1f} N, {1e3 * error:.1f} mm off", end=" ")
-    print(f"(standard error {1e3 * deviation:.1f} mm)")
+for found in felt.touches:
+    true = min(touches, key=lambda touch: np.hypot(touch.x - found.x, touch.y - found.y))
+    error = np.hypot(true.x - found.x, true.y - found.y)
+    print(f"{true.force:4.1f} N found as {found.force:4.1f} N, {1e3 * error:.1f} mm off", end=" ")
+    print(f"(standard error {1e3 * found.deviation:.1f} mm)")
     assert error < 8e-3
 assert len(felt.touches) == 3
 
@@ -52,7 +50,8 @@ if wanted():
     sensor(axes, design, fill=False)
     for touch in touches:
         circle(axes, touch.x, touch.y)
-    axes.plot(*(1e3 * felt.found.place.T), "+", color="white", ms=9, mew=1.6)
+    for found in felt.touches:
+        axes.plot(1e3 * found.x, 1e3 * found.y, "+", color="white", ms=9, mew=1.6)
     axes.set_title("bent by 30 deg: felt (map, crosses) and true (circles)")
     drawn.colorbar(shown, ax=axes, label="probability of being touched", shrink=0.75, pad=0.02)
     save(drawn, __file__)

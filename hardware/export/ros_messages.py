@@ -249,11 +249,10 @@ def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
     """Touches as rows of `TOUCH_FIELDS`, (touches, 6); NaN where the pipeline gives no value."""
     touches = estimate.touches or ()
     rows = np.full((len(touches), len(TOUCH_FIELDS)), np.nan, dtype="<f4")
-    found = getattr(estimate, "found", None)
-    for row, (x, y, strength) in zip(rows, touches, strict=True):
-        row[:4] = x, y, 0.0, strength
-    if found is not None:
-        rows[:, 4], rows[:, 5] = found.force, found.deviation
+    for row, touch in zip(rows, touches, strict=True):
+        x, y, strength = touch
+        force, deviation = (getattr(touch, name, np.nan) for name in ("force", "deviation"))
+        row[:] = x, y, 0.0, strength, force, deviation
     return rows
 
 

@@ -71,22 +71,15 @@ def _touches(estimate: Estimate) -> list[dict[str, float | None]] | None:
     """Record of each touch; None where touches are not estimated."""
     if estimate.touches is None:
         return None
-    found = getattr(estimate, "found", None)
-    nothing = [math.nan] * len(estimate.touches)
-    forces, deviations = (
-        nothing if found is None else getattr(found, name) for name in ("force", "deviation")
-    )
     return [
         {
-            "x": known(x),
-            "y": known(y),
-            "strength": known(strength),
-            "force": known(force),
-            "deviation": known(deviation),
+            "x": known(touch[0]),
+            "y": known(touch[1]),
+            "strength": known(touch[2]),
+            "force": known(getattr(touch, "force", None)),
+            "deviation": known(getattr(touch, "deviation", None)),
         }
-        for (x, y, strength), force, deviation in zip(
-            estimate.touches, forces, deviations, strict=True
-        )
+        for touch in estimate.touches
     ]
 
 

@@ -127,7 +127,7 @@ class Known(Method):
             ((),),
         )
 
-    def adapted(self, known):
+    def adapt(self, known):
         """Right to a tenth of what it was."""
         np.testing.assert_allclose(known.angle_deg[known.bent], KNOWN_DEG)
         better = dataclasses.replace(self, angle_deg=self.angle_deg / 10)
@@ -140,7 +140,7 @@ class WithoutAngle(Known):
     """The same, without an angle and without calibration."""
 
     targets: ClassVar[Targets] = Targets(angle=False)
-    adapted = Method.adapted
+    adapt = Method.adapt
 
     def predict(self, observations):
         said = super().predict(observations)

@@ -80,8 +80,8 @@ def board(request, simulator, tmp_path):
 
 def said(estimate):
     """Everything that an estimate says, to the last bit."""
-    found = estimate.found
-    arrays = (estimate.probabilities, estimate.touch_map, found.place, found.force, found.strength)
+    touches = [(*touch, touch.force, touch.deviation) for touch in estimate.touches]
+    arrays = (estimate.probabilities, estimate.touch_map, touches)
     return (
         estimate.state,
         estimate.bend_angle_deg,

@@ -50,7 +50,7 @@ def an_estimate(**changes):
         "bend_angle_deg": -12.3456789,
         "bend_deviation_deg": 0.25,
         "touch_map": rng.random((32, 80), dtype=np.float32),
-        "found": found,
+        "touches": tuple(found),
         "problems": (),
         "number": 0,
         "time": 0.0,
@@ -107,7 +107,7 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
 
 def test_what_is_not_estimated_has_no_topic(tmp_path) -> None:
     unknown = {"bend_angle_deg": None, "bend_deviation_deg": None, "touch_map": None}
-    estimate = an_estimate(state=None, probabilities=np.full(3, UNKNOWN), **unknown, found=None)
+    estimate = an_estimate(state=None, probabilities=np.full(3, UNKNOWN), **unknown, touches=None)
     found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.004, 3.3))
     assert set(found) == {"/eitskin/sensor", "/eitskin/impedance", "/diagnostics"}
     _, text, values = values_of(found["/diagnostics"][0][1], "eitskin: sensor")
@@ -147,7 +147,7 @@ def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
 
 
 def test_a_frame_without_touches_has_an_empty_cloud_and_no_doubts(tmp_path) -> None:
-    estimate = an_estimate(state=State.IDLE, found=FoundTouches.of((), ()))
+    estimate = an_estimate(state=State.IDLE, touches=())
     found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.0, UNKNOWN))
     touches = found["/eitskin/touches"][0][1]
     assert (touches.width, len(touches.data)) == (0, 0)
@@ -303,8 +303,9 @@ def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path
         assert found["/eitskin/bend"][i][1].position[0] == np.radians(estimate.bend_angle_deg)
         points = found["/eitskin/touches"][i][1]
         rows = rows_of(points)
-        assert np.array_equal(rows[:, :2], estimate.found.place.astype(np.float32))
-        assert np.array_equal(rows[:, 4], estimate.found.force.astype(np.float32))
+        places, forces = [t[:2] for t in estimate.touches], [t.force for t in estimate.touches]
+        assert np.array_equal(rows[:, :2], np.reshape(places, (-1, 2)).astype(np.float32))
+        assert np.array_equal(rows[:, 4], np.float32(forces))
     assert estimate.state is State.TOUCH
     assert points.width >= 1
 

@@ -20,7 +20,7 @@ from eitskin.hardware import Reading
 from eitskin.hardware.export.ros_messages import TOUCH_FIELDS, RosMessages
 from eitskin.hardware.ros2.names import dds_service, dds_type_name, require_domain, require_name
 from eitskin.simulator import Frame, Protocol
-from eitskin.training import FoundTouches
+from eitskin.training import TouchEstimate
 
 from live_fakes import Estimate
 
@@ -49,9 +49,8 @@ def loopback_only(tag):
 def reading(number, session=0):
     rng = np.random.default_rng(number)
     estimate = Estimate(touch_map=rng.random((32, 80), dtype=np.float32))
-    estimate.touches = ((0.05, 0.02, 0.9), (0.1, 0.04, 0.7))
-    places = [touch[:2] for touch in estimate.touches]
-    estimate.found = FoundTouches.of(places, [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3])
+    first = TouchEstimate(0.05, 0.02, 9.5, 1e-3, 0.9)
+    estimate.touches = (first, TouchEstimate(0.1, 0.04, deviation=2e-3, strength=0.7))
     values = rng.random(28) + 1j * rng.random(28)
     return Reading(Frame(values, PROTOCOL, 0.3 * number, number, session), estimate, 0.004, 3.3)
 

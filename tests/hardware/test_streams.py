@@ -63,8 +63,8 @@ def served():
 
 def test_a_record_has_forces_and_standard_errors():
     found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan], [1e-3, 2e-3])
-    estimate = Estimate(touches=found.triples)
-    estimate.found, estimate.bend_deviation_deg = found, 0.4
+    estimate = Estimate(touches=tuple(found))
+    estimate.bend_deviation_deg = 0.4
     record = reading_record(Reading(frame(), estimate, 0.001, 3.0), FakeBoard.counts)
     assert [touch["force"] for touch in record["touches"]] == [7.5, None]
     assert [touch["deviation"] for touch in record["touches"]] == [1e-3, 2e-3]
@@ -232,8 +232,7 @@ def compiled(tmp_path_factory):
 def messages():
     tricky = ('an electrode is "open": "state": "bend", {[',)
     found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan])
-    two = Estimate(touches=found.triples)
-    two.found = found
+    two = Estimate(touches=tuple(found))
     none = Estimate(None, (np.nan,) * 3, float("nan"), None, None, tricky)
     each = (
         reading(touches=()),

@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.hardware import Counts, Reading
 from eitskin.simulator import Frame, Protocol, Scene, Touch
-from eitskin.training.method.predictions import FoundTouches
+from eitskin.training.method.predictions import TouchEstimate
 
 PROTOCOL = Protocol.pairwise(8)
 DESIGN = SensorDesign.reference()
@@ -76,14 +76,8 @@ class FakeEstimate:
     probabilities: tuple = (0.1, 0.8, 0.1)
     bend_angle_deg: float = 20.5
     touch_map: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((32, 80)))
-    found: FoundTouches = dataclasses.field(
-        default_factory=lambda: FoundTouches.of([(0.05, 0.031)], [0.9], [7.5])
-    )
+    touches: tuple = (TouchEstimate(0.05, 0.031, 7.5, strength=0.9),)
     problems: tuple = ()
-
-    @property
-    def touches(self):
-        return self.found.triples
 
 
 def reading(number=7, estimate=None, impedance=None, session=1, **known):

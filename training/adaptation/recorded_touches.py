@@ -237,7 +237,7 @@ class RecordedTouches:
         unknown = np.full(len(State), np.nan)
         zero = Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
         return Estimate(
-            None, unknown, None, None, None, found, problems, frame.number, frame.time, zero
+            None, unknown, None, None, None, tuple(found), problems, frame.number, frame.time, zero
         )
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:

@@ -324,7 +324,7 @@ class JointMethod(Method):
             return learned
         return own_response(learned, self.own_output, self.own_latent)
 
-    def adapted(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
+    def adapt(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
         """The method adapted to one sensor by known frames, from what was learned in training.
 
         An adaptation before has no effect.

@@ -1,5 +1,6 @@
 """Interface of a perception method: fitted to frames, it turns observations into predictions."""
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -57,6 +58,13 @@ class Method(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Name a class that has no name of its own by its module and itself."""
         super().__init_subclass__(**options)
+        if "adapted" in vars(cls) and "adapt" not in vars(cls):
+            warnings.warn(
+                f"{cls.__qualname__}: `adapted` is now called `adapt`; rename it",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            cls.adapt = vars(cls)["adapted"]  # type: ignore[method-assign]
         if "KIND" not in vars(cls):
             cls.KIND = f"{cls.__module__.removeprefix(FILE_MODULE)}:{cls.__qualname__}"
 
@@ -97,16 +105,19 @@ class Method(ABC):
 
     @property
     def adapts(self) -> bool:
-        """Whether the method defines `adapted`."""
-        return type(self).adapted is not Method.adapted
+        """Whether the method defines `adapt`."""
+        return type(self).adapt is not Method.adapt
 
-    def adapted(self, known: KnownFrames) -> "tuple[Method, Adaptation]":  # noqa: ARG002
+    def adapt(self, known: KnownFrames) -> "tuple[Method, Adaptation]":  # noqa: ARG002
         """The method adapted to one sensor by known frames, and what they changed.
+
+        This one entry serves all that may be known: bend angles, touches with or without forces,
+        and a twin. It was called `adapted` before version 0.3.
 
         Raises ConfigurationError for a method that cannot be adapted, which is the default.
         """
         raise ConfigurationError(
-            f"expected a method that can be adapted, got '{self.KIND}', which has no `adapted`; "
+            f"expected a method that can be adapted, got '{self.KIND}', which has no `adapt`; "
             "use the pipeline as it is, or train the joint or the paper's method"
         )
 

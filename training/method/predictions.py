@@ -1,5 +1,6 @@
 """Output of a perception method: state, bend angle, touches and touch map of n frames."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,49 @@ from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets
 Array = NDArray[np.float64]
 
 PROBABILITY_ERROR = 1e-3  # of their sum; networks compute in single precision
+
+
+class TouchEstimate(tuple[float, float, float]):
+    """One touch; unpacks as x, y and strength.
+
+    Attributes:
+        x, y: position in coordinates of the flat sensor [m].
+        force: normal force [N]; NaN where the method does not estimate it.
+        deviation: standard error of the position, sqrt(var x + var y) [m]; NaN where the method
+            does not estimate it.
+        strength: confidence or relative strength, 0 to 1.
+    """
+
+    x: float
+    y: float
+    force: float
+    deviation: float
+    strength: float
+
+    def __new__(
+        cls,
+        x: float,
+        y: float,
+        force: float = math.nan,
+        deviation: float = math.nan,
+        strength: float = 1.0,
+    ) -> "TouchEstimate":
+        """A touch, as the tuple (x, y, strength) with two more attributes."""
+        touch = super().__new__(cls, (x, y, strength))
+        touch.x, touch.y, touch.strength = x, y, strength
+        touch.force, touch.deviation = force, deviation
+        return touch
+
+    def __getnewargs__(self) -> tuple[float, float, float, float, float]:
+        """Arguments of a copy."""
+        return self.x, self.y, self.force, self.deviation, self.strength
+
+    def __repr__(self) -> str:
+        """All attributes."""
+        return (
+            f"TouchEstimate(x={self.x}, y={self.y}, force={self.force}, "
+            f"deviation={self.deviation}, strength={self.strength})"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +105,15 @@ class FoundTouches:
         """Number of touches."""
         return len(self.strength)
 
+    def __iter__(self) -> Iterator[TouchEstimate]:
+        """Each touch, strongest first."""
+        rows = np.column_stack([self.place, self.force, self.deviation, self.strength])
+        return (TouchEstimate(*row) for row in rows.tolist())
+
     @property
-    def triples(self) -> tuple[tuple[float, float, float], ...]:
+    def triples(self) -> tuple[TouchEstimate, ...]:
         """(x [m], y [m], strength) of each."""
-        rows = zip(self.place.tolist(), self.strength.tolist(), strict=True)
-        return tuple((x, y, strength) for (x, y), strength in rows)
+        return tuple(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

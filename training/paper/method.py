@@ -168,7 +168,7 @@ class PaperMethod(Method):
         networks = {"state classifier": self.classifier, "touch map": self.postprocessor}
         return {name: network.history for name, network in networks.items() if network}
 
-    def adapted(self, known: KnownFrames) -> "tuple[PaperMethod, Adaptation]":
+    def adapt(self, known: KnownFrames) -> "tuple[PaperMethod, Adaptation]":
         """The method for one sensor: angles times the least-squares factor to the known angles.
 
         The paper has no calibration; a factor is what a regression through zero can learn from a

@@ -1,6 +1,7 @@
 """Estimate of one frame: state, bend angle and touches, as far as they are estimated."""
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.frame import Frame
-from eitskin.training.method.predictions import FoundTouches, Predictions
+from eitskin.training.method.predictions import FoundTouches, Predictions, TouchEstimate
 from eitskin.training.method.targets import Targets
 from eitskin.training.pipeline.stored_reference import Zero
 
@@ -26,7 +27,7 @@ class Estimate:
         bend_deviation_deg: standard error of the angle [deg]; None for a method without one.
         touch_map: how much of each pixel is touched, as estimated, (rows, columns), 0 to 1; rows
             and columns grow with y and x. Zero unless the state is touch.
-        found: the touches, with forces and standard errors where the method gives them.
+        touches: strongest first, with forces and standard errors where the method gives them.
         problems: faults of the frame or the references, in words; empty without any.
         number: number of the frame.
         time: time of the frame [s].
@@ -38,7 +39,7 @@ class Estimate:
     bend_angle_deg: float | None
     bend_deviation_deg: float | None
     touch_map: NDArray[np.float32] | None
-    found: FoundTouches | None
+    touches: tuple[TouchEstimate, ...] | None
     problems: tuple[str, ...]
     number: int
     time: float
@@ -61,7 +62,7 @@ class Estimate:
             _known(predictions.bend_angle_deg[0]),
             _known(predictions.bend_deviation_deg[0]),
             predictions.touch_map[0] if targets.touches else None,
-            predictions.touches[0] if targets.touches else None,
+            tuple(predictions.touches[0]) if targets.touches else None,
             problems,
             frame.number,
             frame.time,
@@ -83,9 +84,14 @@ class Estimate:
         )
 
     @property
-    def touches(self) -> tuple[tuple[float, float, float], ...] | None:
-        """x [m], y [m] and strength, 0 to 1, of each touch, strongest first; None if unknown."""
-        return None if self.found is None else self.found.triples
+    def found(self) -> FoundTouches | None:
+        """The touches as arrays; deprecated, use `touches`."""
+        warnings.warn("use Estimate.touches for Estimate.found", DeprecationWarning, stacklevel=2)
+        if self.touches is None:
+            return None
+        rows = [(t.strength, t.force, t.deviation) for t in self.touches]
+        strength, force, deviation = np.reshape(rows, (-1, 3)).T
+        return FoundTouches.of([t[:2] for t in self.touches], strength, force, deviation)
 
 
 def _known(value: float) -> float | None:

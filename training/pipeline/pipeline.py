@@ -167,7 +167,7 @@ class Pipeline:
                 sensor, or a method that does not adapt; the pipeline is unchanged then.
         """
         known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
-        adapted, said = self.method.adapted(known)
+        adapted, said = self.method.adapt(known)
         said.require_fit(known)
         self.method, self.adaptation = adapted, said.as_dict()
         self.layout = self.layout.of_sensor(flat := known.observations.flat[0])

@@ -20,7 +20,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
 from eitskin.latest import Latest
 from eitskin.simulator import Frame
-from eitskin.training.method.predictions import FoundTouches
+from eitskin.training.method.predictions import TouchEstimate
 
 from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, post, reading
 
@@ -93,7 +93,7 @@ def test_a_damaged_frame_is_sent_without_nan(page, stream) -> None:
         bend_angle_deg=float("nan"),
         touch_map=touch_map,
         probabilities=(np.nan, 0.5, 0.5),
-        found=FoundTouches.of([(0.05, 0.03)], [0.5]),
+        touches=(TouchEstimate(0.05, 0.03, strength=0.5),),
     )
     page.publish(reading(1, estimate, impedance, rate=float("nan")))
     frame = stream.until("frame")  # the JSON of Python reads NaN; its writer here refuses to

@@ -9,7 +9,7 @@ from eitskin.benchmarks.studies.boards.chromium import Size, Tab, chromium
 from eitskin.cli.page.access import Access, Tokens
 from eitskin.cli.page.live_page import LivePage
 from eitskin.errors import ConfigurationError
-from eitskin.training.method.predictions import FoundTouches
+from eitskin.training.method.predictions import TouchEstimate
 
 from page_fakes import DESIGN, FakeConnection, FakeEstimate, FakeSession, port_of, reading
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 DESKTOP, PHONE = Size(1280, 900), Size(390, 844, phone=True)
 TOKENS = Tokens("view-" + 12 * "v", "command-" + 12 * "c")
-NOTHING = FakeEstimate(found=FoundTouches.of([], [], []))
+NOTHING = FakeEstimate(touches=())
 RING = 6  # radius of a found touch, pixels
 
 
@@ -117,7 +117,7 @@ def test_a_touch_is_drawn_where_the_estimate_has_it(browser, served, size):
         show(served, tab, reading(1, NOTHING))
         for number, (x, y) in enumerate([(0.05, 0.031), (0.11, 0.02)], 2):
             assert not white_at(tab, x, y)
-            found = FakeEstimate(found=FoundTouches.of([(x, y)], [0.9], [7.5]))
+            found = FakeEstimate(touches=(TouchEstimate(x, y, 7.5, strength=0.9),))
             show(served, tab, reading(number, found))
             assert white_at(tab, x, y)
             assert text(tab, "touches") == f"{1e3 * x:.0f}, {1e3 * y:.0f} mm: 7.5 N"

@@ -67,7 +67,7 @@ def test_a_press_has_a_position_and_nothing_else(learned):
     unknown = (estimate.state, estimate.bend_angle_deg, estimate.touch_map)
     assert unknown == (None, None, None)
     assert np.isnan(estimate.probabilities).all()
-    assert np.isnan(estimate.found.force).all()
+    assert np.isnan(estimate.touches[0].force)
     assert learned.process(frame(FLAT, 6)).touches == ()
 
 

@@ -53,7 +53,7 @@ def left(method, one, rng):
 def test_known_touches_bring_the_response_nearer_to_the_sensor(method, touches, forces):
     rng = np.random.default_rng(0)
     one = sensor(method, rng.standard_normal(LATENT))
-    adapted = method.adapted(pressed(one, 15, rng, touches=touches, forces=forces))[0]
+    adapted = method.adapt(pressed(one, 15, rng, touches=touches, forces=forces))[0]
     assert left(adapted, one, rng) < 0.3 * left(method, one, rng)
 
 
@@ -61,7 +61,7 @@ def test_the_strength_of_the_sensor_is_told_by_known_forces(method):
     rng = np.random.default_rng(1)
     one = sensor(method, np.zeros(LATENT), 1.2)
     known = pressed(one, 20, rng)
-    adapted = method.adapted(known)[0]
+    adapted = method.adapt(known)[0]
     said = [each.predict(known.observations).touches for each in (method, adapted)]
     gains = [
         np.median([f.force[0] / k[0, 2] for f, k in zip(found, known.touches, strict=True)])
@@ -74,12 +74,12 @@ def test_the_strength_of_the_sensor_is_told_by_known_forces(method):
 def test_many_touches_leave_nothing_unknown_and_none_leaves_the_prior(method):
     rng = np.random.default_rng(2)
     one = sensor(method, rng.standard_normal(LATENT))
-    few, many = (method.adapted(pressed(one, count, rng))[0] for count in (2, 200))
+    few, many = (method.adapt(pressed(one, count, rng))[0] for count in (2, 200))
     sizes = [np.linalg.norm(each.own_latent) for each in (few, many)]
     assert sizes[1] < 0.3 * sizes[0] < 0.3 * np.linalg.norm(method.response.latent_output)
     assert left(many, one, rng) < 0.02
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    assert few.adapted(flat)[0].own_latent is None
+    assert few.adapt(flat)[0].own_latent is None
 
 
 def test_the_covariance_left_is_that_of_the_errors(method):
@@ -89,7 +89,7 @@ def test_the_covariance_left_is_that_of_the_errors(method):
     ratios = []
     for _ in range(40):
         latent = rng.standard_normal(LATENT)
-        adapted = method.adapted(pressed(sensor(method, latent), 4, rng))[0]
+        adapted = method.adapt(pressed(sensor(method, latent), 4, rng))[0]
         middle = sensor(method, np.zeros(LATENT)).output
         strength, *found = np.linalg.lstsq(
             np.vstack([middle.reshape(1, -1), flat]).T, adapted.own_output.ravel(), rcond=None
@@ -106,7 +106,7 @@ def test_touches_that_no_sensor_explains_tell_less(method):
     change *= 1.0 + 0.3 * rng.standard_normal(change.shape)
     strange = replace(known.observations, dynamic=np.expm1(change))
     usual, wide = (
-        np.linalg.norm(method.adapted(each)[0].own_latent)
+        np.linalg.norm(method.adapt(each)[0].own_latent)
         for each in (known, replace(known, observations=strange))
     )
     assert wide > 2.0 * usual
@@ -118,7 +118,7 @@ def test_frames_of_one_held_touch_count_as_one(method):
     one = sensor(method, rng.standard_normal(LATENT))
     known = pressed(one, 6, rng)
     held = known[np.repeat(np.arange(6), 8)]
-    sizes = [np.linalg.norm(method.adapted(each)[0].own_latent) for each in (known, held)]
+    sizes = [np.linalg.norm(method.adapt(each)[0].own_latent) for each in (known, held)]
     assert sizes[1] > 0.5 * sizes[0]  # 1 / sqrt 8 of it, did each count
 
 
@@ -130,8 +130,8 @@ def test_touches_that_contradict_each_other_leave_the_response_as_it_is(method):
     touches = np.concatenate([each.touches for each in frames])
     known = known_frames(FLAT, 4, changes, np.zeros(12), touches=touches)
     middle = sensor(method, np.zeros(LATENT))
-    assert left(method.adapted(known)[0], middle, rng) < 0.5 * np.median(
-        [left(method.adapted(each)[0], middle, rng) for each in frames]
+    assert left(method.adapt(known)[0], middle, rng) < 0.5 * np.median(
+        [left(method.adapt(each)[0], middle, rng) for each in frames]
     )
 
 
@@ -142,13 +142,13 @@ def test_bad_measurements_count_for_nothing(method):
     dynamic = known.observations.dynamic.copy()
     dynamic[:, 3] = np.nan
     part = replace(known, observations=replace(known.observations, dynamic=dynamic))
-    assert left(method.adapted(part)[0], one, rng) < 0.3 * left(method, one, rng)
+    assert left(method.adapt(part)[0], one, rng) < 0.3 * left(method, one, rng)
 
 
 def test_an_adapted_response_is_saved(method):
     rng = np.random.default_rng(6)
     known = pressed(sensor(method, rng.standard_normal(LATENT)), 5, rng)
-    one = method.adapted(known)[0]
+    one = method.adapt(known)[0]
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     found = [each.predict(known.observations).touches for each in (one, again)]
     for mine, other in zip(*found, strict=True):

@@ -260,7 +260,7 @@ def sample(method):
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
     """Calibration to a sensor whose channels bend a little more than the mean's."""
     change = method.bend_prior.of([0.0]).value(angles) + offset * powers(angles, 1)
-    adapted, told = method.adapted(known_frames(FLAT, 4, change, angles))
+    adapted, told = method.adapt(known_frames(FLAT, 4, change, angles))
     return adapted, told.calibration
 
 
@@ -312,7 +312,7 @@ def test_drift_during_calibration_is_not_taken_for_the_curve(method):
     bend = {}
     for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
         known = known_frames(FLAT, 4, change, angles, age=age)
-        curve = method.adapted(known)[0].calibrated
+        curve = method.adapt(known)[0].calibrated
         bend[name] = np.abs(curve.effects).max()
     assert bend["old"] < 0.3 * bend["fresh"]
 
@@ -327,7 +327,7 @@ def test_known_frames_of_unknown_times_share_no_drift(method):
         drifted = (
             change + shift * rng.standard_normal((5, 1)) + NOISE * rng.standard_normal((5, 28))
         )
-        curve = method.adapted(known_frames(FLAT, 4, drifted, angles, age=60.0))[0].calibrated
+        curve = method.adapt(known_frames(FLAT, 4, drifted, angles, age=60.0))[0].calibrated
         wrong = curve.value(30.0) - method.bend_prior.of([0.0]).value(30.0)
         ratios.append(wrong @ np.linalg.pinv(curve.uncertainty(30.0)) @ wrong / 28)
     assert np.mean(ratios) < 1.3
@@ -338,7 +338,7 @@ def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     rng, angles = np.random.default_rng(7), np.full(40, 20.0)
     before = np.tile(method.bend_prior.of([0.0]).value(20.0), (40, 1))
     change = before + 2.0 * NOISE * rng.standard_normal((40, 28)) + 1e-3  # and a common drift
-    one, told = method.adapted(known_frames(FLAT, 4, change, angles, before=before))
+    one, told = method.adapt(known_frames(FLAT, 4, change, angles, before=before))
     assert told.noise_scale == one.own_noise_scale == pytest.approx(2.0, rel=0.1)
     frame = observed(method, [TOUCH])
     single = one.predict(frame).touches[0].deviation, method.predict(frame).touches[0].deviation
@@ -346,7 +346,7 @@ def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     assert JointMethod.from_arrays(one.arrays(), LAYOUT).own_noise_scale == told.noise_scale
     # A frame that is compared with the flat sensor alone tells nothing of its noise.
     flat = known_frames(FLAT, 4, before[:5], angles[:5])
-    assert method.adapted(flat)[1].noise_scale == 1.0
+    assert method.adapt(flat)[1].noise_scale == 1.0
 
 
 def test_other_sensor_than_the_calibrated_one_is_told(method):
@@ -385,7 +385,7 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     change = method.response.of(method.features.apply(FLAT))(touches, 0.0)
     told_places = touches + np.array([0.004, 0.0, 0.0])
     known = known_frames(FLAT, 4, change, np.zeros(12), touches=told_places[:, None])
-    one, told = method.adapted(known)
+    one, told = method.adapt(known)
     assert (told.touches, told.left_out) == (12, 0)
     assert told.error_scale == one.own_error_scale > 1.0
     unscaled = replace(one, own_error_scale=1.0)
@@ -395,4 +395,4 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
         np.testing.assert_array_equal(scaled.place, plain.place)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     assert again.own_error_scale == one.own_error_scale
-    assert method.adapted(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].own_error_scale == 1.0
+    assert method.adapt(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].own_error_scale == 1.0

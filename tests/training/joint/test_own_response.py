@@ -95,14 +95,14 @@ def test_the_twin_of_the_sensor_makes_places_better_by_the_flat_frame_alone(meth
     twin = Twin(learned, 0.15)
     held_out = pressed(twin, 12, 1)
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    one, told = method.adapted(replace(flat, twin=twin))
+    one, told = method.adapt(replace(flat, twin=twin))
     assert (told.twin.touches, told.twin.kept) == (0, True)
     json.dumps(told.as_dict(), allow_nan=False)
     assert mean_error(one, held_out) < 0.6 * mean_error(method, held_out)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     places = [each.predict(held_out.observations).touches[0].place for each in (one, again)]
     np.testing.assert_allclose(*places, atol=1e-6)
-    assert one.adapted(flat)[0].own_output is None
+    assert one.adapt(flat)[0].own_output is None
 
 
 @pytest.mark.parametrize("forces", [True, False])
@@ -112,19 +112,19 @@ def test_known_touches_keep_the_twin_of_the_sensor_and_refuse_that_of_another(
     twin, other = Twin(learned, 0.15), Twin(learned, 0.3)
     other.gains = 2.0 - twin.gains
     known = pressed(twin, 6, 0, forces=forces)
-    one, told = method.adapted(replace(known, twin=twin))
+    one, told = method.adapt(replace(known, twin=twin))
     assert told.twin.kept
     assert told.twin.with_twin < 0.5 * told.twin.without
     assert one.own_output is not None
-    refused, told = method.adapted(replace(known, twin=other))
+    refused, told = method.adapt(replace(known, twin=other))
     assert not told.twin.kept
-    np.testing.assert_array_equal(refused.own_output, method.adapted(known)[0].own_output)
+    np.testing.assert_array_equal(refused.own_output, method.adapt(known)[0].own_output)
 
 
 def test_candidates_of_the_search_have_the_twins_response(method, learned):
     twin = Twin(learned, 0.15)
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    one = method.adapted(replace(flat, twin=twin))[0]
+    one = method.adapt(replace(flat, twin=twin))[0]
     candidates = one._specimen(FLAT).candidates(0.0)
     seen = np.column_stack([candidates.places, np.full(len(candidates.places), candidates.force)])
     inside = (seen[:, 0] < 0.115) & (seen[:, 0] > 0.012) & (np.abs(seen[:, 1] - 0.030) < 0.017)
@@ -136,7 +136,7 @@ def test_candidates_of_the_search_have_the_twins_response(method, learned):
 def test_a_method_without_forces_leaves_a_twin_alone(method, learned):
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
     twin = Twin(learned, 0.1)
-    one, told = replace(method, forces=False).adapted(replace(flat, twin=twin))
+    one, told = replace(method, forces=False).adapt(replace(flat, twin=twin))
     assert told.twin is None
     assert one.own_output is None
     assert not twin.pressed

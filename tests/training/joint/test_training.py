@@ -183,7 +183,7 @@ def test_a_sensor_that_is_never_bent():
     assert np.isfinite(said.probabilities[:, :2]).all()
     assert all(np.isfinite(found.force).all() for found in said.touches)
     flat = np.abs(data.reference[0]).astype(float)
-    told = method.adapted(known_frames(flat, 1, np.full((1, len(flat)), 0.01), [20.0]))[1]
+    told = method.adapt(known_frames(flat, 1, np.full((1, len(flat)), 0.01), [20.0]))[1]
     assert (told.bends, told.left_out) == (0, 1)
 
 

@@ -261,3 +261,16 @@ def test_the_method_of_the_page_goes_through_the_commands(tmp_path):
         run(*again, "--preset", "quick")
     with pytest.raises(ConfigurationError, match="NAME=VALUE"):
         run(*again, "--set", "width")
+
+
+def test_the_old_name_of_adapt_serves_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="`adapt`"):
+
+        class Old(Strongest):
+            def adapted(self, known):
+                return self, known
+
+    old = Old([], [], None)
+    assert old.adapts
+    assert not Strongest([], [], None).adapts
+    assert old.adapt(3) == (old, 3)

@@ -134,7 +134,7 @@ def test_a_gel_that_is_never_touched(never_touched):
     estimates = session(pipeline, data)
     for estimate, angle in zip(estimates[1:], data.bend_angle_deg, strict=True):
         assert estimate.bend_angle_deg == pytest.approx(angle, abs=3.0)
-        assert (estimate.touches, estimate.touch_map, estimate.found) == (None, None, None)
+        assert (estimate.touches, estimate.touch_map) == (None, None)
     report = evaluate(pipeline, data)
     assert report.bend.rmse_deg < 3.0
     assert (report.touches, report.untouched) == ({}, None)

@@ -46,7 +46,7 @@ def test_it_says_where_a_bent_sensor_is_touched(session):
     touches = (Touch(0.040, 0.020, 10.0), Touch(0.110, 0.040, 8.0))
     said = session(Scene(bend, touches))
     assert said.state is State.TOUCH
-    places = sorted(said.found.place.tolist())
+    places = sorted([touch.x, touch.y] for touch in said.touches)
     assert (
         np.linalg.norm(np.subtract(places, [(0.040, 0.020), (0.110, 0.040)]), axis=1).max() < 5e-3
     )
@@ -74,15 +74,18 @@ def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(se
 def test_a_held_touch_becomes_surer(session):
     scene = Scene(touches=(Touch(0.060, 0.030, 10.0),))
     first, *_, last = (session(scene) for _ in range(6))
-    assert last.found.deviation[0] < 0.7 * first.found.deviation[0]
-    assert np.hypot(*(last.found.place[0] - (0.060, 0.030))) < 3 * last.found.deviation[0]
+    assert last.touches[0].deviation < 0.7 * first.touches[0].deviation
+    assert (
+        np.hypot(last.touches[0].x - 0.060, last.touches[0].y - 0.030)
+        < 3 * last.touches[0].deviation
+    )
 
 
 def test_it_finds_a_touch_that_comes_while_the_sensor_moves(session):
     session(Scene(Bend(10.0)))
     said = session(Scene(Bend(14.0), (Touch(0.030, 0.030, 10.0),)))
     assert said.state is State.TOUCH
-    assert np.hypot(*(said.found.place[0] - (0.030, 0.030))) < 5e-3
+    assert np.hypot(said.touches[0].x - 0.030, said.touches[0].y - 0.030) < 5e-3
 
 
 def test_an_open_electrode_is_told_and_touches_are_still_found(session, simulator):
@@ -92,7 +95,7 @@ def test_an_open_electrode_is_told_and_touches_are_still_found(session, simulato
     said = session(scene, impedance=impedance, status=status)
     assert sum("left out" in problem for problem in said.problems) == 7
     assert said.state is State.TOUCH
-    assert np.hypot(*(said.found.place[0] - (0.040, 0.020))) < 5e-3
+    assert np.hypot(said.touches[0].x - 0.040, said.touches[0].y - 0.020) < 5e-3
 
 
 def test_a_contact_that_changes_is_no_touch(session, simulator):
@@ -160,7 +163,7 @@ def test_a_stored_reference_tells_a_sensor_that_starts_bent_and_touched(simulato
     said = [pipeline.process(measured(touched, number)) for number in range(8, 11)][-1]
     assert said.state is State.TOUCH
     assert abs(said.bend_angle_deg - 30.0) < 3.0 * said.bend_deviation_deg
-    assert np.hypot(*(said.found.place[0] - (0.050, 0.020))) < 5e-3
+    assert np.hypot(said.touches[0].x - 0.050, said.touches[0].y - 0.020) < 5e-3
 
 
 def test_a_sensor_with_contacts_like_no_other_is_adapted_to_and_then_taken_for_its_own():
