@@ -71,7 +71,7 @@ def export_dataset(
         DataError: for a dataset that is not complete or damaged, or without episodes for LeRobot.
         PartialError: where a file cannot be written.
     """
-    require("pyarrow", "parquet")
+    require("pyarrow", "recordings")
     if form not in FORMATS:
         raise ConfigurationError(f"the format must be one of {', '.join(FORMATS)}, got '{form}'")
     if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", license_name):

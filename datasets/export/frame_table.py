@@ -76,7 +76,7 @@ def frame_table(data: Dataset, told: str, split: NDArray[np.str_] | None = None)
 
     Raises ImportError naming the extra, where pyarrow is missing.
     """
-    arrow = require("pyarrow", "parquet")
+    arrow = require("pyarrow", "recordings")
     arrays, fields = [], []
     for column in columns(data):
         array = _array(arrow, column, data)

@@ -119,7 +119,7 @@ def _write_frames(
 
 def _open_writer(path: Path, schema: Any) -> Any:
     path.parent.mkdir(parents=True, exist_ok=True)
-    return require("pyarrow.parquet", "parquet").ParquetWriter(path, schema)
+    return require("pyarrow.parquet", "recordings").ParquetWriter(path, schema)
 
 
 def _file_pieces(
@@ -172,7 +172,7 @@ def _columns(data: Dataset) -> dict[str, NDArray[Any]]:
 
 
 def _arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
-    arrow = require("pyarrow", "parquet")
+    arrow = require("pyarrow", "recordings")
     arrays = {}
     for name, values in columns.items():
         flat = arrow.array(np.ascontiguousarray(values).reshape(-1))
@@ -189,7 +189,7 @@ def _data_path(file: int) -> str:
 
 
 def _write_episodes(path: Path, table: EpisodeTable, files: Integers) -> None:
-    arrow, parquet = require("pyarrow", "parquet"), require("pyarrow.parquet", "parquet")
+    arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
     path.parent.mkdir(parents=True, exist_ok=True)
     zeros = np.zeros(len(table), dtype=np.int64)
     columns = {
@@ -211,7 +211,7 @@ def _write_episodes(path: Path, table: EpisodeTable, files: Integers) -> None:
 
 def _write_tasks(path: Path) -> None:
     """Write the table of tasks, whose index pandas is to find in the column `task`."""
-    arrow, parquet = require("pyarrow", "parquet"), require("pyarrow.parquet", "parquet")
+    arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
     table = arrow.table({"task_index": [0], "task": [TASK]})
 
     def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:

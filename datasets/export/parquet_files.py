@@ -67,7 +67,7 @@ class ParquetFiles:
     def _flush(self) -> None:
         if not self._kept:
             return
-        arrow, parquet = require("pyarrow", "parquet"), require("pyarrow.parquet", "parquet")
+        arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
         table = arrow.concat_tables(self._kept)
         self._kept = []
         most = max(1, self._group_bytes * table.num_rows // max(table.nbytes, 1))

@@ -1,7 +1,7 @@
-"""Blocks of a recording's frames: rows before and during a press, and values that are lost."""
+"""Blocks of a recording's frames: readings before a touch, lost values, references."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -13,38 +13,66 @@ from eitskin.errors import DataError
 from eitskin.frame import Status
 
 Complex = NDArray[np.complex64]
+Mask = NDArray[np.bool_]
+Labels = Mapping[str, NDArray[Any]]
 
 _TOUCH_LABELS: Final = ("touch_x", "touch_y", "touch_force", "touch_depth", "touch_radius")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """Consecutive frames: values and readings before a touch (n, C), labels, origins, status."""
+    """Consecutive frames of a recording.
+
+    Attributes:
+        values: measured, (n, C).
+        before: readings before each touch, (n, C); NaN where lost, None where there are none.
+        labels: (n, ...) under the names of `Dataset`'s attributes.
+        specimens, sessions: names, (n,).
+        status: of the values, (n, C).
+    """
 
     values: Complex
     before: Complex | None
-    known: Mapping[str, NDArray[Any]]
-    specimens: Sequence[str]
-    sessions: Sequence[str]
+    labels: Labels
+    specimens: NDArray[np.str_]
+    sessions: NDArray[np.str_]
     status: NDArray[np.uint8]
 
+    @property
+    def bent(self) -> Mask:
+        """Whether each frame is known to be bent, (n,)."""
+        angle = self.labels.get("bend_angle_deg", np.zeros(len(self.values)))
+        return np.asarray(np.isfinite(angle) & (angle != 0))
 
-def rows_during(rows: int, order: str, known: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-    """Rows during a press; the row before it is the other one of its pair."""
-    if rows % 2:
+    def with_rows(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> "Block":
+        """Block with all its columns changed alike."""
+        return Block(
+            change(self.values),
+            None if self.before is None else change(self.before),
+            {name: change(label) for name, label in self.labels.items()},
+            change(self.specimens),
+            change(self.sessions),
+            change(self.status),
+        )
+
+
+def pair_rows(block: Block, order: str) -> Block:
+    """Rows during a press, each with the row before it, which is the other one of its pair."""
+    if len(block.values) % 2:
         raise DataError(
             "expected rows before and during each press in turn, got an odd number of rows; remove "
             "the reading without a partner"
         )
-    during = np.arange(1 if order == "before-during" else 0, rows, 2)
-    x = known.get("touch_x")
+    during = np.arange(1 if order == "before-during" else 0, len(block.values), 2)
+    x = block.labels.get("touch_x")
     if x is not None and np.isfinite(x[during ^ 1]).any() and not np.isfinite(x[during]).any():
         other = "during-before" if order == "before-during" else "before-during"
         raise DataError(
             f"with rows {order}, only rows before a press have positions; import with --rows "
             f"{other}"
         )
-    return during
+    before = block.values[during ^ 1]
+    return replace(block.with_rows(lambda column: column[during]), before=before)
 
 
 def without_bad_values(block: Block, choice: str, first: int) -> Block:
@@ -56,37 +84,21 @@ def without_bad_values(block: Block, choice: str, first: int) -> Block:
     if not lost.any():
         return block
     if choice == "refuse":
-        frame = int(np.flatnonzero(lost)[0])
+        frame = int(lost.argmax())
         wrong = bad[frame]
         if block.before is not None and not wrong.any():
             wrong = ~np.isfinite(block.before[frame])
-        channel = int(np.flatnonzero(wrong)[0])
         more = int(lost.sum()) - 1
         others = f", and so in {more} more frame{'s' * (more > 1)}" if more else ""
         raise DataError(
-            f"impedance must be finite, but channel {channel} of frame {first + frame} is empty or "
-            f"not finite{others}; import with "
+            f"impedance must be finite, but channel {wrong.argmax()} of frame {first + frame} is "
+            f"empty or not finite{others}; import with "
             "--bad-values mark, which keeps them as lost values, or --bad-values drop"
         )
     if choice == "drop":
-        return _chosen(block, ~lost)
-    return replace(
-        block,
-        values=np.where(bad, 0, block.values),
-        status=np.where(bad, np.uint8(Status.NOT_FINITE), block.status).astype(np.uint8),
-    )
-
-
-def _chosen(block: Block, mask: NDArray[np.bool_]) -> Block:
-    rows = np.flatnonzero(mask).tolist()
-    return Block(
-        block.values[rows],
-        None if block.before is None else block.before[rows],
-        {name: label[rows] for name, label in block.known.items()},
-        [block.specimens[row] for row in rows],
-        [block.sessions[row] for row in rows],
-        block.status[rows],
-    )
+        return block.with_rows(lambda column: column[~lost])
+    status = np.where(bad, np.uint8(Status.NOT_FINITE), block.status).astype(np.uint8)
+    return replace(block, values=np.where(bad, 0, block.values), status=status)
 
 
 def with_before(block: Block, last: Block | None) -> Block:
@@ -94,35 +106,74 @@ def with_before(block: Block, last: Block | None) -> Block:
 
     The touch reference of such a reading is the one before, of the same specimen and session.
     """
-    assert block.before is not None  # noqa: S101 - `Recording` refuses to keep what is not there
-    before, n = block.before, len(block.values)
+    assert block.before is not None  # noqa: S101 - `RecordedFile` refuses to keep what is not there
+    before = block.before
     lost = ~np.isfinite(before)
     earlier = np.full_like(before, np.nan)
-    origin = list(zip(block.specimens, block.sessions, strict=True))
-    same = np.array([a == b for a, b in itertools.pairwise(origin)], dtype=bool)
+    origin = np.stack([block.specimens, block.sessions], axis=1)
+    same = (origin[1:] == origin[:-1]).all(axis=1)
     earlier[1:][same] = before[:-1][same]
-    if last is not None and (last.specimens[-1], last.sessions[-1]) == origin[0]:
+    if last is not None and (last.specimens[-1], last.sessions[-1]) == tuple(origin[0]):
         earlier[0] = last.before[-1]  # type: ignore[index]
-    angle = block.known.get("bend_angle_deg", np.zeros(n))
-    bent = np.isfinite(angle) & (angle != 0)
-    known = {name: np.repeat(label, 2, axis=0) for name, label in block.known.items()}
+    doubled = block.with_rows(lambda column: np.repeat(column, 2, axis=0))
+    labels = dict(doubled.labels)
     for name in _TOUCH_LABELS:
-        if name in known:
-            known[name] = known[name].astype(np.float64)
-            known[name][::2] = np.nan
-    state = np.repeat(block.known.get("state", np.full(n, State.TOUCH)), 2)
-    state[::2] = np.where(bent, State.BEND, State.IDLE)
-    known["state"] = state
-    return Block(
-        _alternating(np.where(lost, 0, before), block.values),
-        _alternating(earlier, before),
-        known,
-        [name for name in block.specimens for _ in range(2)],
-        [name for name in block.sessions for _ in range(2)],
-        _alternating(lost * np.uint8(Status.NOT_FINITE), block.status),
-    )
+        if name in labels:
+            labels[name] = labels[name].astype(np.float64)
+            labels[name][::2] = np.nan
+    state = labels.get("state", np.full(len(doubled.values), State.TOUCH)).copy()
+    state[::2] = np.where(block.bent, State.BEND, State.IDLE)
+    doubled.values[::2] = np.where(lost, 0, before)
+    doubled.status[::2] = np.where(lost, np.uint8(Status.NOT_FINITE), 0)
+    assert doubled.before is not None  # noqa: S101 - as above
+    doubled.before[::2] = earlier
+    return replace(doubled, labels=labels | {"state": state})
 
 
-def _alternating(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
-    """Rows of two tables in turn."""
-    return np.stack([first, second], axis=1).reshape(-1, *first.shape[1:])
+class ReferenceMeans:
+    """Reference of each specimen: the mean of its best readings of the flat, untouched sensor.
+
+    Best are untouched readings that are not known to be bent, then untouched ones, then the first
+    frame.
+    """
+
+    def __init__(self) -> None:
+        """Begin without specimens."""
+        self._best: dict[str, tuple[int, NDArray[np.complex128], NDArray[np.int64]]] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the specimens in the order of appearance."""
+        return list(self._best)
+
+    def add(self, block: Block) -> None:
+        """Add the frames of one block."""
+        if block.before is None:
+            readings = np.where(block.status != 0, np.nan, block.values)
+            state = block.labels.get("state", np.full(len(readings), State.TOUCH))
+            untouched = np.asarray(state == State.IDLE)
+        else:
+            readings, untouched = block.before, np.isfinite(block.before).any(axis=1)
+        for name in dict.fromkeys(block.specimens.tolist()):
+            own = block.specimens == name
+            for grade, usable in ((2, untouched & ~block.bent), (1, untouched), (0, own)):
+                rows = np.flatnonzero(own & usable)
+                if len(rows):
+                    self._add(name, grade, readings[rows if grade else rows[:1]])
+                    break
+
+    def _add(self, name: str, grade: int, readings: Complex) -> None:
+        finite = np.isfinite(readings)
+        total = np.where(finite, readings, 0).astype(np.complex128).sum(axis=0)
+        count = finite.sum(axis=0)
+        best, best_total, best_count = self._best.get(name, (-1, total, count))
+        if grade > best:
+            self._best[name] = grade, total, count
+        elif grade == best > 0:
+            self._best[name] = grade, total + best_total, count + best_count
+
+    def references(self, names: Iterable[str]) -> Complex:
+        """References (S, C) of the specimens in the order of `names`; 0 where all are lost."""
+        sums = (self._best[name][1:] for name in names)
+        means = itertools.starmap(lambda total, count: total / np.maximum(count, 1), sums)
+        return np.array(list(means), dtype=np.complex64)

@@ -1,6 +1,5 @@
 """Labels of a recording's frames: where each stands in the file, and in which unit."""
 
-import contextlib
 import difflib
 import re
 from collections.abc import Mapping
@@ -10,33 +9,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.row_source import is_number
-from eitskin.datasets.recordings.source import Source, Tables
+from eitskin.datasets.recordings.reader import Tables
+from eitskin.datasets.recordings.source import Source
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.input_files import quoted
 
-Array = NDArray[np.float64]
-
-_FIELDS: Final = {
-    "state": "state",
-    "angle_deg": "bend_angle_deg",
-    "t": "time",
+_TOUCHES: Final = {
     "x": "touch_x",
     "y": "touch_y",
-    "force": "touch_force",
     "depth": "touch_depth",
     "radius": "touch_radius",
-    "specimen": "",
-    "sensor": "",
-    "session": "",
+    "force": "touch_force",
 }
-_LENGTHS: Final = ("x", "y", "depth", "radius")
-_TOUCHES: Final = (*_LENGTHS, "force")
 NAMES: Final = ("specimen", "sensor", "session")
 """Labels that tell frames of different origin apart, by number or name."""
 
+_LABELS: Final = ("state", "angle_deg", "t", *_TOUCHES, *NAMES)
 _PLACE: Final = re.compile(r"(?P<name>.+?)(?::(?P<column>\d{1,4}))?(?:\*(?P<factor>[-+.\deE]+))?")
 
 
@@ -69,16 +59,14 @@ class Place:
             pass
         match = _PLACE.fullmatch(text)
         try:
-            if match is None:
-                raise ValueError
-            factor = float(match["factor"] or 1.0)
-            if not 0 < abs(factor) < np.inf:
-                raise ValueError
+            factor = float((match and match["factor"]) or 1.0)
         except ValueError:
+            factor = np.nan
+        if match is None or not 0 < abs(factor) < np.inf:
             raise ConfigurationError(
                 "expected NAME, NAME:COLUMN, NAME*FACTOR or a number as the place of a label, got "
                 f"'{text}'"
-            ) from None
+            )
         return cls(match["name"], int(match["column"]) if match["column"] else None, factor)
 
 
@@ -96,13 +84,13 @@ def find_labels(
         ConfigurationError: for unknown labels, and tables that the file does not have.
     """
     for label in given:
-        if label not in _FIELDS:
-            near = difflib.get_close_matches(label, _FIELDS, 1)
+        if label not in _LABELS:
+            near = difflib.get_close_matches(label, _LABELS, 1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             raise ConfigurationError(
-                f"expected a label of {', '.join(_FIELDS)}, got '{label}'{hint}"
+                f"expected a label of {', '.join(_LABELS)}, got '{label}'{hint}"
             )
-    places = {name: Place(name) for name in _FIELDS if name in source.names}
+    places = {name: Place(name) for name in _LABELS if name in source.names}
     if positions:
         places |= {"x": Place(positions, 0), "y": Place(positions, 1)}
     places |= {label: Place.parsed(text) for label, text in given.items()}
@@ -138,35 +126,36 @@ def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dic
     """
     known: dict[str, Any] = {}
     for label, place in places.items():
+        if place.table is None or label in NAMES:
+            continue
+        table = _table(tables, place, label)
         if label == "state":
-            known["state"] = _states(_column(tables, place, label))
-        elif label in _TOUCHES and place.table is not None:
-            known[_FIELDS[label]] = _touches(
-                _numbers(tables, place, label) * (unit if label in _LENGTHS else 1.0), label
-            )
+            known["state"] = _states(_column(table, place, label))
         elif label == "t":
-            known["time"] = _times(tables, place)
+            known["time"] = _times(_column(table, place, label), place.factor)
         elif label == "angle_deg":
-            known["bend_angle_deg"] = _single(_numbers(tables, place, label), place, label)
+            angles = _numbers(_column(table, place, label), label)
+            known["bend_angle_deg"] = angles * place.factor
+        else:
+            factor = place.factor * (1.0 if label == "force" else unit)
+            known[_TOUCHES[label]] = _touches(_numbers(table, label) * factor, label)
     if "touch_x" in known:
         touched = np.isfinite(known["touch_x"])
         for label, place in places.items():
             if place.table is None:
-                known[_FIELDS[label]] = np.where(touched, place.value, np.nan)
+                known[_TOUCHES[label]] = np.where(touched, place.value, np.nan)
         inferred = np.where(touched.any(axis=1), int(State.TOUCH), UNKNOWN_STATE)
         known.setdefault("state", inferred.astype(np.uint8))
-    if "time" in known and not np.isfinite(known["time"]).all():
-        row = int(np.flatnonzero(~np.isfinite(known["time"]))[0])
-        raise DataError(f"'t' must be finite, but its value {row} is not; leave the label out")
     return known
 
 
-def names_of_origin(tables: Tables, places: Mapping[str, Place], label: str) -> list[str]:
-    """Specimen, sensor or session of each frame of a block, as text."""
-    column = _column(tables, places[label], label)
+def names_of_origin(tables: Tables, places: Mapping[str, Place], label: str) -> NDArray[np.str_]:
+    """Specimen, sensor or session of each frame of a block, (rows,); whole numbers as such."""
+    column = _column(_table(tables, places[label], label), places[label], label)
     if column.dtype.kind == "U":
-        return [str(cell) for cell in column.tolist()]
-    return [str(int(value)) if float(value).is_integer() else str(value) for value in column]
+        return column.astype(np.str_)
+    names = [str(int(v)) if float(v).is_integer() else str(v) for v in column.tolist()]
+    return np.array(names, dtype=np.str_)
 
 
 def _table(tables: Tables, place: Place, label: str) -> NDArray[Any]:
@@ -182,12 +171,7 @@ def _table(tables: Tables, place: Place, label: str) -> NDArray[Any]:
     return table[:, place.column : place.column + 1]
 
 
-def _column(tables: Tables, place: Place, label: str) -> NDArray[Any]:
-    """Table of a label that has one value per frame, (rows,)."""
-    return _single(_table(tables, place, label), place, label)
-
-
-def _single(table: NDArray[Any], place: Place, label: str) -> NDArray[Any]:
+def _column(table: NDArray[Any], place: Place, label: str) -> NDArray[Any]:
     """The only column of a table, (rows,); raises DataError for more."""
     if table.shape[1] != 1:
         raise DataError(
@@ -198,41 +182,47 @@ def _single(table: NDArray[Any], place: Place, label: str) -> NDArray[Any]:
     return column
 
 
-def _times(tables: Tables, place: Place) -> Array:
+def _times(column: NDArray[Any], factor: float) -> NDArray[np.float64]:
     """Times (rows,) [s]; those of dates since the beginning of 1970."""
-    column = _column(tables, place, "t")
-    with contextlib.suppress(ValueError):
-        if column.dtype.kind == "U" and not is_number(str(column[0])):
-            column = column.astype("datetime64[us]")
-    if column.dtype.kind == "M":
-        since = column.astype("datetime64[us]") - np.datetime64(0, "us")
-        seconds: Array = since / np.timedelta64(1, "s")
-        return seconds
-    return _single(_numbers(tables, place, "t"), place, "t")
+    import pandas as pd
+
+    try:
+        times = _numbers(column, "t") * factor
+    except DataError:
+        try:
+            dates = pd.to_datetime(column, format="ISO8601", utc=True)
+        except ValueError:
+            dates = None
+        if dates is None:
+            raise
+        times = (dates - pd.Timestamp(0, tz="UTC")).total_seconds().to_numpy()
+    if not np.isfinite(times).all():
+        row = int(np.flatnonzero(~np.isfinite(times))[0])
+        raise DataError(f"'t' must be finite, but its value {row} is not; leave the label out")
+    return times
 
 
-def _numbers(tables: Tables, place: Place, label: str) -> Array:
-    """Table of a label as numbers times the factor, NaN where empty, (rows, columns)."""
-    table = _table(tables, place, label)
+def _numbers(table: NDArray[Any], label: str) -> NDArray[np.float64]:
+    """Table of a label as numbers, NaN where empty."""
     if table.dtype.kind == "U":
         table = np.where(np.char.strip(table) == "", "nan", table)
     try:
-        found: Array = np.real(table).astype(np.float64) * place.factor
+        if table.dtype.kind == "M":
+            raise TypeError("expected numbers, got dates")
+        return np.real(table).astype(np.float64)
     except (ValueError, TypeError) as error:
         raise DataError(f"'{label}' must hold numbers: {error}") from error
-    return found
 
 
-def _touches(table: Array, label: str) -> Array:
+def _touches(table: NDArray[np.float64], label: str) -> NDArray[np.float64]:
     """Values of up to four touches per frame in the format's four columns, (rows, 4)."""
     if table.shape[1] > MAX_TOUCHES:
         raise DataError(
             f"'{label}' must have one column for each of at most {MAX_TOUCHES} touches, got "
             f"{table.shape[1]} columns; name one as NAME:0"
         )
-    columns = np.full((len(table), MAX_TOUCHES), np.nan)
-    columns[:, : table.shape[1]] = table
-    return columns
+    spare = ((0, 0), (0, MAX_TOUCHES - table.shape[1]))
+    return np.pad(table, spare, constant_values=np.nan)
 
 
 def _states(given: NDArray[Any]) -> NDArray[np.uint8]:

@@ -2,23 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.recordings.blocks import (
-    Block,
-    Complex,
-    rows_during,
-    without_bad_values,
-)
-from eitskin.datasets.recordings.contained_source import open_source
+from eitskin.datasets.recordings.blocks import Block, Complex, pair_rows, without_bad_values
 from eitskin.datasets.recordings.form import LENGTHS, RecordingForm, RecordingNames
 from eitskin.datasets.recordings.labels import NAMES, find_labels, names_of_origin, read_labels
-from eitskin.datasets.recordings.patterns import protocol_of_patterns
 from eitskin.datasets.recordings.plausibility import origin_on, require_plausible
-from eitskin.datasets.recordings.source import BLOCK_ROWS, Tables, Wanted
+from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
+from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -79,7 +74,7 @@ class RecordedFile:
     def _open(self) -> None:
         """Find the tables in the file."""
         names, form = self._names, self._form
-        self._source = source = open_source(self.path, names.sheet)
+        self._source = source = Source(self.path, names.sheet)
         if names.values is None and source.usual_values is None:
             raise ConfigurationError(
                 f"cannot find the values: nothing was named; {source.holds()}; name one of them "
@@ -103,9 +98,9 @@ class RecordedFile:
         self._wanted = Wanted(
             tuple(values),
             tuple(sorted(labels)),
-            form.transpose,
-            form.rows != "frames",
-            BLOCK_ROWS,
+            transposed=form.transpose,
+            paired=form.rows != "frames",
+            block_rows=BLOCK_ROWS,
         )
         used = {*values, *labels, *(names.patterns or ())}
         self.unused = tuple(name for name in source.names if name not in used)
@@ -119,44 +114,37 @@ class RecordedFile:
         for name in (drive, sense):
             wanted = Wanted((self._source.require(name, "patterns"),))
             matrices.append(np.concatenate([t[name] for t in self._source.blocks(wanted)]))
-        self.protocol, currents = protocol_of_patterns(*matrices)
+        self.protocol, currents = _protocol_of_patterns(*matrices)
         self._scale = self._form.scale / currents
 
     def _block(self, tables: Tables, first: int) -> Block:
         """Frames of one block of tables, whose first row is row `first` of the file."""
         form = self._form
-        values = self._measured(tables, self._wanted.values[0])
-        before = None
-        known = read_labels(tables, self._places, LENGTHS[form.length_unit])
-        rows = len(values)
-        specimens = self._origins(tables, NAMES[:2]) or ["0"] * rows
-        sessions = self._origins(tables, NAMES[2:]) or [self._session or "0"] * rows
-        if len(self._wanted.values) > 1:
-            before = self._measured(tables, self._wanted.values[1])
-            if before.shape != values.shape:
-                raise DataError(
-                    f"'{self._wanted.values[1]}' must have the shape of the values, "
-                    f"{values.shape}, got {before.shape}"
-                )
-        elif form.rows != "frames":
-            during = rows_during(len(values), form.rows, known)
-            before, values = values[during ^ 1], values[during]
-            known = {name: label[during] for name, label in known.items()}
-            specimens, sessions = ([names[k] for k in during] for names in (specimens, sessions))
-        if {"", "nan"} & {*specimens, *sessions}:
+        values, *before = (self._measured(tables, name) for name in self._wanted.values)
+        if before and before[0].shape != values.shape:
+            raise DataError(
+                f"'{self._wanted.values[1]}' must have the shape of the values, "
+                f"{values.shape}, got {before[0].shape}"
+            )
+        block = Block(
+            values,
+            before[0] if before else None,
+            read_labels(tables, self._places, LENGTHS[form.length_unit]),
+            self._origins(tables, NAMES[:2], "", len(values)),
+            self._origins(tables, NAMES[2:], self._session, len(values)),
+            np.zeros(values.shape, dtype=np.uint8),
+        )
+        if form.rows != "frames":
+            block, first = pair_rows(block, form.rows), first // 2
+        if {"", "nan"} & {*block.specimens.tolist(), *block.sessions.tolist()}:
             raise DataError(
                 "expected a specimen, sensor and session for every frame, got an empty cell; fill "
                 "it, or leave the label out"
             )
-        for name, shift in zip(("touch_x", "touch_y"), self._origin, strict=True):
-            if name in known:
-                known[name] = known[name] + shift
-        require_plausible(known, self._design, self._origin)
-        status = np.zeros(values.shape, dtype=np.uint8)
-        block = Block(values, before, known, specimens, sessions, status)
-        return without_bad_values(
-            block, form.bad_values, first // (1 if form.rows == "frames" else 2)
-        )
+        shifts = dict(zip(("touch_x", "touch_y"), self._origin, strict=True))
+        labels = {name: label + shifts.get(name, 0) for name, label in block.labels.items()}
+        require_plausible(labels, self._design, self._origin)
+        return without_bad_values(replace(block, labels=labels), form.bad_values, first)
 
     def _measured(self, tables: Tables, name: str) -> Complex:
         """Values or readings before a touch, scaled, (rows, C); raises DataError."""
@@ -187,16 +175,18 @@ class RecordedFile:
             f"{shape[1]} channels; give the protocol they were measured with{hint}"
         )
 
-    def _origins(self, tables: Tables, labels: Sequence[str]) -> list[str]:
-        """Names of specimens or sessions of a block's rows; none where the file does not say."""
-        told = [
+    def _origins(
+        self, tables: Tables, labels: Sequence[str], within: str, rows: int
+    ) -> NDArray[np.str_]:
+        """Names of specimens or sessions of a block's rows, (rows,), after the name `within`."""
+        columns = [
             names_of_origin(tables, self._places, label)
             for label in labels
             if label in self._places
         ]
-        if told and "session" in labels and self._session:
-            told.insert(0, [self._session] * len(told[0]))
-        return [" ".join(names).strip() for names in zip(*told, strict=True)]
+        if within or not columns:
+            columns.insert(0, np.full(rows, within or "0"))
+        return np.array([" ".join(names).strip() for names in zip(*columns, strict=True)])
 
 
 def _measurements(name: str, n_electrodes: int) -> int:
@@ -205,3 +195,47 @@ def _measurements(name: str, n_electrodes: int) -> int:
         return len(Protocol.named(name, n_electrodes))
     except ConfigurationError:
         return 0
+
+
+def _protocol_of_patterns(
+    drive: ArrayLike, sense: ArrayLike
+) -> tuple[Protocol, NDArray[np.float64]]:
+    """Protocol and current of each measurement, all sense patterns for each drive pattern in turn.
+
+    Args:
+        drive: currents into each electrode, one pattern per column, (electrodes, drives).
+        sense: weights of each electrode's voltage, one pattern per column, (electrodes, senses).
+
+    Returns:
+        The protocol, and the currents in the unit of `drive`, (drives * senses,).
+
+    Raises:
+        DataError: for patterns that do not use exactly one electrode of each sign.
+    """
+    pairs, currents = _pairs(drive, "drive")
+    senses, weights = _pairs(sense, "sense")
+    electrodes = np.shape(drive)[0]
+    if np.shape(sense)[0] != electrodes:
+        raise DataError(
+            f"drive and sense patterns must have one row per electrode, got {electrodes} and "
+            f"{np.shape(sense)[0]} rows"
+        )
+    rows = [(*pair, *channel) for pair in pairs for channel in senses]
+    return Protocol.from_rows(rows, electrodes), np.outer(currents, weights).ravel()
+
+
+def _pairs(patterns: ArrayLike, kind: str) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+    """Positive and negative electrode of each column, and the size of its entries."""
+    table = np.asarray(patterns, dtype=np.float64)
+    if table.ndim != 2 or ((table > 0).sum(axis=0) != 1).any() or (table < 0).sum(axis=0).max() > 1:
+        raise DataError(
+            f"expected {kind} patterns of one positive and one negative electrode in each column, "
+            f"got a table of shape {table.shape} with others"
+        )
+    plus, minus = table.argmax(axis=0), table.argmin(axis=0)
+    sizes = table[plus, np.arange(table.shape[1])]
+    if not np.allclose(-table[minus, np.arange(table.shape[1])], sizes):
+        raise DataError(
+            f"the two electrodes of each {kind} pattern must have opposite values; got others"
+        )
+    return list(zip(plus.tolist(), minus.tolist(), strict=True)), sizes

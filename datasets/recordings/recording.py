@@ -1,20 +1,18 @@
 """Import of measured recordings, from any board and skin, as datasets."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from eitskin.bounds import require_positive
-from eitskin.datasets.recordings.blocks import Block, with_before
+from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
 from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recorded_file import RecordedFile
-from eitskin.datasets.recordings.references import ReferenceMeans, numbered
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import LIMITS
-from eitskin.datasets.store.state import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -110,25 +108,25 @@ class Recording:
         """Frames in parts of a few thousand, with all specimens of each part."""
         numbers = np.array(sorted(self.specimens.values()), dtype=np.uint32)
         named = {number: name for name, number in self.specimens.items()}
-        reference = self._references.collected([named[number] for number in numbers.tolist()])
+        reference = self._references.references([named[number] for number in numbers.tolist()])
         first, last = 0, None
         for file, block in self._blocks():
             if self._form.keep_before:
                 last, block = block, with_before(block, last)  # noqa: PLW2901
-            rows = [self.specimens[name] for name in block.specimens]
-            known = dict(block.known)
+            rows = [self.specimens[name] for name in block.specimens.tolist()]
+            labels = dict(block.labels)
             if block.before is not None:
-                known["touch_reference"] = block.before
+                labels["touch_reference"] = block.before
             with file.named_errors():
                 part = Dataset.from_arrays(
                     block.values,
                     reference,
                     specimen=np.searchsorted(numbers, rows),
                     specimen_number=numbers,
-                    episode=np.array([self.sessions[name] for name in block.sessions]),
+                    episode=np.array([self.sessions[name] for name in block.sessions.tolist()]),
                     number=np.arange(first, first + len(rows)),
                     status=block.status,
-                    **known,
+                    **labels,
                     **self._shared,
                 ).own_specimens()
             yield part
@@ -151,20 +149,20 @@ class Recording:
                     f"{self._files[0].path}, got {block.values.shape[1]}; import it by itself"
                 )
             self.frames += len(block.values)
-            sessions |= dict.fromkeys(block.sessions)
-            state = block.known.get("state", np.zeros(0, dtype=np.uint8))
-            angle = block.known.get("bend_angle_deg", np.zeros(len(block.values)))
-            if block.before is None:
-                untouched = np.where(block.status != 0, np.nan, block.values)
-                known = state == State.IDLE if len(state) else np.zeros(len(angle), dtype=np.bool_)
-            else:
-                untouched = block.before
-                known = np.isfinite(untouched).any(axis=1)
-            bent = np.isfinite(angle) & (angle != 0)
-            self._references.add(block.specimens, untouched, np.asarray(known), bent)
+            sessions |= dict.fromkeys(block.sessions.tolist())
+            self._references.add(block)
         if not self.frames:
             raise DataError(f"{self._files[0].path}: expected at least one frame, got none")
         self.frames *= 2 if self._form.keep_before else 1
-        self.specimens = numbered(self._references.names, LIMITS["specimen"])
-        self.sessions = numbered(sessions, _MOST_EPISODES)
+        self.specimens = _numbered(self._references.names, LIMITS["specimen"])
+        self.sessions = _numbered(sessions, _MOST_EPISODES)
         self._shared["names"] = Names.of(self.specimens, self.sessions)
+
+
+def _numbered(names: Iterable[str], limit: int) -> Mapping[str, int]:
+    """Number of each name: the name itself where all are numbers below `limit`, else by order."""
+    given = list(dict.fromkeys(names))
+    numbers = [int(name) for name in given if name.isascii() and name.isdigit()]
+    if len(set(numbers)) < len(given) or max(numbers, default=0) >= limit:
+        numbers = list(range(len(given)))
+    return dict(zip(given, numbers, strict=True))

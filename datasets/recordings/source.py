@@ -1,83 +1,114 @@
-"""Sources of recordings: tables of numbers or text by name, read in blocks of rows."""
+"""Files of recordings by their endings, read in a child, since readers of some formats crash."""
 
+import csv
+import dataclasses
 import difflib
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import itertools
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from numpy.typing import NDArray
+import msgspec
 
+from eitskin.contained import Answer, Limits, contained
+from eitskin.datasets.recordings.arrays import Hdf5Reader, NpzReader, open_mat
+from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted
+from eitskin.datasets.recordings.tables import (
+    ParquetReader,
+    SpreadsheetReader,
+    TextReader,
+    is_number,
+)
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.input_files import require_regular
 
-Tables = Mapping[str, NDArray[Any]]
-"""Tables of equally many rows by name, each (rows, columns)."""
+MOST_BYTES: Final = 1 << 36
+"""Largest size of a file of a recording [bytes]."""
 
-BLOCK_ROWS: Final = 8192
+SECONDS: Final = 30
+"""Processor time for a block of the smallest of files [s]."""
 
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """Tables to read from a source.
-
-    Attributes:
-        values: tables of measurements; the first one says how many rows there are.
-        labels: tables with a row for each row of the values.
-        transposed: whether the measurements have frames along their second axis.
-        paired: whether a table of labels may have one row for each pair of rows of the values.
-        block_rows: number of rows of a block; even, so that readings before and during a press stay
-            together.
-    """
-
-    values: tuple[str, ...]
-    labels: tuple[str, ...] = ()
-    transposed: bool = False
-    paired: bool = False
-    block_rows: int = BLOCK_ROWS
+_BYTES_PER_SECOND: Final = 100_000  # of a spreadsheet, the slowest to read
+_MEMORY, _MEMORY_PER_BYTE = 400 << 20, 40  # [bytes]
+_NUMBERED: Final = re.compile(r"(.*\D)(\d{1,9})")  # longer ones are names
+_SHEETS: Final = (".xlsx", ".xlsm")
+_READERS: Final[Mapping[str, Callable[[Path], Reader]]] = {
+    **dict.fromkeys((".csv", ".tsv"), TextReader),
+    **dict.fromkeys(_SHEETS, SpreadsheetReader),
+    ".parquet": ParquetReader,
+    ".mat": open_mat,
+    ".npz": NpzReader,
+    **dict.fromkeys((".h5", ".hdf5"), Hdf5Reader),
+    **dict.fromkeys((".txt", ".dat"), TextReader),
+}
 
 
-class Source(ABC):
-    """File of a recording.
+class Source:
+    """File of a recording, which a child reads.
+
+    In a file of columns, numbered ones are one table: v0, v1 ... or v1, v2 ... are the table v, and
+    FIRST..LAST is the table of the columns from one name to another in the order of the file.
 
     Attributes:
         path: of the file.
         names: tables in the file that can be read.
-        unread: tables in the file that cannot be read, each with its kind.
         usual_values: name of the measurements in files of this kind; None where there is none.
     """
 
-    usual_values: str | None = None
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, sheet: str | None = None) -> None:
         """Read the names of the tables.
 
         Args:
             path: of the file.
+            sheet: name of the sheet, for a file that has sheets.
 
         Raises:
-            DataError: where the file cannot be read.
+            DataError: where the file is missing, no regular one, damaged, or takes too much to
+                read.
+            ConfigurationError: for another kind of file.
+            ImportError: where the package that reads the file is not installed.
         """
-        self.path = path
-        self.names: tuple[str, ...] = ()
-        self.unread: Mapping[str, str] = {}
+        _known_ending(path)
+        self.path, self._sheet, self._size = path, sheet, path.stat().st_size
+        require_regular(path, MOST_BYTES, DataError)
+        (head,) = self._answers(None)
+        self._contents = msgspec.convert(head.data, Contents)
+        self._columns: dict[str, list[int]] = {}
+        if not self._contents.names:
+            _check_header(path, self._contents.header)
+            self._columns = _group_columns(self._contents.header)
+        self.names = self._contents.names or tuple(self._columns)
+        self.usual_values = self._contents.usual_values
 
-    @abstractmethod
     def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        """Tables of consecutive rows, `wanted.block_rows` in all but the last ones.
-
-        Raises:
-            DataError: where the content cannot be used.
-        """
+        """Tables of consecutive rows, as `Reader.blocks` gives them."""
+        if self._columns:
+            if wanted.transposed:
+                raise ConfigurationError(
+                    f"{self.path.name} has frames as rows, which cannot be transposed; leave "
+                    "--transpose out"
+                )
+            names = (*wanted.values, *wanted.labels)
+            columns = {name: self._columns[name] for name in names}
+            wanted = dataclasses.replace(wanted, columns=columns)
+        return (answer.arrays for answer in self._answers(wanted))
 
     def require(self, name: str, meaning: str) -> str:
         """Return `name`, the table with that meaning; raises ConfigurationError for no such one."""
+        first, dots, last = name.partition("..")
+        header = self._contents.header
+        if dots and first in header and last in header:
+            start, stop = header.index(first), header.index(last)
+            if start > stop:
+                raise ConfigurationError(f"'{first}' stands after '{last}'; write {last}..{first}")
+            self._columns[name] = list(range(start, stop + 1))
+            return name
+        _require_no_gap(header, self._columns, name)
         if name in self.names:
             return name
-        if name in self.unread:
-            raise DataError(
-                f"'{name}' is {self.unread[name]}; expected an array of plain numbers or text"
-            )
+        if kind := self._contents.unread.get(name):
+            raise DataError(f"'{name}' is {kind}; expected an array of plain numbers or text")
         near = [each for each in self.names if each.casefold() == name.casefold()]
         near = near or difflib.get_close_matches(name, self.names, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
@@ -87,4 +118,97 @@ class Source(ABC):
 
     def holds(self) -> str:
         """Content of the file in words."""
-        return f"the file holds {', '.join(self.names) or 'no table that can be read'}"
+        tables = ", ".join(self.names) or "no table that can be read"
+        return f"the file holds {tables}{self._contents.remark}"
+
+    def _answers(self, wanted: Wanted | None) -> Iterator[Answer]:
+        """Contents of the file, or blocks of the tables that are wanted."""
+        argument = {
+            "path": str(self.path.absolute()),
+            "sheet": self._sheet,
+            "wanted": wanted and dataclasses.asdict(wanted),
+        }
+        limits = Limits(
+            SECONDS + self._size // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * self._size
+        )
+        return contained(f"{__name__}:read_source", argument, b"", limits)
+
+
+def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
+    """Read the contents of a file, or blocks of its tables, as a reader for `contained`."""
+    try:
+        reader = open_reader(Path(argument["path"]), argument["sheet"])
+        if argument["wanted"] is None:
+            yield Answer(msgspec.to_builtins(reader.contents))
+            return
+        for block in reader.blocks(Wanted(**argument["wanted"])):
+            yield Answer(0, block)
+    except UnicodeDecodeError as error:
+        raise DataError(f"cannot read it: {error}; save it as text in UTF-8") from error
+    except (OSError, csv.Error) as error:
+        raise DataError(f"cannot read it: {error}") from error
+
+
+def open_reader(path: Path, sheet: str | None = None) -> Reader:
+    """Reader of a file in this process; arguments and errors as for `Source`."""
+    ending = _known_ending(path)
+    if sheet is None:
+        return _READERS[ending](path)
+    if ending not in _SHEETS:
+        raise ConfigurationError(
+            f"{path.name} has no sheets; leave --sheet out, which is for {', '.join(_SHEETS)}"
+        )
+    return SpreadsheetReader(path, sheet)
+
+
+def _known_ending(path: Path) -> str:
+    """Ending of a file, in lower case; raises ConfigurationError for another kind of file."""
+    ending = path.suffix.lower()
+    if ending not in _READERS:
+        raise ConfigurationError(
+            f"cannot tell the format of {path.name} from its ending; expected {', '.join(_READERS)}"
+        )
+    return ending
+
+
+def _check_header(path: Path, header: Sequence[str]) -> None:
+    """Raise DataError for names that repeat, and for numbers where names are due."""
+    if not header:
+        raise DataError(f"{path.name} must have a header and at least one row, got nothing")
+    twice = sorted({name for name in header if header.count(name) > 1 and name})
+    if twice:
+        raise DataError(f"expected columns of different names, got '{twice[0]}' more than once")
+    if all(is_number(name) for name in header):
+        raise DataError(
+            f"expected names of columns in the first row, got numbers ({', '.join(header[:3])}); "
+            "add a header such as v0, v1, v2"
+        )
+
+
+def _group_columns(header: Sequence[str]) -> dict[str, list[int]]:
+    """Numbers of the columns of each table, by its name."""
+    numbered: dict[str, dict[int, int]] = {}
+    for column, name in enumerate(header):
+        if match := _NUMBERED.fullmatch(name):
+            numbered.setdefault(match[1], {})[int(match[2])] = column
+    tables: dict[str, list[int]] = {}
+    for prefix, columns in numbered.items():
+        first = min(columns)
+        run = list(itertools.takewhile(columns.__contains__, itertools.count(first)))
+        if first == 0 or (first == 1 and len(run) > 1):
+            tables[prefix] = [columns[number] for number in run]
+    taken = {column for columns in tables.values() for column in columns}
+    single = ((name, column) for column, name in enumerate(header) if column not in taken)
+    tables |= {name: [column] for name, column in single if name}
+    return tables
+
+
+def _require_no_gap(header: Sequence[str], tables: Mapping[str, list[int]], name: str) -> None:
+    """Raise DataError where numbered columns of a table are missing between others."""
+    beyond = [h for h in header if (m := _NUMBERED.fullmatch(h)) and m[1] == name and h in tables]
+    if name in tables and beyond:
+        last = header[tables[name][-1]]
+        raise DataError(
+            f"the columns of '{name}' must be numbered without a gap, but after {last} comes "
+            f"{beyond[0]}; name them by --values FIRST..LAST where none is missing"
+        )

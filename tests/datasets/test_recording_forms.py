@@ -10,7 +10,7 @@ from scipy.io import savemat
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
 from eitskin.datasets.recordings import recorded_file
 from eitskin.datasets.recordings.labels import Place
-from eitskin.datasets.recordings.opening import open_here
+from eitskin.datasets.recordings.source import open_reader
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol, Status
@@ -114,8 +114,8 @@ def test_sheets_are_named(tmp_path):
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, package, ending):
     monkeypatch.setitem(__import__("sys").modules, package, None)
     monkeypatch.setitem(__import__("sys").modules, f"{package}.parquet", None)
-    with pytest.raises(ImportError, match=rf"{package}.*eitskin\[{ending}\]"):
-        open_here(tmp_path / f"a.{ending}")
+    with pytest.raises(ImportError, match=rf"{package}.*eitskin\[recordings\]"):
+        open_reader(tmp_path / f"a.{ending}")
 
 
 # Rows before and during a press
@@ -289,7 +289,12 @@ def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, e
 
 @pytest.mark.parametrize(
     "text",
-    ["% by a robot\n1 2 3  .1\n4 5 6  .2 \n", "# v0,v1,v2,t\n1,2,3,.1\n4,5,6,.2\n"],
+    [
+        "% by a robot\n1 2 3  .1\n4 5 6  .2 \n",
+        "# v0,v1,v2,t\n1,2,3,.1\n4,5,6,.2\n",
+        "%\n1, 2, 3, .1, \n4, 5, 6, .2, \n",
+        "%\n[1, 2, 3, .1]\n[4, 5, 6, .2]\n",
+    ],
 )
 def test_files_without_a_header_have_numbered_columns_or_those_of_a_comment(tmp_path, text):
     (tmp_path / "a.txt").write_text(text)
@@ -348,4 +353,4 @@ def test_columns_of_text_are_never_more_than_names(tmp_path):
     assert read_recording(tmp_path / "a.csv", RecordingNames("w")).impedance.shape == (1, 1)
     (tmp_path / "b.csv").write_text('""\n')
     with pytest.raises(DataError, match="got no row"):
-        open_here(tmp_path / "b.csv")
+        open_reader(tmp_path / "b.csv")

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.source import Source, Tables, Wanted
+from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
 from eitskin.datasets.store.stored_arrays import require_stored
 from eitskin.errors import DataError
 
@@ -18,10 +18,11 @@ _MATLAB_NUMBERS: Final = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 _MATLAB_COMPLEX: Final = ("real", "imag")
+_MATLAB_HDF5: Final = b"MATLAB 7.3"
 
 
-class ArraySource(Source):
-    """File of named arrays, of which the measurements are read in blocks."""
+class ArrayReader(Reader):
+    """Reader of a file of named arrays, of which the measurements are read in blocks."""
 
     @abstractmethod
     def opened(self) -> Any:
@@ -33,94 +34,75 @@ class ArraySource(Source):
 
     def blocks(self, wanted: Wanted) -> Iterator[Tables]:
         with self.opened() as file:
-            values = {
-                name: _Matrix(self.array(file, name), name, wanted.transposed)
-                for name in wanted.values
-            }
-            first = values[wanted.values[0]]
-            rows = first.rows
-            for name, matrix in values.items():
-                if matrix.shape != first.shape:
+            values = {name: self.array(file, name) for name in wanted.values}
+            shapes = [_shape(array, name, wanted.transposed) for name, array in values.items()]
+            for name, shape in zip(values, shapes, strict=True):
+                if shape != shapes[0]:
                     raise DataError(
-                        f"'{name}' must have the shape of the values, {first.shape}, got "
-                        f"{matrix.shape}"
+                        f"'{name}' must have the shape of the values, {shapes[0]}, got {shape}"
                     )
+            rows = shapes[0][0]
             labels = {
                 name: _label(np.asarray(self.array(file, name)[()]), name, rows, wanted.paired)
                 for name in wanted.labels
             }
             for start in range(0, rows, wanted.block_rows):
                 chosen = slice(start, min(start + wanted.block_rows, rows))
-                yield {name: matrix.read(chosen) for name, matrix in values.items()} | {
-                    name: label[chosen] for name, label in labels.items()
-                }
+                yield {
+                    name: _numbers(_frames(array, chosen, wanted.transposed), name)
+                    for name, array in values.items()
+                } | {name: label[chosen] for name, label in labels.items()}
 
 
-class NpzSource(ArraySource):
-    """NumPy archive of plain arrays; pickled objects are never loaded."""
+class NpzReader(ArrayReader):
+    """Reader of a NumPy archive of plain arrays; pickled objects are never loaded."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         with self.opened() as file:
-            self.names = tuple(file.files)
+            self.contents = Contents(tuple(file.files))
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        import zlib
-        from zipfile import BadZipFile
-
-        try:
-            with np.load(self.path, allow_pickle=False) as file:
-                if not isinstance(file, np.lib.npyio.NpzFile):
-                    raise ValueError("a single array")
-                yield file
-        except DataError:
-            raise
-        except (  # encrypted or compressed otherwise, too: RuntimeError
-            ValueError,
-            BadZipFile,
-            zlib.error,
-            AttributeError,
-            EOFError,
-            RuntimeError,
-        ) as error:
-            raise DataError(
-                f"not an .npz file of plain arrays: {error}; save it with numpy.savez"
-            ) from error
+        with (
+            as_data_errors(".npz file of plain arrays, as numpy.savez writes it,"),
+            np.load(self.path, allow_pickle=False) as file,
+        ):
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise ValueError("a single array")
+            yield file
 
     def array(self, file: Any, name: str) -> Any:
         return file[name]
 
 
-class MatSource(ArraySource):
-    """MATLAB file of version 5 to 7; cells, structures and objects are not read."""
+class MatReader(ArrayReader):
+    """Reader of a MATLAB file of version 5 to 7; cells, structures and objects are not read."""
 
     def __init__(self, path: Path) -> None:
         from scipy.io import whosmat
 
         super().__init__(path)
-        with _as_data_errors("MATLAB file"), path.open("rb") as file:
+        with self.opened() as file:
             kinds = {name: kind for name, _, kind in whosmat(file)}
-        self.names = tuple(name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS)
-        self.unread = {
-            name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in self.names
-        }
+        names = tuple(name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS)
+        unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
+        self.contents = Contents(names, unread)
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        with self.path.open("rb") as file:
+        with as_data_errors("MATLAB file"), self.path.open("rb") as file:
             yield file
 
     def array(self, file: Any, name: str) -> Any:
         from scipy.io import loadmat
 
         file.seek(0)
-        with _as_data_errors("MATLAB file"):
-            return loadmat(file, variable_names=[name])[name]
+        return loadmat(file, variable_names=[name])[name]
 
 
-class Hdf5Source(ArraySource):
-    """HDF5 file, MATLAB's of version 7.3 among them; links and data elsewhere are not read.
+class Hdf5Reader(ArrayReader):
+    """Reader of an HDF5 file, as MATLAB 7.3 writes it, too; links to elsewhere are not followed.
 
     A table with named fields, as pandas writes them, is read as one array per field.
     """
@@ -140,11 +122,11 @@ class Hdf5Source(ArraySource):
                     names += [f"{name}/{field}" for field in fields]
                 else:
                     names.append(name)
-        self.names, self.unread = tuple(names), unread
+        self.contents = Contents(tuple(names), unread)
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        with _as_data_errors("HDF5 file"), h5py.File(self.path, "r") as file:
+        with as_data_errors("HDF5 file"), h5py.File(self.path, "r") as file:
             yield file
 
     def array(self, file: Any, name: str) -> Any:
@@ -159,43 +141,44 @@ class Hdf5Source(ArraySource):
         return file[path].fields(field)[()]
 
 
+def open_mat(path: Path) -> Reader:
+    """Reader of a MATLAB file of any version, from what its first bytes say."""
+    with path.open("rb") as file:
+        newest = file.read(len(_MATLAB_HDF5)) == _MATLAB_HDF5
+    return Hdf5Reader(path) if newest else MatReader(path)
+
+
 class _Transposed:
     """View of an array that MATLAB stored with its axes in reverse order."""
 
     def __init__(self, stored: h5py.Dataset) -> None:
         self._stored = stored
         self.shape = stored.shape[::-1]
-        self.ndim = stored.ndim
 
-    def __getitem__(self, chosen: Any) -> NDArray[Any]:
-        reversed_ = chosen[::-1] if isinstance(chosen, tuple) else chosen
-        if isinstance(chosen, tuple) and not chosen:
-            reversed_ = ()
-        return np.asarray(self._stored[reversed_]).T
+    def __getitem__(self, chosen: tuple[Any, ...]) -> NDArray[Any]:
+        return np.asarray(self._stored[chosen[::-1]]).T
 
 
-class _Matrix:
-    """Matrix of measurements, frames by channels, read in blocks of frames."""
+def _shape(array: Any, name: str, transposed: bool) -> tuple[int, ...]:
+    """Numbers of frames and channels of a table; raises DataError for one that is no matrix."""
+    shape = tuple(array.shape)
+    if len(shape) == 1 and transposed:
+        return (1, *shape)
+    if len(shape) != 2:
+        raise DataError(
+            f"'{name}' must be a matrix of numbers, frames by columns, got shape {shape}; "
+            "a single frame is read with --transpose"
+        )
+    return shape[::-1] if transposed else shape
 
-    def __init__(self, array: Any, name: str, transposed: bool) -> None:
-        """Check the number of axes; raises DataError."""
-        shape = tuple(array.shape)
-        if len(shape) != 2 and not (transposed and len(shape) == 1):
-            raise DataError(
-                f"'{name}' must be a matrix of numbers, frames by columns, got shape {shape}; "
-                "a single frame is read with --transpose"
-            )
-        self._array, self._transposed, self._name = array, transposed, name
-        self.shape = (*([1] if len(shape) == 1 else []), *(shape[::-1] if transposed else shape))
-        self.rows = self.shape[0]
 
-    def read(self, rows: slice) -> NDArray[Any]:
-        """Frames `rows` (frames, channels); raises DataError for anything but numbers."""
-        if not self._transposed:
-            return _numbers(np.asarray(self._array[rows, :]), self._name)
-        if len(self._array.shape) == 1:
-            return _numbers(np.asarray(self._array[()])[None], self._name)
-        return _numbers(np.asarray(self._array[:, rows]).T, self._name)
+def _frames(array: Any, rows: slice, transposed: bool) -> NDArray[Any]:
+    """Frames `rows` of a table (frames, channels)."""
+    if not transposed:
+        return np.asarray(array[rows, :])
+    if len(array.shape) == 1:
+        return np.asarray(array[()])[None]
+    return np.asarray(array[:, rows]).T
 
 
 def _label(array: NDArray[Any], name: str, rows: int, paired: bool) -> NDArray[Any]:
@@ -238,14 +221,3 @@ def _arrays(
                 unread[name] = "stored in another file"
             else:
                 yield name, item
-
-
-@contextmanager
-def _as_data_errors(kind: str) -> Iterator[None]:
-    """Raise the errors of a file format's reader as DataError, absent files excepted."""
-    try:
-        yield
-    except (DataError, FileNotFoundError, PermissionError):
-        raise
-    except Exception as error:  # readers' errors for damaged files have no common base
-        raise DataError(f"not a {kind} that can be read: {error}") from error

@@ -1,0 +1,92 @@
+"""What readers of files of recordings have in common: tables by name, read in blocks of rows."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, DataError
+
+Tables = Mapping[str, NDArray[Any]]
+"""Tables of equally many rows by name, each (rows, columns)."""
+
+BLOCK_ROWS: Final = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Tables to read from a file.
+
+    Attributes:
+        values: tables of measurements; the first one says how many rows there are.
+        labels: tables with a row for each row of the values.
+        columns: numbers of each table's columns, in files of columns.
+        transposed: whether the measurements have frames along their second axis.
+        paired: whether a table of labels may have one row for each pair of rows of the values.
+        block_rows: number of rows of a block; even, so that readings before and during a press stay
+            together.
+    """
+
+    values: tuple[str, ...]
+    labels: tuple[str, ...] = ()
+    columns: Mapping[str, list[int]] = field(default_factory=dict)
+    transposed: bool = False
+    paired: bool = False
+    block_rows: int = BLOCK_ROWS
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """Contents of a file.
+
+    Attributes:
+        names: tables that can be read; none in a file of columns.
+        unread: tables that cannot be read, each with its kind.
+        header: names of the columns in a file of columns.
+        usual_values: name of the measurements in such files; None where there is none.
+        remark: on the names, for messages.
+    """
+
+    names: tuple[str, ...] = ()
+    unread: Mapping[str, str] = field(default_factory=dict)
+    header: tuple[str, ...] = ()
+    usual_values: str | None = None
+    remark: str = ""
+
+
+class Reader(ABC):
+    """Reader of one kind of file.
+
+    Attributes:
+        path: of the file.
+        contents: of the file.
+    """
+
+    contents: Contents
+
+    def __init__(self, path: Path) -> None:
+        """Begin with the file at `path`; a subclass reads its contents, or raises DataError."""
+        self.path = path
+
+    @abstractmethod
+    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
+        """Tables of consecutive rows, `wanted.block_rows` in all but the last ones.
+
+        Raises:
+            DataError: where the content cannot be used.
+        """
+
+
+@contextmanager
+def as_data_errors(kind: str) -> Iterator[None]:
+    """Raise the errors of a file format's reader as DataError, absent files excepted."""
+    try:
+        yield
+    except (ConfigurationError, DataError, FileNotFoundError, ImportError, PermissionError):
+        raise
+    except Exception as error:  # readers' errors for damaged files have no common base
+        raise DataError(f"not a {kind} that can be read: {error}") from error

@@ -1,0 +1,258 @@
+"""Recordings as tables with a column for each channel and label: text, Excel and Parquet files."""
+
+import csv
+import io
+import itertools
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import require
+from eitskin.input_files import shortened
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OPENEIT: Final = "magnitudes"
+EXTRA: Final = "recordings"
+_DELIMITERS: Final = ",;\t"
+_COMMENTS: Final = ("#", "%")
+_EMPTY: Final = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None")
+
+
+class TableReader(Reader):
+    """Reader of a file with one row of cells for each frame, below names of columns."""
+
+    @abstractmethod
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        """Consecutive rows: their numbers in the file, and cells in columns by number."""
+
+    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
+        for rows, frame in self.frames(wanted):
+            yield {
+                name: self._table(frame[wanted.columns[name]], rows, name in wanted.values)
+                for name in (*wanted.values, *wanted.labels)
+            }
+
+    def _table(self, cells: "pd.DataFrame", rows: Sequence[int], numeric: bool) -> NDArray[Any]:
+        """Cells as a table (rows, columns) of numbers, or of text where it need not be numeric."""
+        columns = []
+        for number in cells:
+            array = _array(cells[number], rows, self.contents.header[number])
+            if numeric and array.dtype.kind not in "iufc":
+                array = _numbers(array, rows, self.contents.header[number])
+            columns.append(array)
+        if len({array.dtype.kind == "U" for array in columns}) > 1:
+            columns = [array.astype(np.str_) for array in columns]
+        return np.concatenate(columns, axis=1)
+
+
+class TextReader(TableReader):
+    """Text with cells between commas, semicolons, tabs or blanks; decimal commas with semicolons.
+
+    Lines that begin with # or % are comments; brackets around a line are left out. The columns of a
+    file without a header are named by the last comment before the numbers, where that has as many
+    names, else c0, c1 ... In a .txt file with lines "magnitudes : a , b, ...", as OpenEIT prints
+    them, other lines are skipped.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._delimiter, self._begin = ",", 0
+        self._openeit = path.suffix.lower() == ".txt" and self._has_magnitudes()
+        line = next(self._lines(), (0, ""))[1]
+        if not self._openeit:
+            self._delimiter = max(_DELIMITERS, key=line.count)
+            if self._delimiter not in line:
+                self._delimiter = " "
+        header, remark = self._cells(line), ""
+        if self._openeit:
+            header = [f"{OPENEIT}{column}" for column in range(len(header))]
+        elif any(header) and all(is_number(cell) for cell in header if cell):
+            remark = " (the file has no header, so columns are numbered)"
+            names = self._cells(self._last_comment())
+            numbered = [f"c{column}" for column in range(len(header) - (not header[-1]))]
+            numbered += [""] * (not header[-1])  # a comma behind every value
+            header = names if len(names) == len(header) else numbered
+        else:
+            self._begin = 1
+        if next(itertools.islice(self._lines(), self._begin, None), None) is None:
+            raise DataError("expected a header and at least one row, got no row")
+        usual = OPENEIT if self._openeit else "v"
+        self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
+
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        import pandas as pd
+
+        width, decimal = len(self.contents.header), "," if self._delimiter == ";" else "."
+        values = {number for name in wanted.values for number in wanted.columns[name]}
+        labels = {number for name in wanted.labels for number in wanted.columns[name]} - values
+        lines = itertools.islice(self._lines(), self._begin, None)
+        while block := list(itertools.islice(lines, wanted.block_rows)):
+            for number, line in block:
+                if (count := self._count(line)) != width:
+                    raise DataError(f"row {number}: expected {width} cells, got {count}")
+            frame = pd.read_csv(
+                io.StringIO("\n".join(line for _, line in block)),
+                sep=r"\s+" if self._delimiter == " " else self._delimiter,
+                decimal=decimal,
+                header=None,
+                names=list(range(width)),
+                usecols=sorted(values | labels),
+                dtype=dict.fromkeys(labels, str),
+                keep_default_na=False,
+                na_values=dict.fromkeys(values, _EMPTY),
+                skipinitialspace=True,
+            )
+            if len(frame) != len(block):
+                raise DataError(
+                    f"rows {block[0][0]} to {block[-1][0]}: a quotation mark is not closed in its "
+                    "line; expected an even number in each"
+                )
+            if decimal == ",":
+                text = frame.select_dtypes("str")
+                frame[text.columns] = text.replace(",", ".", regex=True)
+            yield [number for number, _ in block], frame
+
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Lines that hold cells, each with its number in the file from 1."""
+        with self.path.open(encoding="utf-8-sig") as file:
+            for number, line in enumerate(file, 1):
+                text = line.rstrip("\r\n")
+                if self._openeit:
+                    label, _, text = line.partition(":")
+                    text = text.strip().rstrip(",") if label.strip() == OPENEIT else ""
+                elif text.startswith("[") and text.endswith("]"):
+                    text = text[1:-1]
+                if text.strip(f'{_DELIMITERS}" ') and not text.startswith(_COMMENTS):
+                    yield number, text
+
+    def _has_magnitudes(self) -> bool:
+        with self.path.open(encoding="utf-8-sig") as file:
+            return any(line.partition(":")[0].strip() == OPENEIT for line in file)
+
+    def _last_comment(self) -> str:
+        """Last comment before the first cells, without its sign."""
+        with self.path.open(encoding="utf-8-sig") as file:
+            lines = (line.strip() for line in file)
+            above = list(itertools.takewhile(lambda line: not line or line[0] in "#%", lines))
+        return next((line.lstrip("#%").strip() for line in reversed(above) if line), "")
+
+    def _cells(self, line: str) -> list[str]:
+        decimal = "," if self._delimiter == ";" else "."
+        if self._delimiter == " ":
+            line = line.strip()
+        reader = csv.reader([line], delimiter=self._delimiter, skipinitialspace=True)
+        return [cell.strip().replace(decimal, ".") for cell in next(reader, [])]
+
+    def _count(self, line: str) -> int:
+        """Number of cells of a line."""
+        if '"' in line:
+            return len(self._cells(line))
+        return len(line.split()) if self._delimiter == " " else line.count(self._delimiter) + 1
+
+
+class SpreadsheetReader(TableReader):
+    """First sheet, or a named one, of an Excel file; values of formulas, as they were saved."""
+
+    def __init__(self, path: Path, sheet: str | None = None) -> None:
+        """Read the header.
+
+        Args:
+            path: of the file.
+            sheet: name of the sheet; the first one when omitted.
+        """
+        import pandas as pd
+
+        super().__init__(path)
+        require("openpyxl", EXTRA)
+        with as_data_errors("Excel file"), pd.ExcelFile(path, engine="openpyxl") as book:
+            if sheet is not None and sheet not in book.sheet_names:
+                raise ConfigurationError(
+                    f"there is no sheet '{sheet}'; the file has {', '.join(book.sheet_names)}"
+                )
+            cells = book.parse(sheet or 0, header=None, dtype=str, na_filter=False)
+        cells = cells.map(str.strip)
+        header = cells.iloc[0].tolist() if len(cells) else []
+        while header and not header[-1]:
+            header.pop()
+        cells = cells.iloc[1:][(cells.iloc[1:] != "").any(axis=1)]
+        beyond = (cells.iloc[:, len(header) :] != "").any(axis=1)
+        if beyond.any():
+            raise DataError(f"row {beyond.idxmax() + 1}: expected {len(header)} cells, got more")
+        if cells.empty:
+            raise DataError("expected a header and at least one row, got no row")
+        self._rows = cells
+        self.contents = Contents(header=tuple(header), usual_values="v")
+
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        for start in range(0, len(self._rows), wanted.block_rows):
+            block = self._rows.iloc[start : start + wanted.block_rows]
+            yield [int(row) + 1 for row in block.index], block
+
+
+class ParquetReader(TableReader):
+    """Parquet file; a column of lists of equal length is a table."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        parquet = require("pyarrow.parquet", EXTRA)
+        with as_data_errors("Parquet file"):
+            self._file = parquet.ParquetFile(path)
+        self.contents = Contents(header=tuple(self._file.schema_arrow.names), usual_values="v")
+        if not self._file.metadata.num_rows:
+            raise DataError("expected at least one row, got none")
+
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        chosen = sorted({number for numbers in wanted.columns.values() for number in numbers})
+        names, first = [self.contents.header[number] for number in chosen], 0
+        for batch in self._file.iter_batches(wanted.block_rows, columns=names):
+            frame = batch.to_pandas().set_axis(chosen, axis=1)
+            yield range(first, first + len(frame)), frame
+            first += len(frame)
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a real number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _array(cells: "pd.Series[Any]", rows: Sequence[int], title: str) -> NDArray[Any]:
+    """Numbers, times or text of a column, (rows, 1), or its lists of numbers, (rows, length)."""
+    kind = cells.dtype.kind
+    if kind in "biufcM":
+        return np.asarray(cells.to_numpy("datetime64[us]" if kind == "M" else None))[:, None]
+    lists = [cell for cell in cells if isinstance(cell, np.ndarray)]
+    if not lists:
+        return np.char.strip(cells.fillna("").to_numpy(np.str_))[:, None]
+    for row, cell in zip(rows, cells, strict=True):
+        if np.size(cell) != len(lists[0]):
+            raise DataError(
+                f"row {row} of '{title}': expected {len(lists[0])} values as in the first row, got "
+                f"{0 if cell is None else np.size(cell)}"
+            )
+    return np.stack(lists).astype(np.float64)
+
+
+def _numbers(cells: NDArray[Any], rows: Sequence[int], title: str) -> NDArray[Any]:
+    """Text as real or complex numbers, NaN where empty; raises DataError."""
+    found = np.empty(cells.shape, dtype=np.complex128)
+    for place, cell in np.ndenumerate(cells):
+        try:
+            found[place] = complex(str(cell).replace(" ", "") or "nan")
+        except ValueError:
+            raise DataError(
+                f"row {rows[place[0]]}, column {title}: expected a number such as 530.1 or "
+                f"530.1-2j, got '{shortened(str(cell))}'"
+            ) from None
+    return found if found.imag.any() else found.real
