@@ -1,4 +1,4 @@
-"""`eitskin export`: recordings, pipelines and scenes in file formats of other programs."""
+"""`eitskin export`: recordings and scenes in file formats of other programs."""
 
 import math
 import time
@@ -17,7 +17,6 @@ from eitskin.cli.options import (
     Json,
     MechanicsFile,
     MethodCode,
-    Model,
     Output,
     Pairs,
     PressModel,
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.live import Reading
 
 app = typer.Typer(
-    help="Write recordings as MCAP, pipelines as ONNX, scenes as VTK files.", no_args_is_help=True
+    help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True
 )
 
 NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")]
@@ -91,34 +90,14 @@ def export_mcap(
     output.result(data, f"{out}: {text}")
 
 
-@app.command("onnx")
-def export_onnx(
-    model: Model,
-    *,
-    out: NewFolder,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Write the networks of a pipeline as ONNX graphs, checked against the pipeline itself."""
-    from eitskin.training.adaptation.opening import open_perception
-    from eitskin.training.export import onnx_export
-
-    output = Output(as_json, quiet, verbose)
-    _require_empty(out)
-    wanted = "graphs are of the networks of a pipeline of states, bends or touches"
-    document = onnx_export.export_onnx(open_perception(model, wanted), out)
-    table = Table("graph", "output", "largest difference", "allowed", box=box.SIMPLE)
-    for graph in document["graphs"]:
-        output.detail(f"{graph['file']}: {graph['what']}")
-        for found in graph["outputs"]:
-            differences = (found["largest_difference"], found["allowed_difference"])
-            table.add_row(graph["file"], found["name"], *(f"{each:.1e}" for each in differences))
-    output.result(document, table)
-    for text in document["not_in_graphs"]:
-        output.note(f"not in the graphs: {text}")
-    output.note(f"inputs, outputs and units: {out / onnx_export.DOCUMENT}")
+@app.command("onnx", hidden=True, context_settings={"ignore_unknown_options": True})
+def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) -> None:
+    """State what replaces ONNX graphs, which version 0.2 wrote."""
+    raise ConfigurationError(
+        "eitskin writes no ONNX graphs any more\nexpected a machine with numpy alone, which the "
+        "networks of a pipeline now need: pip install 'eitskin[live]', then eitskin live, or "
+        "Pipeline.load(\"NAME.eitmodel\").process(frame)"
+    )
 
 
 @app.command("vtu")

@@ -109,9 +109,9 @@ def test_a_wrong_link_option_or_command_would_be_seen(tmp_path):
         require_known(["trian", "DIR"])
     with pytest.raises(USAGE_ERROR, match="--ot"):
         require_known(["train", "DIR", "--ot", "x"])
-    assert list(alternatives("eitskin export mcap\\|onnx [--out X]")) == [
+    assert list(alternatives("eitskin export mcap\\|vtu [--out X]")) == [
         ["export", "mcap", "--out", "X"],
-        ["export", "onnx", "--out", "X"],
+        ["export", "vtu", "--out", "X"],
     ]
 
 
