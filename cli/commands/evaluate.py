@@ -70,7 +70,7 @@ def save_position_report(
     touches: "RecordedTouches", data: "Dataset", folder: Path, output: Output
 ) -> None:
     """Write the report folder of touch positions, with machine, versions and date."""
-    from eitskin.training.evaluation.report.position_report import write_position_report
+    from eitskin.training.evaluation.report.folder import write_position_report
 
     written = write_position_report(touches, data, folder, _made_with(0))
     output.note(f"report: {written}")

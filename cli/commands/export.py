@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.replay_board import ReplayBoard
     from eitskin.hardware.live import Reading
 
-app = typer.Typer(
-    help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True
-)
+app = typer.Typer(help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True)
 
 NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")]
 
@@ -96,7 +94,7 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
     raise ConfigurationError(
         "eitskin writes no ONNX graphs any more\nexpected a machine with numpy alone, which the "
         "networks of a pipeline now need: pip install 'eitskin[live]', then eitskin live, or "
-        "Pipeline.load(\"NAME.eitmodel\").process(frame)"
+        'Pipeline.load("NAME.eitmodel").process(frame)'
     )
 
 

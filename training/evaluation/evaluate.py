@@ -125,6 +125,13 @@ def contact_maps(
     return touch_maps(*discs, pipeline.layout.outline, (shape[-2], shape[-1]))
 
 
+def drawable(dataset: Dataset) -> NDArray[np.intp]:
+    """Numbers of the frames with touches, all of known position and radius."""
+    placed = np.isfinite(dataset.touch_x)
+    known = (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
+    return np.flatnonzero(placed.any(axis=1) & known)
+
+
 def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[np.float32]]:
     """Reconstructions (n, rows, columns) with either reference, positive for lower conductivity.
 
@@ -148,10 +155,8 @@ def _similarities(
     pipeline: Pipeline, dataset: Dataset, predictions: Predictions
 ) -> dict[str, Array]:
     """SSIM of every image, in pieces; see `Evaluation`."""
-    placed = np.isfinite(dataset.touch_x)
-    drawable = placed.any(axis=1) & (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
     values: dict[str, Array] = {}
-    chosen = np.flatnonzero(drawable)
+    chosen = drawable(dataset)
     for start in range(0, len(chosen), PIECE):
         piece = chosen[start : start + PIECE]
         frames = dataset.select(piece)

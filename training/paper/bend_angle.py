@@ -10,7 +10,6 @@ from eitskin.errors import DataError
 FOLDS = 5
 _CUT = float(np.finfo(float).eps)  # singular value, over the largest, that counts as zero
 _DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where it depends on them
-_DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where it depends on them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,10 +29,12 @@ from eitskin.training.method.targets import (
 )
 from eitskin.training.method.training_frames import TrainingFrames
 from eitskin.training.paper.bend_angle import BendAngle
-from eitskin.training.paper.bend_subspace import bend_free_projection
-from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.postprocessor import PostProcessor
-from eitskin.training.paper.reconstruction import Reconstruction, signal_to_noise
+from eitskin.training.paper.reconstruction import (
+    Reconstruction,
+    bend_free_projection,
+    signal_to_noise,
+)
+from eitskin.training.paper.stages import Classifier, PostProcessor
 from eitskin.training.paper.touch_regions import find_touches
 from eitskin.training.reconstruction.linear_model import linear_model
 

@@ -1,114 +1,159 @@
-"""Networks of the paper's method, for training: state classifier and post-processor.
+"""Training of the networks of the paper's method. Imports torch at its top.
 
-Imports torch at its top. The stages import this module inside the functions that need it, so that
-torch stays optional; `training/paper/layers.py` evaluates trained networks without it.
+The stages import this module inside the functions that need it, so that torch stays optional;
+`training/paper/layers.py` evaluates trained networks without it.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.method.network_training import Batch
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.network_training import (
+    Batch,
+    Loss,
+    Samples,
+    seeded_network,
+    train_network,
+)
+from eitskin.training.method.settings import NetworkSettings, Progress
+from eitskin.training.paper.layers import Layer
 
-Maps = Callable[[Tensor, torch.Generator], Tensor]
+Flips = Sequence[tuple[bool, bool]]
 
 
-class StateNetwork(nn.Module):
-    """Encoder-decoder classifier of the paper, from a map to the logits of the three states.
+class LayerNetwork(nn.Module):
+    """Network of a table of layers.
 
-    Three 3x3 convolutions (16, 32, 64) with batch norm and max pooling, mirrored by transposed
-    convolutions that bring the map back to its size, two fully connected layers down to 16, and
-    the layer whose softmax is taken. Maps (n, maps, rows, columns), multiples of eight.
+    Where asked for, the `coordinates` of each pixel are further channels of its inputs.
     """
 
-    def __init__(self, shape: tuple[int, int], maps: int) -> None:
-        """Build the layers for `maps` maps of `shape`."""
+    def __init__(self, layers: Sequence[Layer], placed: tuple[int, int] | None = None) -> None:
+        """Build the layers, with weights drawn from torch's own generator.
+
+        Args:
+            layers: table of the layers.
+            placed: rows and columns of maps that get the coordinates; None for none.
+        """
         super().__init__()
-        encoder = [_down(maps, 16), _down(16, 32), _down(32, 64)]
-        decoder = [_up(64, 32), _up(32, 16), _up(16, 1)]
-        head = [nn.Linear(shape[0] * shape[1], 64), nn.ReLU(), nn.Linear(64, 16), nn.ReLU()]
-        self.layers = nn.Sequential(*encoder, *decoder, nn.Flatten(), *head, nn.Linear(16, 3))
+        self.place: Tensor | None = None
+        if placed is not None:
+            y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in placed), indexing="ij")
+            self.place = torch.stack([y, x])[None]
+        modules: list[nn.Module] = []
+        for layer in layers:
+            if layer.kind == "dense" and not isinstance(modules[-1], nn.ReLU | nn.Flatten):
+                modules.append(nn.Flatten())
+            tail: list[nn.Module] = [nn.BatchNorm2d(layer.outputs)] if layer.normed else []
+            tail += [nn.ReLU()] if layer.rectified else []
+            tail += [nn.MaxPool2d(2)] if layer.pooled else []
+            parts = [_weights(layer), *tail]
+            modules += [nn.Sequential(*parts)] if layer.normed else parts
+        self.layers = nn.Sequential(*modules)
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Logits (n, 3)."""
+        """Logits of maps (n, channels, rows, columns)."""
+        if self.place is not None:
+            maps = torch.cat([maps, self.place.expand(len(maps), -1, -1, -1)], dim=1)
         logits: Tensor = self.layers(maps)
         return logits
 
 
-class TouchMapNetwork(nn.Module):
-    """Light post-processor, from a reconstruction to the logits of the touch map.
+def _weights(layer: Layer) -> nn.Module:
+    ends = (layer.inputs, layer.outputs)
+    if layer.kind == "dense":
+        return nn.Linear(*ends)
+    if layer.kind == "transposed":
+        size = layer.size
+        return nn.ConvTranspose2d(*ends, size, stride=2, padding=1, output_padding=size % 2)
+    spread = {"padding": layer.dilation, "dilation": layer.dilation, "stride": layer.stride}
+    return nn.Conv2d(*ends, layer.size, bias=layer.bias, **spread)
 
-    One step down, dilated 3x3 convolutions whose receptive field is the whole sensor, one step up.
-    Two further channels hold the coordinates of each pixel, because a reconstruction is sharp near
-    the electrodes and blurred in the middle. Maps (n, 1, rows, columns), multiples of two.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StageTraining:
+    """Training of one stage: from dV to maps, through a network, to targets.
+
+    Attributes:
+        name: of the stage, in the progress.
+        layers: of the network.
+        embedding: linear, from dV to maps (maps, pixels, measurements).
+        shape: rows and columns of a map.
+        loss: of logits and targets.
+        transform: of the maps before the network.
+        place: whether the coordinates of the pixels are channels beside the maps.
+        flips: mirror images of each frame, of which one is drawn whenever it is used: whether x
+            and whether y is reversed.
     """
 
-    place: Tensor
+    name: str
+    layers: Sequence[Layer]
+    embedding: NDArray[np.float64]
+    shape: tuple[int, int]
+    loss: Loss
+    transform: Callable[[Tensor], Tensor]
+    place: bool = False
+    flips: Flips = ((False, False),)
 
-    def __init__(self, shape: tuple[int, int], width: int = 24) -> None:
-        """Build the layers for maps of `shape`, with `width` channels at half resolution."""
-        super().__init__()
-        y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in shape), indexing="ij")
-        self.register_buffer("place", torch.stack([y, x])[None], persistent=False)
-        self.layers = nn.Sequential(
-            nn.Conv2d(3, width, 3, stride=2, padding=1),
-            nn.ReLU(),
-            *(_dilated(width, dilation) for dilation in (1, 2, 4, 8, 1)),
-            nn.ConvTranspose2d(width, 8, 4, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(8, 1, 3, padding=1),
+    def run(
+        self,
+        frames: tuple[ArrayLike, NDArray[np.generic]],
+        validation: tuple[ArrayLike, NDArray[np.generic]] | None,
+        settings: NetworkSettings,
+        noise: ArrayLike,
+        seed: int,
+        progress: Progress,
+    ) -> tuple[dict[str, NDArray[np.generic]], LearningCurve]:
+        """Weights and batch statistics by name, and losses.
+
+        Args:
+            frames: dV (n, measurements) and targets (n, ...) to fit.
+            validation: those of other frames, whose loss is recorded after every epoch.
+            settings: of the training.
+            noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
+            seed: of initial weights, order and added noise.
+            progress: called after every epoch.
+        """
+        placed = self.shape if self.place else None
+        network = seeded_network(lambda: LayerNetwork(self.layers, placed), seed)
+        fitted = self._samples(*frames, settings.noise * np.asarray(noise))
+        history = train_network(
+            network,
+            mirrored(fitted.batch, self.flips),
+            self.loss,
+            fitted.count,
+            settings,
+            seed,
+            lambda done, total: progress(self.name, done, total),
+            None if validation is None else self._samples(*validation, 0.0),
         )
+        return weights_of(network), history
 
-    def forward(self, maps: Tensor) -> Tensor:
-        """Logits of the touch maps (n, 1, rows, columns)."""
-        place = self.place.expand(len(maps), -1, -1, -1)
-        logits: Tensor = self.layers(torch.cat([maps, place], dim=1))
-        return logits
+    def _samples(
+        self, difference: ArrayLike, truth: NDArray[np.generic], noise: ArrayLike
+    ) -> Samples:
+        """Maps of dV, with new noise of an rms at every call, and their targets."""
+        dV, layers, rms = (
+            torch.as_tensor(np.asarray(values, dtype=np.float32))
+            for values in (difference, self.embedding, noise)
+        )
+        targets = torch.as_tensor(truth)
 
+        def batch(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+            rows = dV[chosen]
+            if rms.any():
+                rows = rows + rms * torch.randn(rows.shape, generator=generator)
+            maps = torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *self.shape)
+            return self.transform(maps), targets[chosen]
 
-def _down(channels: int, filters: int) -> nn.Module:
-    convolution = nn.Conv2d(channels, filters, 3, padding=1)
-    return nn.Sequential(convolution, nn.BatchNorm2d(filters), nn.ReLU(), nn.MaxPool2d(2))
-
-
-def _up(channels: int, filters: int) -> nn.Module:
-    convolution = nn.ConvTranspose2d(channels, filters, 3, stride=2, padding=1, output_padding=1)
-    return nn.Sequential(convolution, nn.BatchNorm2d(filters), nn.ReLU())
-
-
-def _dilated(width: int, dilation: int) -> nn.Module:
-    convolution = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation, bias=False)
-    return nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU())
-
-
-def noisy_maps(
-    difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: ArrayLike
-) -> Maps:
-    """Source of maps of chosen frames, with new noise at every call.
-
-    Args:
-        difference: dV (n, measurements).
-        embedding: linear, from dV to the maps (maps, pixels, measurements).
-        shape: of a map.
-        noise: rms, of all or of each channel, in units of dV.
-    """
-    dV = torch.as_tensor(np.asarray(difference, dtype=np.float32))
-    layers = torch.as_tensor(np.asarray(embedding, dtype=np.float32))
-    rms = torch.as_tensor(np.asarray(noise, dtype=np.float32))
-
-    def maps(chosen: Tensor, generator: torch.Generator) -> Tensor:
-        rows = dV[chosen]
-        if rms.any():
-            rows = rows + rms * torch.randn(rows.shape, generator=generator)
-        return torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *shape)
-
-    return maps
+        return Samples(batch, len(targets))
 
 
-def mirrored(batch: Batch, flips: Sequence[tuple[bool, bool]]) -> Batch:
+def mirrored(batch: Batch, flips: Flips) -> Batch:
     """Source of samples that shows each one as a mirror image drawn from `flips`.
 
     Args:

@@ -1,4 +1,4 @@
-"""One-step Gauss-Newton reconstruction with the NOSER prior."""
+"""One-step Gauss-Newton reconstruction with the NOSER prior, and signals without bends."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.training.reconstruction.priors import gauss_newton, noser_weights
 from eitskin.training.reconstruction.regularised_inverse import MAX_SNR
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1.05  # of the residual of bend frames, over the noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +24,7 @@ class Reconstruction:
         regularisation: lambda of the one-step Gauss-Newton method, dimensionless.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Array
     shape: tuple[int, int]
     regularisation: float
 
@@ -57,7 +61,7 @@ class Reconstruction:
         regularisation = family.of_snr(snr)
         return cls(family.matrix(regularisation) / rms, shape, regularisation)
 
-    def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
+    def apply(self, difference: ArrayLike) -> Array:
         """Relative conductivity change (..., rows, columns) from dV (..., measurements)."""
         dV = np.asarray(difference, dtype=float)
         images = dV @ self.matrix.T
@@ -86,3 +90,24 @@ def signal_to_noise(touch: ArrayLike, noise: float) -> float:
         return MAX_SNR
     # A signal below a tenth of the noise cannot be seen; the difference of squares may be negative.
     return float(np.sqrt(max(total / noise**2 - 1.0, 0.01)))
+
+
+def bend_free_projection(bend: ArrayLike, noise: float) -> Array:
+    """Orthogonal projection (C, C) that reduces the dV (n, C) of bend frames to their noise.
+
+    Bending moves one sensor along a curve in the space of its channels, several sensors along
+    several curves; the leading right singular vectors of their frames span these. The rank is the
+    smallest that leaves a residual within five percent of `noise`, the rms of idle dV, and at most
+    half the number of channels.
+    """
+    dV = np.asarray(bend, dtype=float)
+    count, channels = dV.shape
+    _, sizes, directions = np.linalg.svd(dV, full_matrices=False)
+    energy = np.sum(sizes**2) - np.concatenate([[0.0], np.cumsum(sizes**2)])
+    freedom = count * (channels - np.arange(len(energy)))
+    residual = np.sqrt(np.maximum(energy, 0.0) / np.maximum(freedom, 1))
+    # At least half of the channels' freedom stays: touches need it.
+    rank = min(int(np.count_nonzero(residual > TOLERANCE * noise)), channels // 2)
+    basis = directions[:rank]
+    projection: Array = np.eye(channels) - basis.T @ basis
+    return projection

@@ -1,10 +1,8 @@
 """Registry of methods: those that come with eitskin, and those that a user names the code of."""
 
 from eitskin.errors import DataError
-from eitskin.training.baselines.extra_trees import ExtraTreesMethod
 from eitskin.training.baselines.greit_centroid import GreitMethod
-from eitskin.training.baselines.mlp import MlpMethod
-from eitskin.training.baselines.ridge import RidgeMethod
+from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.interface import Method
 from eitskin.training.paper.method import PaperMethod

@@ -29,8 +29,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.training.evaluation.report.drawing import style
-from eitskin.training.evaluation.report.picture_panels import PicturePanel, draw_panels
+from eitskin.training.evaluation.report.drawing import PicturePanel, draw_panels, style
 from eitskin.training.reconstruction.figures_of_merit import FiguresOfMerit, figures_of_merit
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor

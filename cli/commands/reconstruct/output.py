@@ -149,8 +149,7 @@ def _draw(
 ) -> None:
     """Draw all pictures; those of one method on one scale."""
     from eitskin.files import atomic_file
-    from eitskin.training.evaluation.report.drawing import style
-    from eitskin.training.evaluation.report.picture_panels import PicturePanel, draw_panels
+    from eitskin.training.evaluation.report.drawing import PicturePanel, draw_panels, style
 
     panels = [
         PicturePanel(

@@ -8,11 +8,17 @@ import pytest
 from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.training import InputSpec, Observations, Pipeline, TrainingSettings, evaluate
-from eitskin.training.baselines.extra_trees import ExtraTreesMethod, TreeOptions
-from eitskin.training.baselines.features import Features
 from eitskin.training.baselines.greit_centroid import best_threshold
-from eitskin.training.baselines.mlp import MlpMethod, MlpOptions
-from eitskin.training.baselines.ridge import PARAMETERS, RidgeMethod, RidgeOptions
+from eitskin.training.baselines.regressions import (
+    PARAMETERS,
+    ExtraTreesMethod,
+    MlpMethod,
+    MlpOptions,
+    RidgeMethod,
+    RidgeOptions,
+    TreeOptions,
+)
+from eitskin.training.baselines.table import Features
 from eitskin.training.method.settings import silent
 from eitskin.training.method.training_frames import TrainingFrames
 

@@ -9,9 +9,8 @@ from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
-from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
+from eitskin.training.paper.stages import Classifier, PostProcessor
 
 SHAPE = (8, 16)
 RNG = np.random.default_rng(0)

@@ -11,25 +11,10 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.threads import one_torch_thread
 from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
-from eitskin.training.paper.bend_subspace import bend_free_projection
-from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.layers import (
-    Convolution,
-    Dense,
-    MaxPool,
-    TransposedConvolution,
-    logits_of,
-    state_layers,
-    touch_map_layers,
-)
-from eitskin.training.paper.networks import (
-    StateNetwork,
-    TouchMapNetwork,
-    mirrored,
-    weights_of,
-)
-from eitskin.training.paper.postprocessor import PostProcessor
-from eitskin.training.paper.reconstruction import Reconstruction
+from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
+from eitskin.training.paper.networks import LayerNetwork, mirrored, weights_of
+from eitskin.training.paper.reconstruction import Reconstruction, bend_free_projection
+from eitskin.training.paper.stages import Classifier, PostProcessor
 from eitskin.training.paper.touch_regions import find_touches
 
 SHAPE = (8, 16)
@@ -134,11 +119,13 @@ def test_classifier_learns_and_generalises(states, embedding):
 def test_classifier_is_the_papers(embedding):
     settings = NetworkSettings(1e-3, epochs=1)
     stage = Classifier.fit(np.eye(30)[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
-    kinds = [type(layer) for layer in stage.layers]
-    assert [kinds.count(k) for k in (Convolution, MaxPool, TransposedConvolution)] == [3, 3, 3]
-    widths = [len(layer.weight) for layer in stage.layers if isinstance(layer, Convolution)]
-    assert widths == [16, 32, 64]
-    assert [len(layer.bias) for layer in stage.layers if isinstance(layer, Dense)] == [64, 16, 3]
+    layers = stage.network.layers
+    widths = {
+        kind: [each.outputs for each in layers if each.kind == kind]
+        for kind in ("convolution", "transposed", "dense")
+    }
+    assert widths == {"convolution": [16, 32, 64], "transposed": [32, 16, 1], "dense": [64, 16, 3]}
+    assert [each.pooled for each in layers] == [True] * 3 + [False] * 6
     paper = TrainingSettings.preset("paper").classifier
     assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
     assert not paper.one_cycle
@@ -162,7 +149,9 @@ def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding)
     assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
     again = Classifier.from_arrays(plain.arrays(), SHAPE)
     np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
-    logits = by_torch(StateNetwork(SHAPE, 1), plain.weights, maps.reshape(-1, 1, *SHAPE))
+    logits = by_torch(
+        LayerNetwork(state_layers(SHAPE, 1)), plain.weights, maps.reshape(-1, 1, *SHAPE)
+    )
     odds = np.exp(logits - logits.max(axis=1, keepdims=True))
     np.testing.assert_allclose(plain.apply(dV), odds / odds.sum(axis=1, keepdims=True), atol=1e-6)
 
@@ -202,11 +191,12 @@ def by_torch(network, weights, maps):
         return network.eval()(torch.tensor(maps, dtype=torch.float32)).numpy()
 
 
-@pytest.mark.parametrize("kind", [StateNetwork, TouchMapNetwork])
-def test_networks_evaluated_by_numpy_are_torchs(kind):
+@pytest.mark.parametrize("placed", [False, True])
+def test_networks_evaluated_by_numpy_are_torchs(placed):
     """Weights and batch statistics that were drawn, on maps of other sides than the toy sensor."""
-    shape, maps = (16, 40), 2 if kind is StateNetwork else 1
-    network = kind(shape, *([maps] if kind is StateNetwork else []))
+    shape, maps = (16, 40), 1 if placed else 2
+    layers = touch_map_layers() if placed else state_layers(shape, maps)
+    network = LayerNetwork(layers, shape if placed else None)
     rng = np.random.default_rng(1)
     weights = {
         name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
@@ -216,12 +206,11 @@ def test_networks_evaluated_by_numpy_are_torchs(kind):
     }
     inputs = rng.normal(size=(70, maps, *shape)).astype(np.float32)  # more than one batch
     expected = by_torch(network, weights, inputs)
-    if kind is StateNetwork:
-        found = logits_of(state_layers(weights, shape, maps), inputs)
-    else:
+    if placed:
         y, x = np.meshgrid(np.linspace(-1, 1, 16), np.linspace(-1, 1, 40), indexing="ij")
         place = np.broadcast_to(np.stack([y, x]), (70, 2, *shape))
-        found = logits_of(touch_map_layers(weights), np.concatenate([inputs, place], axis=1))
+        inputs = np.concatenate([inputs, place], axis=1)
+    found = Network.from_arrays("network", layers, weights).logits(inputs)
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 

@@ -1,34 +1,46 @@
 """Report folder of an evaluation: figures as images, and all numbers as JSON and Markdown."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.summary import specimens_in_words
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
+from eitskin.training.adaptation.recorded_touches import RecordedTouches
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.report.bend import bend_angles, bend_sequence
-from eitskin.training.evaluation.report.curves import (
-    confusion_matrix,
-    learning_curves,
-    training_curves,
-)
 from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure, style
-from eitskin.training.evaluation.report.maps import touch_maps_by_angle, touch_maps_by_count
-from eitskin.training.evaluation.report.pictures import pictures_by_count
-from eitskin.training.evaluation.report.positions import error_vectors, localisation_errors
+from eitskin.training.evaluation.report.figures import (
+    MOST_VECTORS,
+    bend_angles,
+    bend_sequence,
+    confusion_matrix,
+    draw_error_vectors,
+    draw_errors,
+    error_vectors,
+    learning_curves,
+    localisation_errors,
+    loss_curves,
+)
+from eitskin.training.evaluation.report.maps import (
+    pictures_by_count,
+    touch_maps_by_angle,
+    touch_maps_by_count,
+)
 from eitskin.training.evaluation.report.table import HEADINGS, table_rows
 from eitskin.training.evaluation.scores import SSIM_DEFINITION
 from eitskin.training.method.observations import fingerprint
 
 DOCUMENT, TEXT = "report.json", "report.md"
 PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
-    "training_curves.png": training_curves,
+    "training_curves.png": lambda evaluation: loss_curves(evaluation.pipeline),
     "confusion.png": confusion_matrix,
     "bend_angle.png": bend_angles,
     "bend_sequence.png": bend_sequence,
@@ -126,41 +138,94 @@ def _write(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def write_position_report(
+    touches: RecordedTouches, dataset: Dataset, folder: str | Path, made_with: Mapping[str, str]
+) -> Path:
+    """Write the report of positions that were learned from a recording; returns the folder.
+
+    Args:
+        touches: learned positions.
+        dataset: frames with touches, of which those held out are judged.
+        folder: made if missing.
+        made_with: provenance that only the caller knows: machine, versions, date.
+
+    Raises DataError where no frame is held out, and errors as `write_report`.
+    """
+    score = touches.evaluate(dataset).as_dict()
+    true, found = touches.found(dataset)
+    errors = np.linalg.norm(found - true, axis=1)
+    shown, caption = true[:MOST_VECTORS], f"Localisation errors of {len(true)} touches."
+    drawings = {
+        "error_vectors.png": lambda: draw_error_vectors(
+            touches.design, shown, shown, found[:MOST_VECTORS], true[:0]
+        ),
+        "localisation_errors.png": lambda: draw_errors(errors, caption),
+    }
+    judged = dataset.select(touches.held_out(dataset))
+    made = {**_provenance(touches.KIND, touches.trained_on, judged), **made_with}
+    rows = [
+        (name.replace("_mm", " [mm]").replace("_", " "), f"{value:.2f}")
+        if isinstance(value, float)
+        else (name.replace("_", " "), str(value))
+        for name, value in score.items()
+    ]
+
+    def text(document: Mapping[str, Any]) -> str:
+        title = "Evaluation of touch positions"
+        return "\n".join(_page(title, document, ("figure", "here"), rows, ()))
+
+    return write_folder(Path(folder), drawings, {"provenance": made, "report": score}, text)
+
+
 def provenance(evaluation: Evaluation) -> dict[str, Any]:
     """Provenance of an evaluation: method, training set and test frames."""
     pipeline, data = evaluation.pipeline, evaluation.dataset
     return {
-        "method": pipeline.method.KIND,
-        "trained on": f"{pipeline.trained_on['frames']} {pipeline.trained_on['source']} frames of "
-        f"the dataset {pipeline.trained_on['sha256']}",
+        **_provenance(pipeline.method.KIND, pipeline.trained_on, data),
         "training seed": str(pipeline.settings.seed),
+        "seed of these frames": str(data.seed),
+    }
+
+
+def _provenance(kind: str, trained_on: Mapping[str, Any], data: Dataset) -> dict[str, Any]:
+    return {
+        "method": kind,
+        "trained on": f"{trained_on['frames']} {trained_on['source']} frames of the dataset "
+        f"{trained_on['sha256']}",
         "measured on": f"{len(data)} {data.source} frames of {specimens_in_words(data)}, frames "
         + fingerprint(data),
-        "seed of these frames": str(data.seed),
     }
 
 
 def markdown(evaluation: Evaluation, document: Mapping[str, Any]) -> str:
     """The report as Markdown."""
-    lines = ["# Evaluation of a pipeline", ""]
-    lines += [f"- {name}: {value}" for name, value in document["provenance"].items()]
-    lines += ["", "| " + " | ".join(HEADINGS) + " |", "|---|---|---|"]
-    lines += ["| " + " | ".join(row) + " |" for row in table_rows(evaluation.report)]
-    lines += ["", SSIM_DEFINITION, ""]
-    lines += [
+    notes = (
+        SSIM_DEFINITION,
         "Errors of positions are those of touches matched by the Hungarian method within 15 mm.",
-        "",
-    ]
-    lines += picture_lines(document)
+    )
+    rows = table_rows(evaluation.report)
+    lines = _page("Evaluation of a pipeline", document, HEADINGS, rows, notes)
     if evaluation.dataset.recipe:
         lines += ["Recipe of the frames, with instrument and specimens:", ""]
         lines += ["```toml", evaluation.dataset.recipe.rstrip(), "```", ""]
     return "\n".join(lines)
 
 
-def picture_lines(document: Mapping[str, Any]) -> list[str]:
-    """Lines of report.md with the pictures, and the reasons of those left out."""
-    lines: list[str] = []
+def _page(
+    title: str,
+    document: Mapping[str, Any],
+    headings: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    notes: Iterable[str],
+) -> list[str]:
+    """Lines of report.md: provenance, table, notes, pictures, reasons of those left out."""
+    lines = [f"# {title}", ""]
+    lines += [f"- {name}: {value}" for name, value in document["provenance"].items()]
+    lines += ["", "| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    lines.append("")
+    for note in notes:
+        lines += [note, ""]
     for name, caption in document["pictures"].items():
         lines += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})", "", caption, ""]
     if document["left_out"]:

@@ -1,0 +1,282 @@
+"""Figures of a report: learning curves, states, bend angles, and positions of touches."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.state import State
+from eitskin.extras import require
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.matching import GATE
+from eitskin.training.evaluation.metrics import STATES, root_mean_square
+from eitskin.training.evaluation.report.drawing import (
+    BLUE,
+    DARK,
+    EXTRA,
+    GREEN,
+    GREY,
+    ORANGE,
+    CaptionedFigure,
+    NoFigure,
+    draw_sensor,
+    new_figure,
+)
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.pipeline.pipeline import Pipeline
+
+SHORTEST_SEQUENCE = 20  # frames
+LEAST_MOVED = 1.0  # deg, in a sequence that is worth drawing
+MOST_VECTORS = 240  # more would hide each other
+
+Array = NDArray[np.float64]
+
+
+def learning_curves(pipeline: Pipeline) -> Mapping[str, LearningCurve]:
+    """Learning curves of the networks by name, without empty ones."""
+    kept = pipeline.method.learning_curves
+    return {name: history for name, history in kept.items() if history.training}
+
+
+def loss_curves(pipeline: Pipeline) -> CaptionedFigure | NoFigure:
+    """Learning curves of every network of a pipeline."""
+    networks = learning_curves(pipeline)
+    if not networks:
+        return NoFigure(
+            "this pipeline has no networks, or was trained without keeping their losses"
+        )
+    ticker = require("matplotlib.ticker", EXTRA)
+    figure = new_figure(4.8 * len(networks), 3.6)
+    panels = figure.subplots(1, len(networks), squeeze=False)[0]
+    for axes, (name, history) in zip(panels, networks.items(), strict=True):
+        for part, losses, colour in (
+            ("training", history.training, BLUE),
+            ("validation", history.validation, ORANGE),
+        ):
+            if losses:
+                look = {"color": colour, "marker": "o", "markersize": 3}
+                axes.plot(range(1, len(losses) + 1), losses, label=f"{part} part", **look)
+        axes.set(title=name, xlabel="epoch", ylabel="mean loss per frame", yscale="log")
+        axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(ticker.NullFormatter())
+        axes.legend()
+    caption = (
+        "Loss after every epoch: cross-entropy of the state, mean binary cross-entropy per pixel "
+        "of the touch map; of the joint method the weighted squared error of the response and the "
+        "cross-entropy per cell of the proposals, whose frames are new in every step. The "
+        "training part is seen with the noise that training adds and as the "
+        "weights were during the epoch; the validation part, a fifth of the frames that no weight "
+        "is fitted to, without it and at the end of the epoch."
+    )
+    if not all(history.validation for history in networks.values()):
+        caption += " A network without a curve of the validation part was trained without one."
+    return CaptionedFigure(figure, caption)
+
+
+def confusion_matrix(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
+    """Confusion matrix of the state, normalised by row, with counts."""
+    counts = np.array(evaluation.report.states.confusion)
+    totals = counts.sum(axis=1, keepdims=True)
+    if not totals.any():
+        return NoFigure("the state of no frame is known")
+    shares = counts / np.maximum(totals, 1)
+    figure = new_figure(4.2, 3.9)
+    axes = figure.subplots()
+    axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0)
+    for row, column in np.ndindex(counts.shape):
+        share = shares[row, column]
+        text = f"{100 * share:.1f} %\n{counts[row, column]}" if totals[row] else "no frames"
+        colour = "white" if share > 0.5 else DARK
+        axes.text(column, row, text, ha="center", va="center", color=colour)
+    axes.set(xticks=range(3), yticks=range(3), xticklabels=STATES, yticklabels=STATES)
+    axes.set(xlabel="estimated state", ylabel="true state")
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    return CaptionedFigure(
+        figure,
+        f"Confusion matrix of the state over {int(totals.sum())} frames: shares of each row and, "
+        "below, counts. A bent sensor that is touched counts as touch.",
+    )
+
+
+def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
+    """Scatter plot of estimated over true angle, and histogram of the errors."""
+    data = evaluation.dataset
+    true = data.bend_angle_deg.astype(float)
+    estimated = evaluation.predictions.bend_angle_deg
+    known = np.isfinite(true) & np.isfinite(estimated)
+    groups = {
+        "bent, untouched": (known & (data.state == State.BEND), BLUE),
+        "touched, flat or bent": (known & (data.state == State.TOUCH), ORANGE),
+    }
+    groups = {name: group for name, group in groups.items() if group[0].any()}
+    every = np.concatenate([true[mask] for mask, _ in groups.values()] or [np.zeros(1)])
+    if np.ptp(every) < LEAST_MOVED:
+        return NoFigure("no bent or touched frames of several known angles")
+    errors = [(estimated - true)[mask] for mask, _ in groups.values()]
+    limit = 1.1 * (max(float(np.percentile(np.abs(error), 99)) for error in errors) or 1.0)
+    bins = np.linspace(-limit, limit, 42)
+    figure = new_figure(10.0, 4.6)
+    scatter, histogram = figure.subplots(1, 2)
+    ends = [every.min(), every.max()]
+    scatter.plot(ends, ends, color=DARK, linewidth=0.9, zorder=1, label="true")
+    for (name, (mask, colour)), error in zip(groups.items(), errors, strict=True):
+        label = f"{name}: RMSE {root_mean_square(error):.2f} deg, bias {error.mean():+.2f} deg"
+        dots = {"s": 9, "alpha": 0.5, "linewidths": 0, "zorder": 2}
+        scatter.scatter(true[mask], estimated[mask], color=colour, label=label, **dots)
+        weights = np.full(len(error), 100.0 / len(error))
+        for look in ({"alpha": 0.35, "histtype": "stepfilled"}, {"lw": 1.2, "histtype": "step"}):
+            inside = np.clip(error, -limit, limit)
+            histogram.hist(inside, bins, color=colour, weights=weights, **look)
+    scatter.set(xlabel="true bend angle [deg]", ylabel="estimated bend angle [deg]")
+    legend = figure.legend(loc="outside upper center", ncols=3, handletextpad=0.4)
+    for handle in legend.legend_handles[1:]:
+        handle.set(alpha=1.0, sizes=[22])
+    histogram.axvline(0.0, color=DARK, linewidth=0.9)
+    histogram.set(xlabel="error of the bend angle [deg]", ylabel="share of the frames [%]")
+    return CaptionedFigure(
+        figure,
+        "Bend angle of every frame by itself, and the distribution of its errors with their root "
+        "mean square and bias; errors beyond the axis are counted in the outermost bins.",
+    )
+
+
+def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
+    """Angle and its error over time in the longest episode in which the sensor moves."""
+    frames = _longest_sequence(evaluation)
+    if frames is None:
+        return NoFigure(
+            f"no episode of at least {SHORTEST_SEQUENCE} frames moves by more than "
+            f"{LEAST_MOVED:g} deg; a dataset from a recipe with episodes, as paper_bending, has one"
+        )
+    data, predictions = evaluation.dataset, evaluation.predictions
+    time, true = data.time[frames], data.bend_angle_deg[frames].astype(float)
+    estimated, touched = predictions.bend_angle_deg[frames], data.state[frames] == State.TOUCH
+    deviation = predictions.bend_deviation_deg[frames]
+    figure = new_figure(10.0, 5.2)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    above.plot(time, true, color=DARK, linewidth=1.0, label="true", zorder=1)
+    for axes, values in ((above, estimated), (below, estimated - true)):
+        for name, mask, colour in (("untouched", ~touched, BLUE), ("touched", touched, ORANGE)):
+            if mask.any():
+                label = f"estimated, {name}"
+                axes.scatter(time[mask], values[mask], s=9, color=colour, label=label, zorder=2)
+    below.axhline(0.0, color=DARK, linewidth=0.9, zorder=1)
+    band = ""
+    if np.isfinite(deviation).all():
+        edge, band = 2.0 * deviation, " Grey: twice its stated standard error."
+        below.fill_between(time, -edge, edge, color=GREY, alpha=0.25, linewidth=0, zorder=0)
+    above.set_ylabel("bend angle [deg]")
+    below.set(xlabel="time [s]", ylabel="error [deg]")
+    figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return CaptionedFigure(
+        figure,
+        f"Bend angle in one episode of {len(frames)} frames, each estimated by itself, and its "
+        f"error: RMSE {root_mean_square(estimated - true):.2f} deg.{band}",
+    )
+
+
+def _longest_sequence(evaluation: Evaluation) -> NDArray[np.int64] | None:
+    """Frames of the longest moving episode in order of time; None if all are too short."""
+    data, estimated = evaluation.dataset, evaluation.predictions.bend_angle_deg
+    usable = np.flatnonzero(np.isfinite(data.bend_angle_deg) & np.isfinite(estimated))
+    episodes, sizes = np.unique(data.episode[usable], return_counts=True)
+    longest_first = np.argsort(-sizes, kind="stable")
+    for episode in episodes[longest_first][: np.sum(sizes >= SHORTEST_SEQUENCE)]:
+        frames: NDArray[np.int64] = usable[data.episode[usable] == episode]
+        frames = frames[np.argsort(data.time[frames], kind="stable")]
+        moves = np.ptp(data.bend_angle_deg[frames]) > LEAST_MOVED
+        if moves and np.all(np.diff(data.time[frames]) > 0):
+            return frames
+    return None
+
+
+def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
+    """Error vectors of all single touches, from true to found position."""
+    if not evaluation.pipeline.targets.touches:
+        return NoFigure("the pipeline does not estimate positions of touches")
+    data, matches = evaluation.dataset, evaluation.matches
+    single = np.flatnonzero(data.touch_count == 1)[:MOST_VECTORS]
+    if not single.size:
+        return NoFigure("no frame has exactly one touch of known position")
+    mine = np.isin(matches.frame, single)
+    touches = np.stack([data.touch_x, data.touch_y], axis=2)[single].astype(float)
+    places: Array = np.nanmax(touches, axis=1)
+    lost = places[~np.isin(single, matches.frame[mine])]
+    design = evaluation.pipeline.layout.design
+    return draw_error_vectors(design, places, matches.true[mine], matches.found[mine], lost)
+
+
+def draw_error_vectors(
+    design: SensorDesign | None, places: Array, true: Array, found: Array, missed: Array
+) -> CaptionedFigure:
+    """Error vectors over a sensor.
+
+    Args:
+        design: of the sensor; None where it is not known.
+        places: true positions of all touches (n, 2) [m].
+        true, found: positions of those that were found (k, 2) [m].
+        missed: true positions of the others (n - k, 2) [m].
+    """
+    figure = new_figure(9.6, 4.7)
+    axes = figure.subplots()
+    caption = (
+        f"{len(places)} single touches at {len(np.unique(np.round(1e3 * places, 1), axis=0))} "
+        "positions, to scale: a line leads from the true to the found position; "
+        f"{len(missed)} were missed."
+    )
+    if design is not None:
+        draw_sensor(axes, design)
+        caption += " Grey: the sensor's outline and its electrodes."
+    plus = {"s": 60, "marker": "+", "color": DARK, "linewidths": 1.0, "zorder": 5}
+    axes.scatter(*(1e3 * places.T), label="true position", **plus)
+    segments = require("matplotlib.collections", EXTRA).LineCollection
+    lines = 1e3 * np.stack([true, found], axis=1)
+    axes.add_collection(segments(lines, color=BLUE, alpha=0.7, linewidths=0.9, zorder=3))
+    dots = {"s": 12, "color": BLUE, "linewidths": 0, "zorder": 4}
+    axes.scatter(*(1e3 * found.T), label="found there", **dots)
+    if len(missed):
+        ring = {"s": 150, "facecolors": "none", "edgecolors": ORANGE, "linewidths": 1.4}
+        axes.scatter(*(1e3 * missed.T), label="missed at least once", zorder=2, **ring)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return CaptionedFigure(figure, caption)
+
+
+def localisation_errors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
+    """Histogram of the localisation errors of all matched touches."""
+    error = evaluation.matches.error
+    if not len(error):
+        return NoFigure("no touch was matched to a true one")
+    return draw_errors(
+        error,
+        f"Localisation errors of {len(error)} touches that were found, in frames with one to four. "
+        f"A touch counts as found within {1e3 * GATE:g} mm; the largest errors are counted in the "
+        "last bin.",
+    )
+
+
+def draw_errors(errors: Array, caption: str) -> CaptionedFigure:
+    """Histogram of localisation errors (n,) [m]."""
+    error = 1e3 * errors
+    upper = max(float(np.percentile(error, 99.5)) * 1.05, 1e-3)
+    figure = new_figure(7.2, 4.2)
+    axes: Any = figure.subplots()
+    weights = np.full(len(error), 100.0 / len(error))
+    axes.hist(np.minimum(error, upper), np.linspace(0, upper, 40), weights=weights, color=BLUE)
+    median, mean, most = float(np.median(error)), error.mean(), np.percentile(error, 95)
+    for label, value, colour, line in (
+        (f"median {median:.2f} mm", median, GREEN, "--"),
+        (f"mean {mean:.2f} mm", mean, DARK, "-"),
+        (f"95 % within {most:.2f} mm", most, ORANGE, ":"),
+    ):
+        axes.axvline(value, color=colour, linestyle=line, linewidth=1.6, label=label)
+    axes.set(xlabel="distance between true and found position [mm]", ylabel="share of touches [%]")
+    axes.set_xlim(0, upper)
+    axes.legend()
+    return CaptionedFigure(figure, caption)

@@ -1,0 +1,267 @@
+"""Trained networks of the paper's method: classifier of the state, and post-processor."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.datasets.store.state import State
+from eitskin.errors import DataError
+from eitskin.extras import require
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.settings import NetworkSettings, Progress, silent
+from eitskin.training.paper.layers import (
+    Network,
+    coordinates,
+    layer_arrays,
+    state_layers,
+    touch_map_layers,
+)
+from eitskin.training.paper.reconstruction import Reconstruction
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class Classifier:
+    """Classifier of the three states of `eitskin.datasets.State` from reconstructed maps.
+
+    The paper does not say how maps are scaled. Here the maps are divided by their standard
+    deviation over the training frames, or compressed: a touch may be three times the noise and a
+    bend a hundred times, so the input is then asinh of the maps in units of their noise, linear
+    for small values and logarithmic for large ones.
+
+    Attributes:
+        weights: trained weights and batch statistics of the network, by name.
+        network: with these weights.
+        embedding: linear map from dV to scaled maps, (maps, pixels, measurements).
+        shape: rows and columns of a map.
+        compress: whether asinh is taken of the maps.
+        history: losses in training.
+        states: that were trained for; the others have no probability.
+    """
+
+    def __init__(
+        self,
+        weights: Arrays,
+        embedding: Array,
+        shape: tuple[int, int],
+        compress: bool,
+        history: LearningCurve | None = None,
+        states: Sequence[State] = tuple(State),
+    ) -> None:
+        """A classifier with a trained network; raises DataError for weights of another one."""
+        self.weights = weights
+        layers = state_layers(shape, len(embedding))
+        self.network = Network.from_arrays("state network", layers, weights)
+        self.embedding = embedding
+        self.shape = shape
+        self.compress = compress
+        self.history = history or LearningCurve()
+        self.states = tuple(states)
+
+    @classmethod
+    def fit(
+        cls,
+        difference: ArrayLike,
+        state: ArrayLike,
+        embedding: ArrayLike,
+        shape: tuple[int, int],
+        settings: NetworkSettings,
+        noise: ArrayLike = 0.0,
+        seed: int = 0,
+        progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
+        compress: bool = True,
+    ) -> "Classifier":
+        """Training with cross-entropy and Adam; other arguments as for `StageTraining.run`.
+
+        Args:
+            difference: dV from the static reference (n, measurements), dimensionless.
+            state: `State` values (n,).
+            embedding: linear map from dV to maps (maps, pixels, measurements) in any units; not
+                trained.
+            shape: rows and columns of a map.
+            settings: of the training.
+            noise: rms noise of dV, of all or of each channel.
+            seed: of initial weights, order and added noise.
+            progress: called after every epoch.
+            validation: dV and states of other frames.
+            compress: whether asinh is taken of the maps.
+        """
+        require("torch", "training")
+        import torch
+
+        from eitskin.training.paper.networks import StageTraining
+
+        states = np.asarray(state, dtype=np.int64)
+        scaled = _scaled(
+            np.asarray(embedding, dtype=float),
+            np.asarray(difference),
+            states == State.IDLE if compress else None,
+        )
+        training = StageTraining(
+            "state classifier",
+            state_layers(shape, len(scaled)),
+            scaled,
+            shape,
+            torch.nn.functional.cross_entropy,
+            torch.asinh if compress else torch.nn.Identity(),
+        )
+        unseen = validation and (validation[0], np.asarray(validation[1], dtype=np.int64))
+        weights, history = training.run(
+            (difference, states), unseen, settings, noise, seed, progress
+        )
+        present = [state for state in State if np.any(states == state)]
+        return cls(weights, scaled, shape, compress, history, present)
+
+    def apply(self, difference: ArrayLike) -> Array:
+        """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements).
+
+        NaN for a state that was not trained for.
+        """
+        dV = np.asarray(difference, dtype=float)
+        maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
+        if self.compress:
+            maps = np.arcsinh(maps)
+        logits = self.network.logits(maps.reshape(len(dV), -1, *self.shape))
+        known = logits[:, self.states]
+        odds = np.exp(known - known.max(axis=1, keepdims=True))
+        probabilities = np.full(logits.shape, np.nan)
+        probabilities[:, self.states] = odds / odds.sum(axis=1, keepdims=True)
+        return probabilities
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Trained arrays of the stage, as `from_arrays` takes them."""
+        return {
+            "embedding": self.embedding,
+            "compress": np.array(self.compress),
+            "states": np.array(self.states, dtype=np.int64),
+            **self.history.arrays(),
+            **self.weights,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, shape: tuple[int, int]) -> "Classifier":
+        """The stage with the trained `arrays`, for maps of `shape`.
+
+        Raises DataError for arrays of another network.
+        """
+        embedding, compress = arrays["embedding"].astype(float), bool(arrays["compress"])
+        states = [State(int(state)) for state in arrays.get("states", np.arange(len(State)))]
+        history = LearningCurve.from_arrays(arrays)
+        return cls(layer_arrays(arrays), embedding, shape, compress, history, states)
+
+
+class PostProcessor:
+    """Convolutional network for the probability of each pixel to lie under an indenter.
+
+    Attributes:
+        weights: trained weights and batch statistics of the network, by name.
+        network: with these weights.
+        scale: divisor of the reconstructions before the network, their standard deviation over
+            the training frames.
+        history: losses in training.
+    """
+
+    def __init__(self, weights: Arrays, scale: float, history: LearningCurve | None = None) -> None:
+        """A post-processor with a trained network; raises DataError for weights of another one."""
+        self.weights = weights
+        first = weights.get("layers.0.weight")
+        layers = touch_map_layers(1 if first is None else len(first))
+        self.network = Network.from_arrays("touch map network", layers, weights)
+        self.scale = scale
+        self.history = history or LearningCurve()
+
+    @classmethod
+    def fit(
+        cls,
+        difference: ArrayLike,
+        touch_map: ArrayLike,
+        reconstruction: Reconstruction,
+        settings: NetworkSettings,
+        noise: ArrayLike = 0.0,
+        seed: int = 0,
+        progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
+        flips: Sequence[tuple[bool, bool]] = ((False, False),),
+    ) -> "PostProcessor":
+        """Training with binary cross-entropy per pixel and Adam; see also `Classifier.fit`.
+
+        Args:
+            difference: dV from the dynamic reference (n, measurements), dimensionless.
+            touch_map: true maps (n, rows, columns), 1 under an indenter and 0 elsewhere.
+            reconstruction: linear layer before the network; not trained.
+            settings: of the training.
+            noise: rms noise of dV, of all or of each channel.
+            seed: of initial weights, order and added noise.
+            progress: called after every epoch.
+            validation: dV and touch maps of other frames.
+            flips: mirror images of each frame; see `StageTraining`.
+        """
+        require("torch", "training")
+        import torch
+
+        from eitskin.training.paper.networks import StageTraining
+
+        scale = float(np.std(reconstruction.apply(difference))) or 1.0
+        training = StageTraining(
+            "touch map",
+            touch_map_layers(),
+            reconstruction.matrix[None] / scale,
+            reconstruction.shape,
+            torch.nn.functional.binary_cross_entropy_with_logits,
+            torch.nn.Identity(),
+            place=True,
+            flips=flips,
+        )
+        frames, *unseen = (
+            (dV, np.asarray(maps, dtype=np.float32)[:, None])
+            for dV, maps in ((difference, touch_map), *([validation] if validation else []))
+        )
+        weights, history = training.run(
+            frames, unseen[0] if unseen else None, settings, noise, seed, progress
+        )
+        return cls(weights, scale, history)
+
+    def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
+        """Touch maps, 0 to 1, from reconstructions, both (n, rows, columns)."""
+        pictures = np.asarray(maps, dtype=np.float32)[:, None] / np.float32(self.scale)
+        n, _, rows, columns = pictures.shape
+        place = np.broadcast_to(coordinates((rows, columns)), (n, 2, rows, columns))
+        logits = self.network.logits(np.concatenate([pictures, place], axis=1))[:, 0]
+        touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
+        return touch_map
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Trained arrays of the stage, as `from_arrays` takes them."""
+        return {"scale": np.array(self.scale), **self.history.arrays(), **self.weights}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "PostProcessor":
+        """The stage with the trained `arrays`; raises DataError for those of another network."""
+        if "scale" not in arrays:
+            raise DataError(
+                "expected the scale of a saved post-processor, which is missing; save the pipeline "
+                "again"
+            )
+        history = LearningCurve.from_arrays(arrays)
+        return cls(layer_arrays(arrays), float(arrays["scale"].astype(float)), history)
+
+
+def _scaled(
+    embedding: Array, difference: NDArray[np.floating], idle: NDArray[np.bool_] | None
+) -> Array:
+    """The embedding with each map divided by its standard deviation over the training frames.
+
+    With a mask of `idle` frames, the divisor is twice the standard deviation over the idle frames:
+    the noise, and some of its tail.
+    """
+    scaled = np.empty_like(embedding)
+    for i, layer in enumerate(embedding):
+        maps = difference @ layer.T
+        noise = 0.0 if idle is None or not idle.any() else 2.0 * float(np.std(maps[idle]))
+        scaled[i] = layer / (noise or float(np.std(maps)) or 1.0)
+    return scaled
