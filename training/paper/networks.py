@@ -70,8 +70,8 @@ def _weights(layer: Layer) -> nn.Module:
     if layer.kind == "transposed":
         size = layer.size
         return nn.ConvTranspose2d(*ends, size, stride=2, padding=1, output_padding=size % 2)
-    spread = {"padding": layer.dilation, "dilation": layer.dilation, "stride": layer.stride}
-    return nn.Conv2d(*ends, layer.size, bias=layer.bias, **spread)
+    s, d = layer.stride, layer.dilation
+    return nn.Conv2d(*ends, layer.size, stride=s, padding=d, dilation=d, bias=layer.bias)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
