@@ -151,9 +151,10 @@ class ReferenceMeans:
         if block.before is None:
             readings = np.where(block.status != 0, np.nan, block.values)
             state = block.labels.get("state", np.full(len(readings), State.TOUCH))
-            untouched = np.asarray(state == State.IDLE)
+            untouched: Mask = np.asarray(state == State.IDLE)
         else:
-            readings, untouched = block.before, np.isfinite(block.before).any(axis=1)
+            readings = block.before
+            untouched = np.asarray(np.isfinite(readings).any(axis=1))
         for name in dict.fromkeys(block.specimens.tolist()):
             own = block.specimens == name
             for grade, usable in ((2, untouched & ~block.bent), (1, untouched), (0, own)):
