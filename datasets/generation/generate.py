@@ -3,14 +3,13 @@
 import dataclasses
 import hashlib
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from eitskin.datasets.generation import cluster
-from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.preparation import prepare
+from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.folder import make_folder, new_folder
@@ -24,10 +23,10 @@ from eitskin.datasets.store.manifest import (
 )
 from eitskin.datasets.store.schema import MOST_SHARD_BYTES
 from eitskin.datasets.store.seal import unsealed
-from eitskin.datasets.store.shard import shard_name
+from eitskin.datasets.store.shard import shard_name, write_shard
 from eitskin.datasets.store.shard_reader import shard_of
-from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
-from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
 from eitskin.input_files import read_bytes
 
@@ -99,14 +98,13 @@ def generate(
     report()
     if missing:
         remove_file(folder / MANIFEST)
-        make = (
-            partial(cluster.make_shards, address=scheduler, report=report)
-            if scheduler
-            else partial(processes.make_shards, workers=workers, report=report)
-        )
-        _make(recipe, folder, missing, make)
-        if shard is None:
-            remove_leftovers(folder)  # of workers killed while writing
+        try:
+            with closing(make_shards(recipe, folder, missing, workers, scheduler)) as made:
+                for number in made:
+                    report(number)
+        finally:
+            if shard is None:
+                remove_leftovers(folder)  # of workers killed while writing
     if shard is None:
         kept |= {number: _entry(recipe, folder, number) for number in missing}
     else:
@@ -116,6 +114,22 @@ def generate(
     manifest = _manifest(recipe, kept)
     write_manifest(folder, manifest)
     return manifest
+
+
+def make_shards(
+    recipe: Recipe, folder: Path, shards: Sequence[int], workers: int, scheduler: str | None
+) -> Generator[int, None, None]:
+    """Simulate `shards` into `folder`; numbers of the finished ones as they come."""
+    task = partial(make_shard, recipe, folder.resolve())
+    remedy = f"continue with --resume in {folder}, which workers elsewhere must see by this path"
+    for number, _ in run_tasks(task, shards, workers, scheduler, remedy):
+        yield number
+
+
+def make_shard(recipe: Recipe, folder: Path, shard: int) -> None:
+    """Simulate and write one shard: the task of a worker."""
+    data = simulate_shard(recipe, shard)
+    write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
 
 
 def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
@@ -154,7 +168,7 @@ def _check_options(workers: int, scheduler: str | None, shard: int | None) -> No
             "leave one out"
         )
     if scheduler:
-        cluster.check_scheduler(scheduler)
+        check_scheduler(scheduler)
 
 
 def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
@@ -211,10 +225,11 @@ def _finished(
     wanted = [_expected(recipe, shard, checksums) for shard in shards]
     workers = worthwhile(workers, (folder / entry.name for entry in wanted))
     found: Entries = {}
-    with closing(each_in_turn(partial(_examine, folder, text), wanted, workers)) as entries:
-        for count, (shard, entry) in enumerate(zip(shards, entries, strict=True), 1):
+    numbers = dict(zip(wanted, shards, strict=True))
+    with closing(run_tasks(partial(_examine, folder, text), wanted, workers)) as entries:
+        for count, (expected, entry) in enumerate(entries, 1):
             if entry is not None:
-                found[shard] = entry
+                found[numbers[expected]] = entry
             if examined:
                 examined(count, len(wanted))
     return found
@@ -261,23 +276,6 @@ def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None
 def _entry(recipe: Recipe, folder: Path, shard: int) -> ShardEntry:
     frames = recipe.shard_range(shard)
     return shard_entry(folder, shard_name(shard), frames.start, len(frames))
-
-
-def _make(
-    recipe: Recipe,
-    folder: Path,
-    missing: Sequence[int],
-    make: Callable[[Recipe, Path, Sequence[int]], list[int]],
-) -> None:
-    lost = make(recipe, folder, missing)
-    if lost:  # shards of workers that died, perhaps by a fault of the machine, get a second try
-        lost = make(recipe, folder, lost)
-    if lost:
-        raise PartialError(
-            f"workers died twice, {len(lost)} of {recipe.shards} shards are missing in "
-            f"{folder}. Look for lack of memory, or, in a script, for a missing "
-            "if __name__ == '__main__'; then continue with --resume"
-        )
 
 
 def _manifest(recipe: Recipe, entries: Entries) -> Manifest:

@@ -38,16 +38,12 @@ Impedance = NDArray[np.complex128]
 Solved = Mapping[tuple[int, Scene], Impedance]
 
 
-def simulate_shard(
-    recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
-) -> Dataset:
-    """Frames of `shard`; `before_solve` is called before each solution and may raise."""
-    return simulate_frames(recipe, recipe.shard_range(shard), before_solve)
+def simulate_shard(recipe: Recipe, shard: int) -> Dataset:
+    """Frames of `shard`."""
+    return simulate_frames(recipe, recipe.shard_range(shard))
 
 
-def simulate_frames(
-    recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
-) -> Dataset:
+def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     """Frames of a recipe with the numbers `indices`, at least one.
 
     A frame does not depend on the others. Only the specimens of these frames are solved, and are in
@@ -56,7 +52,7 @@ def simulate_frames(
     samples = [sample(recipe, index) for index in indices]
     protocol = recipe.measured_protocol
     offsets = recipe.instrument.offsets(protocol)
-    solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
+    solved = _solve(recipe, samples, bool(offsets.any()))
     numbers = sorted({each.specimen for each in samples})
     boards = {n: _board(recipe, protocol, n, solved[n, Scene()]) for n in numbers}
 
@@ -158,9 +154,7 @@ def _board(recipe: Recipe, protocol: Protocol, number: int, flat: Impedance) -> 
     return _Board(session(own), reference)
 
 
-def _solve(
-    recipe: Recipe, samples: Sequence[Sample], skewed: bool, before_solve: Callable[[], None]
-) -> Solved:
+def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
     """Noise-free impedances of every different scene of every specimen, solved once.
 
     They are those of the instrument's terminals, (2, measurements) [ohm].
@@ -174,14 +168,13 @@ def _solve(
     solved: dict[tuple[int, Scene], Impedance] = {}
     for number, distinct in wanted.items():
         made, board = specimen(recipe, number), instrument(recipe, number)
-        before_solve()
         solved[number, Scene()] = flat_impedance(made, recipe, board)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
             simulator = _simulator(
                 made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
-            found = simulator.measure_all(alike, before_each=before_solve, instrument=board)
+            found = simulator.measure_all(alike, instrument=board)
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
 

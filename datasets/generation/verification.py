@@ -17,7 +17,7 @@ from eitskin.datasets.store.manifest import (
 )
 from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.shard_reader import read_shard
-from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
+from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import DataError
 from eitskin.input_files import read_bytes
 
@@ -75,10 +75,10 @@ def verify(
     if watch:
         watch(0, len(shards))
     workers = worthwhile(workers, (folder / shard.name for shard in shards))
-    for number, found in enumerate(each_in_turn(_check, shards, workers), 1):
+    for number, (shard, found) in enumerate(run_tasks(_check, shards, workers), 1):
         problem = found if isinstance(found, str) else common.problem(found.shared)
         if problem:
-            damage.append(DamagedFile(shards[number - 1].name, problem))
+            damage.append(DamagedFile(shard.name, problem))
         elif isinstance(found, _Sound):
             sound, frames = sound + 1, frames + found.frames
         if watch:

@@ -18,7 +18,7 @@ from eitskin.datasets.store.manifest import (
 )
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.datasets.store.shard import shard_bytes, shard_name
-from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
+from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.files import atomic_folder
 
@@ -64,9 +64,9 @@ def compact(
     workers = worthwhile(workers, (folder / entry.name for entry in manifest.shards))
     with (
         atomic_folder(out, PartialError, _REMEDY) as temporary,
-        closing(each_in_turn(partial(_write, folder, temporary), pieces, workers)) as written,
+        closing(run_tasks(partial(_write, folder, temporary), pieces, workers)) as written,
     ):
-        for entry in written:
+        for _, entry in written:
             entries.append(entry)
             if progress:
                 progress(len(entries), len(pieces))
@@ -75,7 +75,7 @@ def compact(
             recipe_sha256=manifest.recipe_sha256,
             seed=manifest.seed,
             frames=manifest.frames,
-            shards=tuple(entries),
+            shards=tuple(sorted(entries, key=lambda entry: entry.first_index)),
             names=manifest.names,
         )
         (temporary / MANIFEST).write_bytes(manifest_bytes(made))

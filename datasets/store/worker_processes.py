@@ -1,73 +1,129 @@
-"""Worker processes for tasks that read shards."""
+"""Tasks in worker processes of this machine, or on the workers of a dask cluster."""
 
 import ctypes
 import multiprocessing
 import os
 import signal
+import socket
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
-from eitskin.errors import PartialError
+from eitskin.datasets.store.shard import package_versions
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.extras import require
+from eitskin.threads import one_thread, one_thread_per_process
 
+CONNECT_SECONDS = 10
+WORKERS_SECONDS = 60
 _SMALL = 30_000_000  # bytes that one process checks in the second in which others start
 _POLL = 0.1  # [s]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def each_in_turn(
-    task: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Generator[Result, None, None]:
-    """Results of `task` for each of `items`, in their order.
+def run_tasks(
+    task: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    scheduler: str | None = None,
+    remedy: str = "do it again with fewer workers",
+) -> Generator[tuple[Item, Result], None, None]:
+    """Items with their results of `task`, in their order but for those of workers that died.
+
+    Workers end at once, in the middle of a task, on Ctrl-C, and where the iterator is closed: a
+    file that is half written keeps its temporary name. Each has one thread of linear algebra.
 
     Args:
-        task: a function of a module, which worker processes can import.
+        task: a function of a module, which workers can import.
         items: what `task` is called with.
-        workers: number of processes; 1 is this process.
+        workers: number of processes of this machine; 0 runs the tasks in this process.
+        scheduler: address of a dask.distributed scheduler, for its workers instead.
+        remedy: end of the message where workers died.
 
-    Workers end at once, in the middle of a task, on Ctrl-C, and where the iterator is closed.
-    Raises PartialError where a worker dies; an error of a task ends the others.
+    Raises:
+        ConfigurationError: where the scheduler has no workers, or they have other packages.
+        PartialError: where workers died twice with the same tasks, or the scheduler goes away.
+        ImportError: without dask.distributed, where a scheduler is given.
     """
-    if workers == 1 or len(items) < 2:
-        yield from map(task, items)
+    if not workers and scheduler is None:
+        yield from ((item, task(item)) for item in items)
         return
-    context = multiprocessing.get_context("spawn")
-    stop = context.RawValue(ctypes.c_bool, False)
-    with (
-        one_interrupt(stop),
-        ProcessPoolExecutor(
-            min(workers, len(items)), context, initializer=_start_worker, initargs=(stop,)
-        ) as pool,
-    ):
-        try:
-            with interrupts_held_back():  # workers start here and inherit the blocked signal
-                results = pool.map(task, items)
-            yield from results
-        except BaseException as error:
-            stop.value = True
-            pool.shutdown(cancel_futures=True)  # further interrupts are swallowed meanwhile
-            if not isinstance(error, BrokenProcessPool):
-                raise
-            raise PartialError(
-                "a worker process died. Look for lack of memory, or, in a script, for a missing "
-                "if __name__ == '__main__'; then do it again with fewer workers"
-            ) from error
+    left = list(items)
+    for _ in range(2):  # tasks of workers that died, perhaps by the machine's fault, get a second
+        lost = []
+        started = _on_cluster(scheduler) if scheduler else _in_pool(min(workers, len(left)))
+        with started as (submit, died):
+            futures = [submit(task, item) for item in left]
+            for item, future in zip(left, futures, strict=True):
+                try:
+                    result = future.result()
+                except died:
+                    lost.append(item)
+                    continue
+                except CancelledError as error:
+                    raise PartialError(
+                        f"the dask scheduler at {scheduler} went away, and tasks are left; start "
+                        f"it again, then {remedy}"
+                    ) from error
+                yield item, result
+        if not (left := lost):
+            return
+    raise PartialError(
+        f"workers died twice, {len(left)} of {len(items)} tasks are left. Look for lack of memory, "
+        f"or, in a script, for a missing if __name__ == '__main__'; then {remedy}"
+    )
 
 
 def worthwhile(workers: int, files: Iterable[Path]) -> int:
-    """Number of processes for reading `files`: 1 where starting them would take longer."""
+    """Number of processes for reading `files`: 0 where starting them would take longer."""
     size = sum(path.stat().st_size for path in files if path.is_file())
-    return workers if size > _SMALL else 1
+    return workers if size > _SMALL and workers > 1 else 0
+
+
+# Processes of this machine
 
 
 @contextmanager
-def one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
+def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]]]:
+    """Submission to new processes, and the error of a task whose process died."""
+    context = multiprocessing.get_context("spawn")
+    # Shared memory without a lock, which a killed process could hold for ever.
+    stop = context.RawValue(ctypes.c_bool, False)
+    with (
+        _one_interrupt(stop),
+        one_thread_per_process(),
+        ProcessPoolExecutor(workers, context, _start_worker, (stop,)) as pool,
+    ):
+
+        def submit(task: Callable[[Any], Any], item: Any) -> "Future[Any]":
+            try:
+                with _interrupts_held_back():  # workers start here and inherit the blocked signal
+                    return pool.submit(task, item)
+            except BrokenProcessPool as error:
+                broken: Future[Any] = Future()
+                broken.set_exception(error)
+                return broken
+
+        try:
+            yield submit, BrokenProcessPool
+        except BaseException:
+            stop.value = True
+            # Waits here, where further interrupts are swallowed: after a shutdown without waiting,
+            # an interrupt could separate the pool from its workers.
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+@contextmanager
+def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
     """Let Ctrl-C set `stop` and be raised once; a second one would disturb the shutdown."""
 
     def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
@@ -88,7 +144,7 @@ def one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
 
 
 @contextmanager
-def interrupts_held_back() -> Iterator[None]:
+def _interrupts_held_back() -> Iterator[None]:
     """Block Ctrl-C; processes started meanwhile never receive it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -97,18 +153,10 @@ def interrupts_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def end_with_parent(stop: ctypes.c_bool, grace: float) -> None:
-    """End this worker process `grace` seconds after `stop` is set, or when its parent has ended.
-
-    The process ends in the middle of its work: a file that is half written keeps its temporary
-    name.
-    """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    threading.Thread(target=_end_when_stopped, args=(stop, grace), daemon=True).start()
-
-
 def _start_worker(stop: ctypes.c_bool) -> None:
-    end_with_parent(stop, grace=0.0)
+    """End this worker process once `stop` is set, or when its parent has ended."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_when_stopped, args=(stop,), daemon=True).start()
 
 
 def _end_with_parent() -> None:
@@ -118,8 +166,61 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _end_when_stopped(stop: ctypes.c_bool, grace: float) -> None:
+def _end_when_stopped(stop: ctypes.c_bool) -> None:
     while not stop.value:
         time.sleep(_POLL)
-    time.sleep(grace)
     os._exit(1)
+
+
+# Workers of a cluster
+
+
+def check_scheduler(address: str) -> None:
+    """Raise ConfigurationError unless a server answers at `address`, ImportError without dask."""
+    require("distributed", "cluster")
+    try:
+        url = urlsplit(address)
+        if url.scheme not in ("tcp", "tls") or not url.hostname or not url.port:
+            raise ValueError("expected tcp://HOST:PORT")
+        socket.create_connection((url.hostname, url.port), CONNECT_SECONDS).close()
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(
+            f"no dask scheduler answers at '{address}': {error}; start one with 'dask scheduler' "
+            "and give the address that it prints, such as tcp://127.0.0.1:8786"
+        ) from error
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[tuple[Callable[..., Any], type[Exception]]]:
+    """Submission to the workers at `address`, and the error of a task whose workers all died."""
+    distributed = require("distributed", "cluster")
+    with distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False) as client:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_SECONDS)
+        except TimeoutError as error:
+            raise ConfigurationError(
+                f"the dask scheduler at {address} has no workers; start some with "
+                f"'dask worker {address} --nthreads 1'"
+            ) from error
+        # Not pure: results are files, of which the scheduler knows nothing.
+        submit = partial(client.submit, _run_on_worker, package_versions(), pure=False)
+        yield submit, distributed.KilledWorker
+
+
+# Simulators, and the limit on BLAS threads, are shared by all threads of a worker process.
+_one_at_a_time = threading.Lock()
+
+
+def _run_on_worker(
+    versions: Mapping[str, str], task: Callable[[Item], Result], item: Item
+) -> Result:
+    """Run a task on a worker of a cluster."""
+    found = package_versions()
+    if found != versions:
+        raise ConfigurationError(
+            f"a dask worker has other packages, so its numbers would differ: expected {versions}, "
+            f"got {found}; install the same on all machines"
+        )
+    # More BLAS threads would compete for the cores, and sums would depend on their number.
+    with _one_at_a_time, one_thread():
+        return task(item)

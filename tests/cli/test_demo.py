@@ -22,7 +22,7 @@ from eitskin.cli.demo.stages import STAGES, run_stages
 from eitskin.cli.demo.workspace import RESULTS, SETS, Plan, Workspace
 from eitskin.cli.options import Output
 from eitskin.datasets import Recipe
-from eitskin.datasets.generation import process_pool
+from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.training import Report
@@ -102,7 +102,7 @@ def quickly():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(results, "_svg", lambda _: f"<svg>{next(drawn)}</svg>".encode())
         patch.setattr(sensor, "rendered", lambda _: f"WEBP{next(drawn)}".encode())
-        patch.setattr(process_pool, "make_shards", make_shards)
+        patch.setattr(generation, "make_shards", make_shards)
         patch.setattr(workspace, "train_pipeline", trained_once())
         yield
 

