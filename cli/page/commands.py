@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from eitskin.cli.episode import STEPS
-from eitskin.cli.page.region import Region
+from eitskin.cli.page.plan import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
@@ -150,11 +150,6 @@ class StageCommands(PageCommands):
         if _stage(self.board) is None:
             raise ConflictError("this board is not a virtual one and takes no commands")
         act(self.board, self.sheet, read_command(command, path, body))
-
-
-def entered(body: bytes) -> str:
-    """Token that was posted; raises ConfigurationError for anything else."""
-    return read_command(EnterCommand, "/enter", body).token
 
 
 def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.page.access import Access
 from eitskin.cli.page.commands import CommandsOfBoth, SessionCommands, StageCommands
-from eitskin.cli.page.region import Region
-from eitskin.cli.page.server import ClientLimits, Server
+from eitskin.cli.page.plan import Region
 from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.closeable import Closeable
+from eitskin.extras import require_all
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.acquisition_clock import AcquisitionClock
-from eitskin.latest import Latest
 
 if TYPE_CHECKING:
+    from eitskin.cli.page.server import ClientLimits
     from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import Reading
@@ -48,7 +48,7 @@ class LivePage(Closeable):
         port: int = 0,
         access: Access | None = None,
         session: SessionCommands | None = None,
-        limits: ClientLimits | None = None,
+        limits: "ClientLimits | None" = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start to serve.
@@ -65,6 +65,9 @@ class LivePage(Closeable):
 
         Raises ConfigurationError where the port cannot be had.
         """
+        require_all(live="starlette uvicorn")
+        from eitskin.cli.page.server import ClientLimits, Server
+
         board = connection.board
         self._connection, self._clock = connection, clock
         self._content = PageContent.of(board, sheet)
@@ -73,7 +76,6 @@ class LivePage(Closeable):
         self._reference: Frame | None = None
         self._arrived = self._told = self._closed = False
         self._changed = threading.Condition()
-        self._events = Latest[bytes]()
         hello = b"retry: 1000\n" + event(
             "sensor",
             self._content.sensor() | {"tasks": None if session is None else list(session.paths)},
@@ -83,7 +85,6 @@ class LivePage(Closeable):
         self.server = Server(
             port,
             access or Access(),
-            self._events,
             hello,
             stage if session is None else CommandsOfBoth(stage, session),
             limits or ClientLimits(),
@@ -92,7 +93,6 @@ class LivePage(Closeable):
         self.invitations = self.server.access.invitations(self.server.port)
         self._thread = threading.Thread(target=self._send_events, name="page", daemon=True)
         self._thread.start()
-        self.server.start()
 
     def publish(self, reading: "Reading") -> None:
         """Make this reading the next one that the page shows; returns at once."""
@@ -119,9 +119,8 @@ class LivePage(Closeable):
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._events.close()
-        self.server.close()
         self._thread.join()
+        self.server.close()
 
     def _send_events(self) -> None:
         """Encode each newest reading once, and the connection's health while none comes."""
@@ -132,7 +131,7 @@ class LivePage(Closeable):
             if not self.server.watching:
                 continue
             try:
-                self._events.put(self._message(snapshot))
+                self.server.send(self._message(snapshot))
             except Exception:  # the page must outlive whatever a pipeline comes up with
                 log.exception("the page cannot show frame")
 

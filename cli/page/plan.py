@@ -1,12 +1,11 @@
-"""A sensor seen from above, for the touch map of the live page."""
+"""A sensor seen from above, for the touch map of the live page: its rectangle, rim, electrodes."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from eitskin.cli.page.body import arc_of
 from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
@@ -17,8 +16,56 @@ Array = NDArray[np.float64]
 
 _RIM = 96  # points of an outline without corners
 _PIECES = 12  # least number of pieces of an electrode's line
+_MOST_PIECES = 40  # most steps along an electrode
 _LINES = 10.0  # of the grid, about, along the longer side
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0])
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Rectangle around a sensor, or around the positions on one of unknown geometry.
+
+    Attributes:
+        low, high: smallest and largest x and y [m].
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    @classmethod
+    def around(cls, design: SensorDesign) -> "Region":
+        """Bounding rectangle of a design's outline."""
+        outline = design.outline
+        if isinstance(outline, Surface):
+            low, high = outline.bounds[:, :2].tolist()
+            return cls(tuple(low), tuple(high))
+        return cls((0.0, 0.0), (outline.length, outline.width))
+
+    @classmethod
+    def of_positions(cls, extent: ArrayLike, margin: float) -> "Region":
+        """Rectangle around positions, smallest and largest x and y (2, 2) [m], and a margin [m]."""
+        low, high = np.asarray(extent, dtype=float)
+        return cls(tuple((low - margin).tolist()), tuple((high + margin).tolist()))
+
+    @property
+    def length(self) -> float:
+        """Length along x [m]."""
+        return self.high[0] - self.low[0]
+
+    @property
+    def width(self) -> float:
+        """Width along y [m]."""
+        return self.high[1] - self.low[1]
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Corners, counter-clockwise from the lowest (4, 2) [m]."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a position [m] lies inside or on the edge."""
+        return self.low[0] <= x <= self.high[0] and self.low[1] <= y <= self.high[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,3 +121,17 @@ def _electrode(contact: ContactArea) -> PlanElectrode:
     up = contact.normal[2]
     outward = contact.normal[:2] * (abs(up) < 0.5)
     return PlanElectrode(contact.corners[:, :2], closed=True, outward=outward)
+
+
+def arc_of(strip: Strip, spacing: float) -> Array:
+    """Arc lengths along a strip (k,) [m], with those of the outline's corners within it."""
+    turns = np.array([[-1.0], [0.0], [1.0]]) * strip.outline.perimeter
+    corners = (turns + strip.outline.corners).ravel()
+    within = corners[(corners > strip.start) & (corners < strip.end)]
+    even = np.linspace(strip.start, strip.end, 1 + pieces_of(strip.end - strip.start, spacing))
+    return np.unique(np.concatenate([even, within]))
+
+
+def pieces_of(length: float, spacing: float) -> int:
+    """Number of pieces of a length [m], each about as long as the spacing [m]."""
+    return int(np.clip(np.ceil(length / spacing), 1, _MOST_PIECES))

@@ -1,45 +1,44 @@
 """HTTP server of the live page: files, events and commands, for those who may have them."""
 
-import io
-import json
+import asyncio
 import logging
 import socket
 import threading
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
-from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
-from http.server import BaseHTTPRequestHandler
+from functools import partial
 from importlib import resources
-from typing import Any, cast
+from pathlib import PurePath
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
+from uvicorn import Config
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
 
 from eitskin.cli.page.access import Access, Role, resolved
-from eitskin.cli.page.arrivals import LARGEST_BODY, MOST_ARRIVING, Arrivals
-from eitskin.cli.page.commands import ConflictError, PageCommands, entered
+from eitskin.cli.page.commands import ConflictError, EnterCommand, PageCommands, read_command
 from eitskin.errors import ConfigurationError
-from eitskin.latest import Latest
 
-log = logging.getLogger(__name__)
-
-MOST_CLIENTS = 8
-MOST_REPLIES = 4  # requests that are answered at once, beside the streams
-_TOO_LONG = b"HTTP/1.0 431 Request Header Fields Too Large\r\nContent-Length: 0\r\n\r\n"
+MAX_CLIENTS = 8
+MAX_REPLIES = 4  # commands that are executed at once
+MAX_ARRIVING = 64  # connections whose requests are not whole yet
+MAX_HEAD = 16384  # bytes
+MAX_BODY = 4096  # bytes
+_BACKLOG = 128
 _LOCKED = "this page needs its whole address, as the terminal shows it, with what follows #"
-ASSETS = {
-    "index.html": "text/html; charset=utf-8",
-    "style.css": "text/css; charset=utf-8",
-    "icon.svg": "image/svg+xml",
-    "main.js": "text/javascript; charset=utf-8",
-    "channels.js": "text/javascript; charset=utf-8",
-    "colours.js": "text/javascript; charset=utf-8",
-    "controls.js": "text/javascript; charset=utf-8",
-    "door.js": "text/javascript; charset=utf-8",
-    "map.js": "text/javascript; charset=utf-8",
-    "sensor.js": "text/javascript; charset=utf-8",
-    "tasks.js": "text/javascript; charset=utf-8",
-    "trace.js": "text/javascript; charset=utf-8",
+KINDS = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
 }
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -48,6 +47,7 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
+    "Connection": "close",
 }
 
 
@@ -67,318 +67,288 @@ class ClientLimits:
 
 
 class Server:
-    """Server of one page, with a bounded number of threads and connections.
-
-    One thread reads requests. At most `MOST_CLIENTS` streams and `MOST_REPLIES` other answers are
-    sent at once, each by a thread; other whole requests wait, up to a number.
+    """Server of one page, in a thread of its own, with a bounded number of connections.
 
     Attributes:
-        files: content type and bytes of each file, by path.
-        events: messages that `/events` streams.
+        files: name and content of each file.
         hello: the first event of each stream.
         commands: executes what is posted.
         access: who may see and command.
         port: listened at.
         watching: number of open streams.
+        arriving: connections whose requests are not whole yet, oldest first, and their addresses.
     """
 
     def __init__(
-        self,
-        port: int,
-        access: Access,
-        events: Latest[bytes],
-        hello: bytes,
-        commands: PageCommands,
-        limits: ClientLimits,
+        self, port: int, access: Access, hello: bytes, commands: PageCommands, limits: ClientLimits
     ) -> None:
-        """Take the port, 0 for any; raises ConfigurationError where it cannot be had."""
+        """Take the port, 0 for any, and serve; raises ConfigurationError where it cannot be had."""
         folder = resources.files("eitskin.cli.page") / "web"
-        self.files = {
-            f"/{name}": (kind, (folder / name).read_bytes()) for name, kind in ASSETS.items()
-        }
-        self.files["/"] = self.files["/index.html"]
-        self.access, self.events, self.hello = access, events, hello
-        self.commands, self.limits = commands, limits
+        self.files = {entry.name: entry.read_bytes() for entry in folder.iterdir()}
+        self.access, self.hello, self.commands, self.limits = access, hello, commands, limits
         self.watching = 0
-        self._open: set[socket.socket] = set()
-        self._lock = threading.Lock()
+        self.arriving: dict[_Connection, str] = {}
         listener = _listener(access.host, port)
         self.port: int = listener.getsockname()[1]
         self.cookie = f"eitskin-{self.port}"  # cookies of one name are shared by all ports
-        self._workers = ThreadPoolExecutor(MOST_CLIENTS + MOST_REPLIES, "page request")
-        self._arrivals = Arrivals(listener, self._take, limits.receive)
+        self._newest, self._number = b"", 0
+        self._changed, self._closed = asyncio.Event(), asyncio.Event()
+        self._workers = ThreadPoolExecutor(MAX_REPLIES, "page command")
+        self._routes = Starlette(
+            routes=[
+                Route("/access", self._show_role),
+                Route("/events", self._stream),
+                Route("/enter", self._enter, methods=["POST"]),
+                *(Route(path, self._execute, methods=["POST"]) for path in commands.paths),
+                Route("/{name}", self._show_file),
+                Route("/", self._show_file),
+            ],
+            exception_handlers=dict.fromkeys(
+                (HTTPException, ConfigurationError, ClientDisconnect), _refuse
+            ),
+        )
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(
+            target=self._run, args=(listener,), name="page server", daemon=True
+        )
+        self._thread.start()
 
-    @property
-    def arriving(self) -> int:
-        """Number of connections whose requests are not whole yet."""
-        return self._arrivals.count
-
-    def start(self) -> None:
-        """Start to serve, in a thread."""
-        self._arrivals.start()
+    def send(self, message: bytes) -> None:
+        """Make this event the next one of all streams, and return at once."""
+        self._loop.call_soon_threadsafe(self._replace, message)
 
     def close(self) -> None:
         """End every request and free the port."""
-        self._arrivals.close()
-        with self._lock:
-            for connection in self._open:
-                with suppress(OSError):  # the browser may be faster
-                    connection.shutdown(socket.SHUT_RDWR)
+        self._loop.call_soon_threadsafe(self._closed.set)
+        self._thread.join()
         self._workers.shutdown()
 
-    def admit(self) -> bool:
-        """Count a new stream; False where there are too many."""
-        with self._lock:
-            if self.watching >= MOST_CLIENTS:
-                return False
-            self.watching += 1
-            return True
+    def make_room(self) -> None:
+        """Close the oldest arriving connection of the address that has most of them."""
+        most = Counter(self.arriving.values()).most_common(1)[0][0]
+        oldest = next(each for each, address in self.arriving.items() if address == most)
+        del self.arriving[oldest]
+        oldest.transport.abort()
 
-    def dismiss(self) -> None:
-        """Count the end of a stream."""
-        with self._lock:
-            self.watching -= 1
-
-    def _take(self, connection: socket.socket, request: bytes) -> None:
-        """Answer a request when a thread is free; refuse it where too many wait."""
-        with self._lock:
-            room = len(self._open) < MOST_ARRIVING
-            if room:
-                self._open.add(connection)
-        if room:
-            self._workers.submit(self._answer, connection, request)
-        else:
-            connection.close()
-
-    def _answer(self, connection: socket.socket, request: bytes) -> None:
+    def _run(self, listener: socket.socket) -> None:
         try:
-            if not request:
-                connection.settimeout(self.limits.send)
-                connection.sendall(_TOO_LONG)
-                return
-            received = _Received(connection, request)
-            _Handler(cast(Any, received), connection.getpeername(), cast(Any, self))
-        except OSError:
-            pass  # the browser has gone
-        except Exception:
-            log.exception("the page's server failed")
+            self._loop.run_until_complete(self._serve(listener))
         finally:
-            with self._lock:
-                self._open.discard(connection)
-            with suppress(OSError):  # what is left of an answer is still sent
-                connection.shutdown(socket.SHUT_WR)
-            connection.close()
+            self._loop.close()
 
+    async def _serve(self, listener: socket.socket) -> None:
+        """Serve until the page is closed; then streams end, and commands are waited for."""
+        config = Config(
+            self,
+            http=_Connection,
+            ws="none",
+            interface="asgi3",
+            log_config=None,
+            log_level=logging.ERROR,
+            access_log=False,  # the terminal shows the sensor
+            headers=list(HEADERS.items()),
+            limit_concurrency=2 * MAX_ARRIVING,
+            h11_max_incomplete_event_size=MAX_HEAD,
+        )
+        config.load()
+        state = ServerState()
+        state.default_headers = config.encoded_headers
+        opened = partial(_Connection, config, state, {"page": self}, self._loop)
+        server = await self._loop.create_server(opened, sock=listener, backlog=_BACKLOG)
+        await self._closed.wait()
+        server.close()
+        self._changed.set()
+        for arriving in list(self.arriving):
+            arriving.transport.abort()
+        if state.tasks:
+            await asyncio.wait(state.tasks, timeout=self.limits.send)
+        for connection in list(state.connections):
+            connection.transport.abort()
+        await server.wait_closed()
 
-def _listener(host: str, port: int) -> socket.socket:
-    """Socket bound to an address of this machine; raises ConfigurationError where it cannot be."""
-    family, address = resolved(host)
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((address, port))
-    except (OSError, OverflowError) as error:
-        listener.close()
-        raise ConfigurationError(
-            f"cannot serve the page at {host}, port {port}: {error}; choose another port, or 0 for "
-            "any that is free, and an address of this machine"
-        ) from error
-    return listener
+    def _replace(self, message: bytes) -> None:
+        self._newest, self._number = message, self._number + 1
+        self._changed.set()
+        self._changed = asyncio.Event()
 
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, unless another page sends it."""
+        wrong = self._foreign(Request(scope))
+        answer = JSONResponse({"error": wrong}, 403) if wrong else self._routes
+        await answer(scope, receive, send)
 
-@dataclass(frozen=True, slots=True)
-class _Received:
-    """Connection with its whole request."""
-
-    connection: socket.socket
-    request: bytes
-
-
-class _Sent(io.RawIOBase):
-    """Writer that sends everything at once."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
-
-    def write(self, data: Any) -> int:
-        self._connection.sendall(data)
-        return len(data)
-
-
-class _Handler(BaseHTTPRequestHandler):
-    """Handler of one request; HTTP/1.0, so that each connection has one request."""
-
-    server_version, sys_version = "eitskin", ""
-
-    @property
-    def page(self) -> Server:
-        return cast(Server, self.server)
-
-    def setup(self) -> None:
-        received = cast(_Received, self.request)
-        self.connection, limits = received.connection, self.page.limits
-        self.connection.settimeout(limits.send)
-        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, limits.buffer)
-        self.rfile = io.BytesIO(received.request)
-        self.wfile = _Sent(self.connection)  # type: ignore[assignment]
-
-    def finish(self) -> None:
-        pass  # the server closes the connection
-
-    def do_GET(self) -> None:
-        path = self.path.partition("?")[0]
-        if self._refused(path):
-            return
-        if path == "/access":
-            self._reply_json(HTTPStatus.OK, {"role": self._role.name.lower()})
-        elif path == "/events":
-            if self._allowed(Role.VIEWER):
-                self._stream()
-        elif path in self.page.files:
-            self._reply(HTTPStatus.OK, *self.page.files[path])
-        else:
-            self._reply_error(HTTPStatus.NOT_FOUND, f"there is no {path} here")
-
-    def do_POST(self) -> None:
-        path = self.path.partition("?")[0]
-        length = self.headers.get("Content-Length", "")
-        body = self.rfile.read()
-        if self._refused(path) or not (path == "/enter" or self._allowed(Role.COMMANDER)):
-            return
-        kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
-        known = ("/enter", *self.page.commands.paths)
-        if path not in known:
-            self._reply_error(
-                HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(known)}, got {path}"
-            )
-        elif kind != "application/json":
-            self._reply_error(
-                HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
-                f"expected Content-Type application/json, got {kind or 'none'}",
-            )
-        elif not (length.isascii() and length.isdigit() and len(length) < 10):
-            self._reply_error(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
-        elif len(body) > LARGEST_BODY:
-            self._reply_error(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                f"a command has at most {LARGEST_BODY} bytes, got {length}",
-            )
-        elif path == "/enter":
-            self._enter(body)
-        else:
-            self._execute(path, body)
-
-    def _execute(self, path: str, body: bytes) -> None:
-        try:
-            self.page.commands.execute(path, body)
-        except ConflictError as error:
-            self._reply_error(HTTPStatus.CONFLICT, str(error))
-        except ConfigurationError as error:
-            self._reply_error(HTTPStatus.BAD_REQUEST, str(error))
-        else:
-            self._reply_json(HTTPStatus.OK, {"done": True})
-
-    def _enter(self, body: bytes) -> None:
-        """Keep a token that was shown in a cookie, which scripts of no page can read."""
-        try:
-            token = entered(body)
-        except ConfigurationError as error:
-            self._reply_error(HTTPStatus.BAD_REQUEST, str(error))
-            return
-        role = self.page.access.role(token)
-        if role is Role.STRANGER:
-            self._reply_error(HTTPStatus.UNAUTHORIZED, _LOCKED)
-            return
-        cookie = f"{self.page.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"
-        answer = {"role": role.name.lower()}
-        # Whoever needs no token has shown what may not be one, and gets no cookie of it.
-        kept = {} if self.page.access.tokens is None else {"Set-Cookie": cookie}
-        self._reply_json(HTTPStatus.OK, answer, kept)
-
-    @property
-    def _role(self) -> Role:
-        """Role of who asks, by the token in a header or in the page's cookie."""
-        scheme, _, token = self.headers.get("Authorization", "").partition(" ")
-        if scheme.lower() == "bearer":
-            return self.page.access.role(token.strip())
-        try:
-            kept = SimpleCookie(self.headers.get("Cookie", "")).get(self.page.cookie)
-        except CookieError:
-            kept = None
-        return self.page.access.role(kept.value if kept else "")
-
-    def _allowed(self, least: Role) -> bool:
-        """Refuse who may not; whether the request goes on."""
-        role = self._role
-        if role is Role.STRANGER:
-            self._reply_error(HTTPStatus.UNAUTHORIZED, _LOCKED)
-        elif role < least:
-            self._reply_error(
-                HTTPStatus.FORBIDDEN, "this address only views; commands need the other"
-            )
-        return role >= least
-
-    def _refused(self, path: str) -> bool:
-        """Refuse a request that is not from this page itself; whether it was refused.
+    def _foreign(self, request: Request) -> str:
+        """Reason why a request is not from this page itself; empty for its own.
 
         A name that is none of this machine means that a foreign one was made to point here (DNS
         rebinding); an Origin other than the page's, that a foreign page asks.
         """
-        host, origin = self.headers.get("Host", "").lower(), self.headers.get("Origin")
-        site = self.headers.get("Sec-Fetch-Site", "none")
-        names = self.page.access.names(self.connection.getsockname()[0])
-        url = self.page.access.url(self.page.port)
-        if host not in {f"{name}:{self.page.port}" for name in names}:
-            wrong = f"this page is called {url}, not {host!r}"
-        elif origin != f"http://{host}" and not (origin is None and self.command == "GET"):
-            wrong = f"only the page at {url} may ask, not {origin or 'one without Origin'}"
-        elif site not in ("none", "same-origin") and path != "/":
-            wrong = f"only the page at {url} may ask, not a {site} one"
-        else:
-            return False
-        self._reply_error(HTTPStatus.FORBIDDEN, wrong)
-        return True
+        headers = request.headers
+        host, origin = headers.get("Host", "").lower(), headers.get("Origin")
+        site = headers.get("Sec-Fetch-Site", "none")
+        names = self.access.names(request.scope["server"][0])
+        url = self.access.url(self.port)
+        if host not in {f"{name}:{self.port}" for name in names}:
+            return f"this page is called {url}, not {host!r}"
+        if origin != f"http://{host}" and not (origin is None and request.method == "GET"):
+            return f"only the page at {url} may ask, not {origin or 'one without Origin'}"
+        if site not in ("none", "same-origin") and request.scope["path"] != "/":
+            return f"only the page at {url} may ask, not a {site} one"
+        return ""
 
-    def _stream(self) -> None:
-        """Send each newest event until the browser disconnects or stalls."""
-        if not self.page.admit():
-            self._reply_error(
-                HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} browsers watch already"
-            )
-            return
+    def _role(self, request: Request) -> Role:
+        """Role of who asks, by the token in a header or in the page's cookie."""
+        scheme, _, token = request.headers.get("Authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return self.access.role(token.strip())
+        return self.access.role(request.cookies.get(self.cookie, ""))
+
+    def _require(self, request: Request, least: Role) -> None:
+        """Refuse who may not."""
+        role = self._role(request)
+        if role is Role.STRANGER:
+            raise HTTPException(401, _LOCKED)
+        if role < least:
+            raise HTTPException(403, "this address only views; commands need the other")
+
+    async def _show_role(self, request: Request) -> Response:
+        return JSONResponse({"role": self._role(request).name.lower()})
+
+    async def _show_file(self, request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name not in self.files:
+            raise HTTPException(404, f"there is no /{name} here")
+        return Response(self.files[name], media_type=KINDS[PurePath(name).suffix])
+
+    async def _stream(self, request: Request) -> Response:
+        self._require(request, Role.VIEWER)
+        if self.watching >= MAX_CLIENTS:
+            raise HTTPException(503, f"{MAX_CLIENTS} browsers watch already")
+        return _Stream(self)
+
+    async def events(self) -> AsyncIterator[bytes]:
+        """Events of a stream: the first one, then the newest each time, until the page closes."""
+        number = self._number
+        yield self.hello
+        while not self._closed.is_set():
+            if self._number == number:
+                await self._changed.wait()
+            else:
+                number = self._number
+                yield self._newest
+
+    async def _execute(self, request: Request) -> Response:
+        self._require(request, Role.COMMANDER)
+        path, body = request.url.path, await _body(request)
+        await self._loop.run_in_executor(self._workers, self.commands.execute, path, body)
+        return JSONResponse({"done": True})
+
+    async def _enter(self, request: Request) -> Response:
+        """Keep a token that was shown in a cookie, which scripts of no page can read."""
+        token = read_command(EnterCommand, "/enter", await _body(request)).token
+        role = self.access.role(token)
+        if role is Role.STRANGER:
+            raise HTTPException(401, _LOCKED)
+        cookie = f"{self.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"
+        # Whoever needs no token has shown what may not be one, and gets no cookie of it.
+        kept = {} if self.access.tokens is None else {"Set-Cookie": cookie}
+        return JSONResponse({"role": role.name.lower()}, headers=kept)
+
+
+class _Stream(StreamingResponse):
+    """Server-sent events, counted while they are sent."""
+
+    def __init__(self, server: Server) -> None:
+        super().__init__(server.events(), media_type="text/event-stream")
+        self._server = server
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        self._server.watching += 1
         try:
-            self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            number = self.page.events.number
-            self._head(HTTPStatus.OK, "text/event-stream", {})
-            self.wfile.write(self.page.hello)
-            while (newest := self.page.events.after(number)) is not None:
-                number, message = newest
-                self.wfile.write(message)
-        except OSError:
-            pass  # gone, or stalled for too long
+            await super().__call__(scope, receive, send)
         finally:
-            self.page.dismiss()
+            self._server.watching -= 1
 
-    def _reply_error(self, status: HTTPStatus, message: str) -> None:
-        self._reply_json(status, {"error": message})
 
-    def _reply_json(
-        self, status: HTTPStatus, data: dict[str, Any], headers: Mapping[str, str] | None = None
-    ) -> None:
-        body = json.dumps(data, separators=(",", ":")).encode()
-        self._reply(status, "application/json", body, headers)
+class _Connection(H11Protocol):
+    """Connection of one request, with deadlines for the request and for a browser that stalls."""
 
-    def _reply(
-        self, status: HTTPStatus, kind: str, body: bytes, headers: Mapping[str, str] | None = None
-    ) -> None:
-        self._head(status, kind, {"Content-Length": str(len(body))} | dict(headers or {}))
-        self.wfile.write(body)
+    _timer: asyncio.TimerHandle | None = None
 
-    def _head(self, status: HTTPStatus, kind: str, headers: Mapping[str, str]) -> None:
-        self.send_response(status)
-        for name, value in {"Content-Type": kind, **headers, **HEADERS}.items():
-            self.send_header(name, value)
-        self.end_headers()
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._page: Server = self.app_state["page"]
+        limits, arriving = self._page.limits, self._page.arriving
+        transport.set_write_buffer_limits(0)  # no old frames
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDBUF, limits.buffer
+        )
+        if len(arriving) >= MAX_ARRIVING:
+            self._page.make_room()
+        arriving[self] = transport.get_extra_info("peername")[0]
+        self._abort_after(limits.receive)
 
-    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Log nothing: the terminal shows the sensor."""
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.more_body and self in self._page.arriving:
+            del self._page.arriving[self]
+            self._abort_after(None)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._abort_after(self._page.limits.send)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._abort_after(None)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._page.arriving.pop(self, None)
+        self._abort_after(None)
+        super().connection_lost(exc)
+
+    def _abort_after(self, seconds: float | None) -> None:
+        """Disconnect after this time; None, or another call meanwhile, calls it off."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = None if seconds is None else self.loop.call_later(seconds, self._abort)
+
+    def _abort(self) -> None:
+        self.transport.abort()
+
+
+async def _body(request: Request) -> bytes:
+    """Body of a command; raises HTTPException for one that is too long or of another kind."""
+    kind = request.headers.get("Content-Type", "").partition(";")[0].strip().lower()
+    if kind != "application/json":
+        raise HTTPException(415, f"expected Content-Type application/json, got {kind or 'none'}")
+    if "Content-Length" not in request.headers:
+        raise HTTPException(411, "a command needs a Content-Length")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY:
+            raise HTTPException(413, f"a command has at most {MAX_BODY} bytes")
+    return body
+
+
+async def _refuse(_: Request, error: Any) -> Response:
+    """Refusal in words."""
+    if isinstance(error, HTTPException):
+        return JSONResponse({"error": error.detail}, error.status_code)
+    return JSONResponse({"error": str(error)}, 409 if isinstance(error, ConflictError) else 400)
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    """Socket that listens at an address of this machine.
+
+    Raises ConfigurationError where it cannot be had.
+    """
+    family, address = resolved(host)
+    try:
+        return socket.create_server((address, port), family=family, backlog=_BACKLOG)
+    except (OSError, OverflowError) as error:
+        raise ConfigurationError(
+            f"cannot serve the page at {host}, port {port}: {error}; choose another port, or 0 for "
+            "any that is free, and an address of this machine"
+        ) from error

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
-from eitskin.cli.page.plan import electrodes_of, grid_of, outline_of
-from eitskin.cli.page.region import Region
-from eitskin.cli.page.shape import DrawnPress, GelDrawing
+from eitskin.cli.page.drawing import DrawnPress, GelDrawing
+from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name

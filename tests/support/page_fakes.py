@@ -98,7 +98,7 @@ def ask(page, method, path, body=None, headers=None, own=True):
     with closing(client):
         client.request(method, path, body, own | (headers or {}))
         answer = client.getresponse()
-        return answer.status, dict(answer.getheaders()), answer.read()
+        return answer.status, answer.headers, answer.read()
 
 
 def post(page, path, data, **headers):

@@ -40,7 +40,7 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
-    from eitskin.cli.page.region import Region
+    from eitskin.cli.page.plan import Region
     from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
@@ -176,7 +176,7 @@ def command(
 def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
-    from eitskin.cli.page.region import Region
+    from eitskin.cli.page.plan import Region
     from eitskin.training.reconstruction.reconstructor import Method
 
     sheet = sheet_of(held.current)
@@ -201,7 +201,7 @@ def sheet_of(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
 
     Raises ConfigurationError where a pipeline tells neither.
     """
-    from eitskin.cli.page.region import Region
+    from eitskin.cli.page.plan import Region
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
 
     if not isinstance(pipeline, RecordedTouches):

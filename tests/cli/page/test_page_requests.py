@@ -6,7 +6,7 @@ import re
 import pytest
 
 from eitskin.cli.page.live_page import LivePage
-from eitskin.cli.page.server import LARGEST_BODY
+from eitskin.cli.page.server import MAX_BODY
 from eitskin.geometry import Bend
 from eitskin.simulator import Scene, Touch
 
@@ -65,10 +65,10 @@ def test_commands_need_the_pages_origin_and_json(page, connection) -> None:
     assert ask(page, "POST", "/scene", body, JSON, own=False)[0] == 403
     assert ask(page, "POST", "/scene", body, JSON | {"Origin": "http://evil.example"})[0] == 403
     assert ask(page, "POST", "/scene", body, {"Content-Type": "text/plain"})[0] == 415
-    assert ask(page, "POST", "/elsewhere", body, JSON)[0] == 404
-    assert ask(page, "POST", "/scene", b" " * (LARGEST_BODY + 1), JSON)[0] == 413
-    assert ask(page, "POST", "/scene", None, JSON | {"Content-Length": "-1"})[0] == 411
-    assert ask(page, "PUT", "/scene", body, JSON)[0] == 501
+    assert ask(page, "POST", "/elsewhere", body, JSON)[0] == 405
+    assert ask(page, "POST", "/scene", b" " * (MAX_BODY + 1), JSON)[0] == 413
+    assert ask(page, "POST", "/scene", None, JSON | {"Content-Length": "-1"})[0] == 400
+    assert ask(page, "PUT", "/scene", body, JSON)[0] == 403
     assert connection.board.stage.scene == Scene()
 
 

@@ -8,11 +8,9 @@ import struct
 import numpy as np
 import pytest
 
-from eitskin.cli.page.body import FACE, INSIDE, DrawnBody
 from eitskin.cli.page.commands import StageCommands
-from eitskin.cli.page.plan import electrodes_of, grid_of, outline_of
-from eitskin.cli.page.region import Region
-from eitskin.cli.page.shape import GelDrawing, GelShape
+from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelShape
+from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.cli.page.state import filled, relative_change
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
