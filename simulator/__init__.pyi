@@ -22,7 +22,7 @@ from eitskin.simulator.instrument.meter_fit import (
 from eitskin.simulator.instrument.meter_fit import (
     fit_meter as fit_meter,
 )
-from eitskin.simulator.instrument.meter_selection import select_meter as select_meter
+from eitskin.simulator.instrument.meter_fit import select_meter as select_meter
 from eitskin.simulator.instrument.session import Session as Session
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
 from eitskin.simulator.scene.indenters import (

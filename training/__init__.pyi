@@ -70,5 +70,5 @@ from eitskin.training.reconstruction.regularisation import (
     Regularisation as Regularisation,
 )
 from eitskin.training.twin.parameters import TwinPrior as TwinPrior
-from eitskin.training.twin.pressed_twin import PressedTwin as PressedTwin
+from eitskin.training.twin.twin import PressedTwin as PressedTwin
 from eitskin.training.twin.twin import Twin as Twin

@@ -75,11 +75,10 @@ def fit(
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.electrical.forward_model import ForwardModel
     from eitskin.simulator.electrical.resolution import Resolution
+    from eitskin.simulator.instrument.fit_parameters import USUAL
     from eitskin.simulator.instrument.instrument import Instrument
     from eitskin.simulator.instrument.meter import Quantity
-    from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, snr_db
-    from eitskin.simulator.instrument.meter_parameters import USUAL
-    from eitskin.simulator.instrument.meter_selection import select_meter
+    from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter, snr_db
 
     output = Output(as_json, quiet, verbose)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))

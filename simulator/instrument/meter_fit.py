@@ -1,4 +1,4 @@
-"""Fit of a four-terminal meter to frames of a flat, untouched sensor."""
+"""Fit of a four-terminal meter to frames of a flat, untouched sensor, and choice of its terms."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,19 +10,21 @@ from scipy.optimize import least_squares
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.instrument import SNR_RANGE_DB
-from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity, electrodes_by_role
-from eitskin.simulator.instrument.meter_parameters import (
+from eitskin.simulator.instrument.fit_parameters import (
     USUAL,
-    MeterParameter,
+    Parameter,
     meter_parameters,
     meter_with,
 )
+from eitskin.simulator.instrument.instrument import SNR_RANGE_DB
+from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity, electrodes_by_role
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STARTS = 12
+TRIAL_STARTS = 4
+"""Starting points of each fit without one of the terms."""
 MOST_STEPS = 80
 """Most steps from one starting point; more are taken only along what readings hardly show."""
 UNDETERMINED = 0.5
@@ -55,7 +57,7 @@ class MeterFit:
     """
 
     meter: FourTerminalMeter
-    parameters: tuple[MeterParameter, ...]
+    parameters: tuple[Parameter, ...]
     values: Array
     standard_errors: Array
     scale_error: float
@@ -64,7 +66,7 @@ class MeterFit:
     measured: Complex
 
     @property
-    def unidentifiable(self) -> tuple[MeterParameter, ...]:
+    def unidentifiable(self) -> tuple[Parameter, ...]:
         """Parameters that the frames do not determine."""
         lost = ~np.isfinite(self.standard_errors)
         return tuple(p for p, gone in zip(self.parameters, lost, strict=True) if gone)
@@ -155,7 +157,8 @@ def fit_meter(
     measured = _mean_frame(frames, protocol)
     quantity: Quantity = reads or _quantity(measured)
     is_complex = quantity == "complex"
-    parameters = meter_parameters(terms, protocol.n_electrodes, complex_terms=is_complex)
+    typical = float(np.median(np.abs(np.diag(impedance))))
+    parameters = meter_parameters(terms, protocol.n_electrodes, typical, complex_terms=is_complex)
     readings = len(measured) * (1 + is_complex)
     if len(parameters) + 2 >= readings:
         raise ConfigurationError(
@@ -175,18 +178,66 @@ def fit_meter(
     meter = dataclasses.replace(meter, scale=scale, offset=scale * meter.offset)
     errors, tied = problem.uncertainty(coordinates)
     both = list(zip(parameters, coordinates, strict=True))
-    slopes = np.array([p.slope(float(x), problem.typical) for p, x in both])
+    slopes = np.array([p.slope(float(x)) for p, x in both])
     predicted, _ = meter.reading(meter.transfer_impedance(impedance, protocol))
     return MeterFit(
         meter=meter,
         parameters=parameters,
-        values=np.array([p.number(float(x), problem.typical) for p, x in both]),
+        values=np.array([p.number(float(x)) for p, x in both]),
         standard_errors=errors[:-1] * slopes,
         scale_error=float(errors[-1]),
         tied=tied,
         predicted=predicted,
         measured=measured,
     )
+
+
+def select_meter(
+    impedance: NDArray[np.inexact],
+    protocol: Protocol,
+    frames: ArrayLike,
+    terms: Sequence[str] = USUAL,
+    reads: Quantity | None = None,
+    seed: int = 0,
+    starts: int = STARTS,
+) -> MeterFit:
+    """Fit with the terms that the frames call for, by backward elimination.
+
+    From all `terms` on, the term that costs least is left out as long as Akaike's information
+    criterion falls: n log(RSS) + 2 p for n readings, p parameters and the residual sum of squares
+    (Akaike 1974). Terms left out have no effect: no load, no common mode.
+
+    Arguments and errors as for `fit_meter`.
+    """
+    best = fit_meter(impedance, protocol, frames, terms, reads, seed, starts)
+    left = list(dict.fromkeys(terms))
+    while left:
+        trials = {
+            term: fit_meter(
+                impedance,
+                protocol,
+                frames,
+                [each for each in left if each != term],
+                reads,
+                seed,
+                min(starts, TRIAL_STARTS),
+            )
+            for term in left
+        }
+        term = min(left, key=lambda each: _information(trials[each]))
+        if _information(trials[term]) > _information(best):
+            break
+        best = trials[term]
+        left.remove(term)
+    return best
+
+
+def _information(fit: MeterFit) -> float:
+    """Akaike's information criterion of a fit, without its constant."""
+    readings = len(fit.measured) * (2 if fit.meter.reads == "complex" else 1)
+    residual = np.linalg.norm(fit.predicted - fit.measured) / np.linalg.norm(fit.measured)
+    square = max(float(residual) ** 2, np.finfo(float).eps)
+    return readings * float(np.log(square)) + 2.0 * len(fit.parameters)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,20 +253,15 @@ class MeterProblem:
     """
 
     start: FourTerminalMeter
-    parameters: tuple[MeterParameter, ...]
+    parameters: tuple[Parameter, ...]
     impedance: NDArray[np.inexact]
     protocol: Protocol
     target: Array
 
-    @property
-    def typical(self) -> float:
-        """Median resistance from one electrode to all others together [ohm]."""
-        return float(np.median(np.abs(np.diag(self.impedance))))
-
     def meter(self, coordinates: Array) -> FourTerminalMeter:
         """Meter of scale 1 for the coordinates (parameters,)."""
         n = self.protocol.n_electrodes
-        return meter_with(self.start, self.parameters, coordinates, self.typical, n)
+        return meter_with(self.start, self.parameters, coordinates, n)
 
     def unscaled(self, coordinates: Array) -> Complex:
         """Readings of the meter of scale 1 (measurements,)."""
@@ -308,16 +354,16 @@ class MeterProblem:
         roles = electrodes_by_role(self.protocol)
         found = []
         for parameter, x in zip(self.parameters, coordinates, strict=True):
-            if parameter.term == "common_mode":
+            if parameter.name == "common_mode":
                 change = self._common_mode(meter)
-            elif parameter.term == "offset":
+            elif parameter.name == "offset":
                 change = np.ones(len(sensed), np.complex128)
             elif parameter.electrode is None:
-                change = (by_admittance * roles[parameter.term]).sum(axis=1)
+                change = (by_admittance * roles[parameter.name]).sum(axis=1)
             else:
-                by = by_lead if parameter.term == "leads" else by_admittance
+                by = by_lead if parameter.name == "leads" else by_admittance
                 change = by[:, parameter.electrode]
-            slope = parameter.slope(float(x), self.typical) * (1j if parameter.imaginary else 1.0)
+            slope = parameter.slope(float(x)) * (1j if parameter.imaginary else 1.0)
             found.append(self._read(slope * change, sensed))
         return found
 

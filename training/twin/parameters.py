@@ -1,17 +1,27 @@
-"""Numbers of a twin, as standard normal coordinates of a prior."""
+"""Numbers of a twin, as standard normal coordinates of a prior, and the sensor that has them."""
 
 import dataclasses
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import Literal
 
-from eitskin.datasets.recipe.specimen import Specimen, free_length, moved_along_rim
+from eitskin.datasets.recipe.specimen import (
+    Specimen,
+    free_length,
+    moved_along_rim,
+    moved_fixture,
+    scaled_conductivity,
+    scaled_modulus,
+    scaled_thickness,
+    with_wider_gap,
+)
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.instrument.meter_parameters import MeterParameter, meter_parameters
+from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
+from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
 _TRIAL = 1e-4  # shift of an electrode that tells whether it can be moved on the mesh [m]
 _WIDEST = 1e6  # spread of a prior
@@ -26,6 +36,9 @@ _UNITS = {
     "gel_modulus": "Pa",
     "encapsulation_modulus": "Pa",
 }
+Numbers = Mapping[tuple[str, int | None], float]
+"""Numbers of sensor and fixture by kind and electrode."""
+
 MECHANICAL = ("span", "offset", "gel_modulus", "encapsulation_modulus")
 
 
@@ -77,71 +90,19 @@ class TwinPrior:
 _LINEAR = ("electrode_place", "offset", "load", "common_mode")
 
 
-@dataclass(frozen=True, slots=True)
-class TwinParameter:
-    """One number of a twin, with a standard normal coordinate.
-
-    Attributes:
-        name: kind of the number, as an attribute of `TwinPrior`, or the term of the meter.
-        centre: number where the coordinate is 0.
-        spread: of the prior: a factor where `is_factor`, else in the number's unit; for terms of
-            the meter per unit of their coordinates.
-        is_factor: whether the number is lognormal.
-        electrode: number of the electrode; None for others.
-        meter: term of the meter; None for numbers of sensor and fixture, and for the gain.
-        typical: impedance that loads of the meter are relative to [ohm].
-    """
-
-    name: str
-    centre: float
-    spread: float
-    is_factor: bool = True
-    electrode: int | None = None
-    meter: MeterParameter | None = None
-    typical: float = 1.0
-
-    def __str__(self) -> str:
-        """Name in reports, such as "thickness" or "contact_impedance[3]"."""
-        if self.meter is not None:
-            return str(self.meter)
-        return self.name if self.electrode is None else f"{self.name}[{self.electrode}]"
-
-    @property
-    def unit(self) -> str:
-        """Unit of the number; empty where it has none."""
-        return self.meter.unit if self.meter is not None else _UNITS.get(self.name, "")
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Least and greatest coordinate of a fit."""
-        if self.meter is None:
-            return -_FARTHEST, _FARTHEST
-        low, high = self.meter.bounds
-        return low / self.spread, high / self.spread
-
-    def number(self, x: float) -> float:
-        """Number at a coordinate."""
-        if self.meter is not None:
-            return self.meter.number(self.spread * x, self.typical)
-        return self.centre * self.spread**x if self.is_factor else self.centre + self.spread * x
-
-    def slope(self, x: float) -> float:
-        """Derivative of the number by the coordinate."""
-        if self.meter is not None:
-            return self.spread * self.meter.slope(self.spread * x, self.typical)
-        return math.log(self.spread) * self.number(x) if self.is_factor else self.spread
-
-    def coordinate(self, number: float) -> float:
-        """Coordinate of a number."""
-        if self.meter is not None:
-            ratio = number / self.meter.per_unit(self.typical)
-            return (ratio / (1.0 + ratio) if self.meter.is_share else ratio) / self.spread
-        if self.is_factor:
-            return math.log(number / self.centre) / math.log(self.spread)
-        return (number - self.centre) / self.spread
+def twin_parameter(
+    name: str,
+    centre: float,
+    spread: float,
+    transform: Literal["linear", "factor"] = "factor",
+    electrode: int | None = None,
+) -> Parameter:
+    """Number of a twin about a centre, with the spread of its prior: a factor, or in its unit."""
+    bounds = (-_FARTHEST, _FARTHEST)
+    return Parameter(name, centre, spread, transform, _UNITS.get(name, ""), bounds, electrode)
 
 
-def sensor_parameters(nominal: Specimen, prior: TwinPrior) -> tuple[TwinParameter, ...]:
+def sensor_parameters(nominal: Specimen, prior: TwinPrior) -> tuple[Parameter, ...]:
     """Numbers of sensor, fixture and materials, about those of a nominal one.
 
     Places along the rim are among them where the sensor's mesh can follow them: on rectangles,
@@ -150,28 +111,28 @@ def sensor_parameters(nominal: Specimen, prior: TwinPrior) -> tuple[TwinParamete
     return tuple(_sensor_parameters(nominal, prior))
 
 
-def _sensor_parameters(nominal: Specimen, prior: TwinPrior) -> Iterator[TwinParameter]:
+def _sensor_parameters(nominal: Specimen, prior: TwinPrior) -> Iterator[Parameter]:
     design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
-    yield TwinParameter("conductivity", conductivity(design), prior.conductivity)
-    yield TwinParameter("thickness", design.thickness, prior.thickness)
+    yield twin_parameter("conductivity", conductivity(design), prior.conductivity)
+    yield twin_parameter("thickness", design.thickness, prior.thickness)
     for k, electrode in enumerate(design.electrodes):
         z = electrode.contact_impedance.real
-        yield TwinParameter("contact_impedance", z, prior.contact_impedance, electrode=k)
+        yield twin_parameter("contact_impedance", z, prior.contact_impedance, electrode=k)
     if _movable(design):
         for k in range(len(design.electrodes)):
-            yield TwinParameter("electrode_place", 0.0, prior.electrode_place, False, k)
+            yield twin_parameter("electrode_place", 0.0, prior.electrode_place, "linear", k)
     if isinstance(design.outline, Rectangle) or not isinstance(fixture, Clamp):
-        yield TwinParameter("span", free_length(fixture), prior.span)
+        yield twin_parameter("span", free_length(fixture), prior.span)
         if not isinstance(fixture, FreeArc):
-            yield TwinParameter("offset", fixture.offset, prior.offset, False)
-    yield TwinParameter("gel_modulus", mechanics.gel.shear_modulus, prior.gel_modulus)
+            yield twin_parameter("offset", fixture.offset, prior.offset, "linear")
+    yield twin_parameter("gel_modulus", mechanics.gel.shear_modulus, prior.gel_modulus)
     around = mechanics.encapsulation.shear_modulus
-    yield TwinParameter("encapsulation_modulus", around, prior.encapsulation_modulus)
+    yield twin_parameter("encapsulation_modulus", around, prior.encapsulation_modulus)
 
 
 def instrument_parameters(
     terms: Sequence[str], n_electrodes: int, prior: TwinPrior, typical: float
-) -> tuple[TwinParameter, ...]:
+) -> tuple[Parameter, ...]:
     """Numbers of the meter's terms, as `meter_parameters` names them.
 
     Args:
@@ -180,18 +141,8 @@ def instrument_parameters(
         prior: of loads and common mode.
         typical: impedance of the sensor that loads are relative to [ohm].
     """
-    return tuple(
-        TwinParameter(
-            each.term,
-            0.0,
-            prior.load if each.is_share else prior.common_mode,
-            False,
-            each.electrode,
-            each,
-            typical,
-        )
-        for each in meter_parameters(terms, n_electrodes, complex_terms=False)
-    )
+    found = meter_parameters(terms, n_electrodes, typical, complex_terms=False)
+    return tuple(p.with_prior(prior.load if p.is_share else prior.common_mode) for p in found)
 
 
 def conductivity(design: SensorDesign) -> float:
@@ -206,3 +157,73 @@ def _movable(design: SensorDesign) -> bool:
         return False
     trial = dataclasses.replace(design, electrodes=tuple(moved))
     return electrode_shift(design, trial) is not None
+
+
+def centred(nominal: Specimen) -> Specimen:
+    """The same sensor, about whose numbers bends and presses are interpolated.
+
+    Raises ConfigurationError for sensors whose specimens cannot share a mesh.
+    """
+    design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
+    if any(complex(each.contact_impedance).imag for each in design.electrodes):
+        raise ConfigurationError(
+            "a twin needs real contact impedances, got complex ones; give their real parts"
+        )
+    if electrode_shift(design, design) is None:
+        raise ConfigurationError(
+            "a twin needs a plane outline, got a surface; give a flat sensor's rim as outline"
+        )
+    if isinstance(fixture, Clamp):
+        held = fixture.solved_offset
+        fixture = dataclasses.replace(
+            fixture,
+            solved_span=fixture.solved_span or fixture.span,
+            solved_offset=fixture.offset if held is None else held,
+        )
+    elif not fixture.transition:
+        raise ConfigurationError(
+            "the bend of a kinematic fixture without transition jumps where it ends, and every "
+            "span needs another mesh; give a clamp, or a transition"
+        )
+    ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+    mechanics = dataclasses.replace(
+        mechanics,
+        solved_thickness=mechanics.solved_thickness or design.thickness,
+        solved_ratio=mechanics.solved_ratio or ratio,
+    )
+    return Specimen(design, fixture, mechanics)
+
+
+def with_numbers(nominal: Specimen, numbers: Numbers) -> Specimen:
+    """Nominal sensor with other numbers.
+
+    Raises ConfigurationError for a sensor that cannot be, or cannot share the nominal one's mesh.
+    """
+    design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
+    electrodes = tuple(
+        dataclasses.replace(
+            moved_along_rim(each, numbers.get(("electrode_place", k), 0.0), design),
+            contact_impedance=numbers["contact_impedance", k],
+        )
+        for k, each in enumerate(design.electrodes)
+    )
+    wider = numbers.get(("span", None), free_length(fixture)) - free_length(fixture)
+    made = dataclasses.replace(
+        design, electrodes=electrodes, support=with_wider_gap(design.support, wider)
+    )
+    made = scaled_conductivity(made, numbers["conductivity", None] / conductivity(design))
+    made = scaled_thickness(made, numbers["thickness", None] / design.thickness)
+    if electrode_shift(design, made) is None:
+        raise ConfigurationError("an electrode meets another one or a corner")
+    offset = 0.0 if isinstance(fixture, FreeArc) else fixture.offset
+    deeper = numbers.get(("offset", None), offset) - offset
+    materials = dataclasses.replace(
+        mechanics,
+        gel=_of_modulus(mechanics.gel, numbers["gel_modulus", None]),
+        encapsulation=_of_modulus(mechanics.encapsulation, numbers["encapsulation_modulus", None]),
+    )
+    return Specimen(made, moved_fixture(fixture, wider, deeper), materials)
+
+
+def _of_modulus(law: NeoHookean | Ogden, modulus: float) -> NeoHookean | Ogden:
+    return scaled_modulus(law, modulus / law.shear_modulus)

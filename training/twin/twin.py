@@ -1,31 +1,40 @@
-"""Twin of one sensor: its physical numbers, fitted to labelled frames."""
+"""Twin of one sensor: its physical numbers, fitted to labelled frames, and presses on it."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.config import read_toml
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Clamp, Fixture
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.instrument.fit_parameters import FITTED, Parameter
+from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_meter
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.training.twin.forward import TwinForward
+from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.training.twin.fit import Laplace, Problem, TwinForward
 from eitskin.training.twin.labelled_frames import FLAT, KINDS, LabelledFrames, labelled_frames
-from eitskin.training.twin.laplace import Laplace, Problem
 from eitskin.training.twin.parameters import (
-    TwinParameter,
     TwinPrior,
+    centred,
     instrument_parameters,
     sensor_parameters,
+    twin_parameter,
 )
-from eitskin.training.twin.sensor import centred
 
 Array = NDArray[np.float64]
 
@@ -52,7 +61,7 @@ class Twin:
     nominal: Specimen
     specimen: Specimen
     meter: FourTerminalMeter
-    parameters: tuple[TwinParameter, ...]
+    parameters: tuple[Parameter, ...]
     posterior: Laplace
     frames: LabelledFrames
     agreements: dict[str, Agreement]
@@ -163,6 +172,80 @@ class Twin:
         return agreements(self.predicted(frames), frames)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PressedTwin:
+    """Twin of one sensor whose presses are simulated, for `Pipeline.adapt`.
+
+    Attributes:
+        specimen: fitted sensor, fixture and materials.
+        meter: fitted circuit and reading of the board.
+        protocol: of the measurements.
+        resolution: of the simulator.
+        nominal: sensor whose mesh and factors are shared, which halves the time; None for its own.
+    """
+
+    specimen: Specimen
+    meter: FourTerminalMeter
+    protocol: Protocol
+    resolution: Resolution = "coarse"
+    nominal: SensorDesign | None = None
+
+    @classmethod
+    def of(cls, twin: Twin) -> "PressedTwin":
+        """Presses on a twin that was just fitted."""
+        nominal = twin.nominal.design
+        return cls(twin.specimen, twin.meter, twin.frames.protocol, twin.resolution, nominal)
+
+    @classmethod
+    def read(cls, folder: str | Path, protocol: Protocol) -> "PressedTwin":
+        """Presses on the twin in a folder of `eitskin twin fit`, in measurements of a protocol.
+
+        Raises ConfigurationError where a file of it is missing or damaged, or where the twin has
+        another number of electrodes than the protocol.
+        """
+        place = Path(folder)
+        design = SensorDesign.from_toml(place / "design.toml")
+        fixture = read_toml(cast("type[Any]", Fixture), place / "fixture.toml")
+        mechanics = read_toml(Mechanics, place / "mechanics.toml")
+        meter = Instrument.from_toml(place / "rig.toml").meter or FourTerminalMeter()
+        if protocol.n_electrodes != (count := len(design.electrodes)):
+            raise ConfigurationError(
+                f"expected a twin with {protocol.n_electrodes} electrodes, as the pipeline has, "
+                f"got {count} in {folder}; fit the twin to the same sensor"
+            )
+        return cls(Specimen(design, fixture, mechanics), meter, protocol)
+
+    def inside(self, places: Array) -> NDArray[np.bool_]:
+        """Whether places (n, 2) [m] are on the sensor (n,).
+
+        Raises ConfigurationError for a sensor whose outline is a surface.
+        """
+        outline = self.specimen.design.outline
+        if isinstance(outline, Surface):
+            raise ConfigurationError("expected a twin with a plane outline, got a surface")
+        return outline.contains(places)
+
+    def changes(self, touches: Array, angle_deg: float, radius: float) -> Array:
+        """Changes of log V (n, C) by single touches (n, 3) of x [m], y [m] and force [N].
+
+        Args:
+            touches: one in each row.
+            angle_deg: of the bend, before and during the touches [deg].
+            radius: of the indenter, a cylinder [m].
+
+        Raises ConfigurationError for bends or presses that the twin cannot have.
+        """
+        simulator = self.specimen.simulator(self.nominal, self.resolution, self.protocol)
+        bend, indenter = Bend(angle_deg), Cylinder(round(radius, 6))
+        pressed = ((Touch(x, y, force, indenter),) for x, y, force in touches.tolist())
+        scenes = [Scene(bend=bend), *(Scene(bend=bend, touches=each) for each in pressed)]
+        Z = np.real(simulator.impedances(scenes))
+        reading, _ = self.meter.reading(self.meter.transfer_impedance(Z, self.protocol))
+        logs = np.log(np.abs(reading))
+        changes: Array = logs[1:] - logs[0]
+        return changes
+
+
 def agreements(predicted: Array, frames: LabelledFrames) -> dict[str, Agreement]:
     """Agreement of predicted rows (n, C) with measured ones, by kind."""
     found = {}
@@ -184,7 +267,11 @@ def _forward(
     """Forward model with all parameters; the gain is centred where the flat frame says."""
     sensor = sensor_parameters(nominal, prior)
     alone = TwinForward(
-        nominal, (*sensor, _gain(1.0, prior.gain)), frames.protocol, frames.reads, resolution
+        nominal,
+        (*sensor, twin_parameter("gain", 1.0, prior.gain)),
+        frames.protocol,
+        frames.reads,
+        resolution,
     )
     x = np.zeros(len(alone.parameters))
     Z = alone.impedances(x, [FLAT])[0]
@@ -196,12 +283,8 @@ def _forward(
     typical = float(np.median(np.abs(np.diag(Z))))
     meter = instrument_parameters(terms, n, prior, typical)
     spread = _UNIT_GAIN if wide else prior.gain
-    parameters = (*sensor, _gain(gain, spread), *meter)
+    parameters = (*sensor, twin_parameter("gain", gain, spread), *meter)
     return TwinForward(nominal, parameters, frames.protocol, frames.reads, resolution)
-
-
-def _gain(centre: float, spread: float) -> TwinParameter:
-    return TwinParameter("gain", centre, spread)
 
 
 def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], seed: int) -> Array:
@@ -212,7 +295,7 @@ def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], s
     """
     x = np.zeros(len(forward.parameters))
     starts = [x]
-    meter = [k for k, each in enumerate(forward.parameters) if each.meter is not None]
+    meter = [k for k, each in enumerate(forward.parameters) if each.name in FITTED]
     if meter and len(meter) + 2 < len(frames.protocol):
         Z = forward.impedances(x, [FLAT])[0]
         flat = frames.values[:1]

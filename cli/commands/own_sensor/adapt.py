@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from eitskin.training.method.calibration import Calibration
     from eitskin.training.method.interface import Method
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.twin.pressed_twin import PressedTwin
+    from eitskin.training.twin.twin import PressedTwin
 
 NOTHING = "none"
 """Name in place of a pipeline, where nothing was trained before."""
@@ -138,7 +138,7 @@ def adapt(
 
 def _pressed(folder: Path, pipeline: "Pipeline") -> "PressedTwin":
     """Twin in a folder, read before frames are."""
-    from eitskin.training.twin.pressed_twin import PressedTwin
+    from eitskin.training.twin.twin import PressedTwin
 
     return PressedTwin.read(folder, pipeline.layout.protocol)
 

@@ -7,9 +7,13 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import FourTerminalMeter, Protocol
-from eitskin.simulator.instrument.meter_fit import MeterProblem, agreement, fit_meter
-from eitskin.simulator.instrument.meter_parameters import FITTED, meter_parameters
-from eitskin.simulator.instrument.meter_selection import select_meter
+from eitskin.simulator.instrument.fit_parameters import FITTED, meter_parameters
+from eitskin.simulator.instrument.meter_fit import (
+    MeterProblem,
+    agreement,
+    fit_meter,
+    select_meter,
+)
 
 RIG = FourTerminalMeter(sink=3e-3, sense_plus=8e-4, idle=5e-4, scale=12.0, reads="magnitude")
 DRIVES, SENSES = ((0, 3), (3, 0), (1, 4), (5, 2)), ((1, 2), (4, 5), (5, 1), (4, 2))
@@ -67,7 +71,7 @@ def test_loads_of_a_board_of_magnitudes_are_found_with_their_errors(skin):
 @pytest.mark.parametrize("reads", ["complex", "signed", "magnitude"])
 def test_the_jacobian_is_the_derivative_of_the_residual(skin, reads):
     ring, rng = Protocol.adjacent(6), np.random.default_rng(0)
-    parameters = meter_parameters(FITTED, 6, complex_terms=reads == "complex")
+    parameters = meter_parameters(FITTED, 6, 300.0, complex_terms=reads == "complex")
     target = np.abs(rng.standard_normal(len(ring) * (1 + (reads == "complex"))))
     problem = MeterProblem(FourTerminalMeter(reads=reads), parameters, skin, ring, target)
     x = rng.uniform(0.1, 0.6, len(parameters))

@@ -14,16 +14,15 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.protocol import Protocol
 from eitskin.simulator import Mechanics, Scene, Touch
 from eitskin.training.twin.files import as_plain, recipe, write_twin
-from eitskin.training.twin.forward import TwinForward
+from eitskin.training.twin.fit import Problem, TwinForward
 from eitskin.training.twin.labelled_frames import FLAT, labelled_frames
-from eitskin.training.twin.laplace import Problem
 from eitskin.training.twin.parameters import (
-    TwinParameter,
     TwinPrior,
+    centred,
     instrument_parameters,
     sensor_parameters,
+    twin_parameter,
 )
-from eitskin.training.twin.sensor import centred
 from eitskin.training.twin.twin import Twin
 
 DESIGN = SensorDesign.reference()
@@ -32,7 +31,7 @@ ADJACENT = Protocol.adjacent(8, shared=True)
 TERMS = ("sink", "idle")
 PARAMETERS = (
     *sensor_parameters(NOMINAL, TwinPrior()),
-    TwinParameter("gain", 1.0, 1.01),
+    twin_parameter("gain", 1.0, 1.01),
     *instrument_parameters(TERMS, 8, TwinPrior(), 350.0),
 )
 
@@ -53,8 +52,8 @@ def hidden(seed):
     }
     x = np.clip(rng.standard_normal(len(PARAMETERS)), -2.0, 2.0)
     # Bends of fixtures and materials near the reference's come with the package.
-    x *= [0.3 if each.meter else size.get(each.name, 0.05) for each in PARAMETERS]
-    return np.where([each.meter is not None for each in PARAMETERS], np.abs(x), x)
+    x *= [0.3 if each.name in TERMS else size.get(each.name, 0.05) for each in PARAMETERS]
+    return np.where([each.name in TERMS for each in PARAMETERS], np.abs(x), x)
 
 
 def flat_frames(parameters, x, snr_db=75.0, count=10):
@@ -183,7 +182,7 @@ def test_recordings_without_flat_frames_or_protocol_are_refused():
 def test_span_and_offset_are_found_from_known_angles():
     pairs = Protocol.pairwise(8)
     free = ("span", "offset", "electrode_place", "contact_impedance")
-    parameters = tuple(each for each in PARAMETERS if each.meter is None)
+    parameters = tuple(each for each in PARAMETERS if each.name not in TERMS)
     model, rng = forward(parameters, pairs), np.random.default_rng(5)
     x = np.array([0.2 * rng.standard_normal() if each.name in free else 0 for each in parameters])
     angles = np.array([0.0] * 10 + [-10.0, 20.0, 40.0])
