@@ -191,7 +191,7 @@ def _table(found: "MeterFit", agreements: "dict[str, dict[str, Agreement]]") -> 
 
 def _remarks(found: "MeterFit", terms: tuple[str, ...]) -> list[str]:
     """Sentences about what the frames do not call for, and what they do not determine."""
-    fitted = {each.term for each in found.parameters}
+    fitted = {each.name for each in found.parameters}
     left_out = ", ".join(term for term in terms if term not in fitted)
     said = [f"not called for by these frames, and left out: {left_out}"] if left_out else []
     numbers = 1 + len(found.parameters)

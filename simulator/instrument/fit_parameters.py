@@ -61,7 +61,7 @@ class Parameter:
     def number(self, x: float) -> float:
         """Number at a coordinate."""
         if self.transform == "factor":
-            return self.centre * self.spread**x
+            return self.centre * float(self.spread**x)
         step = self.spread * x
         return self.centre + (step / (1.0 - step) if self.is_share else step) * self.scale
 
@@ -123,12 +123,12 @@ def meter_parameters(
         scale = {"ohm": typical, "S": 1.0 / typical, "": 1.0}[unit]
         bounds = (0.0, SHORT) if share else (-LARGEST, LARGEST)
         transform: Literal["share", "linear"] = "share" if share else "linear"
-        parts = (
-            (False, True) if complex_terms and term not in ("leads", "common_mode") else (False,)
-        )
-        for k in range(n_electrodes) if term in PER_ELECTRODE else (None,):
-            for part in parts:
-                found.append(Parameter(term, 0.0, 1.0, transform, unit, bounds, k, part, scale))
+        is_complex = complex_terms and term not in ("leads", "common_mode")
+        found += [
+            Parameter(term, 0.0, 1.0, transform, unit, bounds, k, part, scale)
+            for k in (range(n_electrodes) if term in PER_ELECTRODE else (None,))
+            for part in ((False, True) if is_complex else (False,))
+        ]
     return tuple(found)
 
 

@@ -108,20 +108,28 @@ def agreement(predicted: ArrayLike, measured: ArrayLike) -> Agreement:
 def snr_db(frames: ArrayLike) -> float:
     """Full scale over the white noise of flat frames [dB], as `Instrument.snr_db`.
 
-    The noise is that of differences between successive frames, which slow drifts leave alone; 0
-    for fewer than three frames, or frames without noise.
-
     Args:
         frames: readings of the flat, untouched sensor, (frames, measurements).
     """
     values = np.asarray(frames, np.complex128)
-    steps = np.diff(values, axis=0)
-    if len(steps) < 2 or not steps.any():
-        return 0.0
-    quadratures = 2.0 if values.imag.any() else 1.0
-    noise = np.sqrt(np.mean(np.abs(steps) ** 2) / (2.0 * quadratures))
-    full_scale = np.abs(values.mean(axis=0)).max()
-    return float(np.clip(20.0 * np.log10(full_scale / noise), *SNR_RANGE_DB))
+    return decibels(float(np.abs(values.mean(axis=0)).max()), white_noise(values))
+
+
+def decibels(full_scale: float, noise: float) -> float:
+    """Full scale over noise [dB], within the range of `Instrument.snr_db`; 0 without noise."""
+    return float(np.clip(20.0 * np.log10(full_scale / noise), *SNR_RANGE_DB)) if noise else 0.0
+
+
+def white_noise(frames: NDArray[np.inexact]) -> float:
+    """Standard deviation of one quadrature of one reading; 0 for fewer than three frames.
+
+    It is that of differences between successive frames (frames, measurements), which slow drifts
+    leave alone.
+    """
+    steps = np.diff(frames, axis=0)
+    quadratures = 2.0 if np.imag(frames).any() else 1.0
+    square = float(np.mean(np.abs(steps) ** 2)) if len(steps) > 1 else 0.0
+    return float(np.sqrt(square / (2.0 * quadratures)))
 
 
 def fit_meter(

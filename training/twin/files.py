@@ -18,7 +18,8 @@ from eitskin.files import atomic_folder
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Free
-from eitskin.simulator.instrument.instrument import SNR_RANGE_DB, Instrument
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.instrument.meter_fit import decibels
 from eitskin.simulator.presses.correction_store import tabulable
 from eitskin.training.twin.labelled_frames import KINDS
 from eitskin.training.twin.twin import Twin
@@ -62,12 +63,8 @@ def write_twin(twin: Twin, folder: Path) -> None:
 
 def rig(twin: Twin) -> Instrument:
     """Instrument of a twin: its meter, and the noise of its flat frames."""
-    frames = twin.frames
-    loud = 0.0
-    if frames.noise:
-        loudness = 20.0 * np.log10(np.abs(frames.values[0]).max() / frames.noise)
-        loud = float(np.clip(loudness, *SNR_RANGE_DB))
-    return Instrument(snr_db=loud, meter=twin.meter)
+    full_scale = float(np.abs(twin.frames.values[0]).max())
+    return Instrument(snr_db=decibels(full_scale, twin.frames.noise), meter=twin.meter)
 
 
 def recipe(twin: Twin) -> Recipe:

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.errors import ConfigurationError, EitskinError
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.fit_parameters import FITTED, Parameter, meter_with
+from eitskin.simulator.instrument.fit_parameters import Parameter, meter_with
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -43,7 +43,8 @@ class TwinForward:
 
     Attributes:
         nominal: sensor whose mesh and factors all others share.
-        parameters: that the coordinates belong to.
+        parameters: that the coordinates belong to: of the sensor, its gain, terms of the meter.
+        terms: numbers of the terms of the meter among the parameters.
         protocol: of the readings.
         reads: what the readings are.
     """
@@ -59,8 +60,8 @@ class TwinForward:
         """Keep the problem; nothing is solved yet."""
         self.nominal, self.parameters = nominal, tuple(parameters)
         self.protocol, self.reads, self._resolution = protocol, reads, resolution
-        on_sensor = [each.name not in ("gain", *FITTED) for each in parameters]
-        self._sensor = np.flatnonzero(on_sensor)
+        gain = [each.name for each in parameters].index("gain")
+        self._sensor, self.terms = np.arange(gain), np.arange(gain + 1, len(parameters))
         self._solved: dict[tuple[bytes, Scene], Array] = {}
 
     def specimen(self, x: Array) -> Specimen:
@@ -76,13 +77,11 @@ class TwinForward:
 
     def meter(self, x: Array) -> FourTerminalMeter:
         """Meter at coordinates (parameters,)."""
-        names = [each.name for each in self.parameters]
-        gain = names.index("gain")
-        terms = [k for k, name in enumerate(names) if name in FITTED]
+        gain = len(self._sensor)
         start = meter_with(
             FourTerminalMeter(reads=self.reads),
-            [self.parameters[k] for k in terms],
-            x[terms],
+            self.parameters[gain + 1 :],
+            x[self.terms],
             self.protocol.n_electrodes,
         )
         scale = self.parameters[gain].number(float(x[gain]))

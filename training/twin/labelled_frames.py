@@ -14,6 +14,7 @@ from eitskin.frame import Status
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.meter import Quantity
+from eitskin.simulator.instrument.meter_fit import white_noise
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -144,7 +145,7 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
                 *(2.0 / len(touched[scene]) for scene in touches),
             ]
         ),
-        noise=_noise(flat),
+        noise=white_noise(flat),
         frames=len(known) - alone,
         left_out=len(data) - len(known) + alone,
     )
@@ -246,9 +247,3 @@ def _real(values: NDArray[np.complex64], reads: Quantity) -> Array:
     """Readings as real numbers, (frames, channels)."""
     wide = values.astype(np.complex128)
     return np.asarray(np.abs(wide) if reads == "magnitude" else wide.real)
-
-
-def _noise(frames: Array) -> float:
-    """Standard deviation of one reading, from differences of successive frames."""
-    steps = np.diff(frames, axis=0)
-    return float(np.sqrt(np.mean(steps**2) / 2.0)) if len(steps) >= 2 else 0.0

@@ -18,7 +18,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.fit_parameters import FITTED, Parameter
+from eitskin.simulator.instrument.fit_parameters import Parameter
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_meter
@@ -266,13 +266,8 @@ def _forward(
 ) -> TwinForward:
     """Forward model with all parameters; the gain is centred where the flat frame says."""
     sensor = sensor_parameters(nominal, prior)
-    alone = TwinForward(
-        nominal,
-        (*sensor, twin_parameter("gain", 1.0, prior.gain)),
-        frames.protocol,
-        frames.reads,
-        resolution,
-    )
+    parameters = (*sensor, twin_parameter("gain", 1.0, prior.gain))
+    alone = TwinForward(nominal, parameters, frames.protocol, frames.reads, resolution)
     x = np.zeros(len(alone.parameters))
     Z = alone.impedances(x, [FLAT])[0]
     gain = 1.0
@@ -295,8 +290,8 @@ def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], s
     """
     x = np.zeros(len(forward.parameters))
     starts = [x]
-    meter = [k for k, each in enumerate(forward.parameters) if each.name in FITTED]
-    if meter and len(meter) + 2 < len(frames.protocol):
+    meter = forward.terms
+    if len(meter) and len(meter) + 2 < len(frames.protocol):
         Z = forward.impedances(x, [FLAT])[0]
         flat = frames.values[:1]
         found = fit_meter(Z, frames.protocol, flat, terms, frames.reads, seed, starts=_METER_STARTS)
@@ -305,7 +300,7 @@ def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], s
             own[k] = forward.parameters[k].coordinate(float(value))
         starts.append(own)
     rng = np.random.default_rng(seed)
-    for _ in range(_DRAWN * bool(meter)):
+    for _ in range(_DRAWN * bool(len(meter))):
         drawn = x.copy()
         drawn[meter] = np.abs(rng.standard_normal(len(meter)))
         starts.append(drawn)

@@ -25,9 +25,8 @@ from eitskin.hardware.diagnosis.reading_check import check_readings
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.instrument.meter_fit import agreement, fit_meter
-from eitskin.simulator.instrument.meter_parameters import USUAL
-from eitskin.simulator.instrument.meter_selection import select_meter
+from eitskin.simulator.instrument.fit_parameters import USUAL
+from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
 RECORDING, FLAT = "ohmc8.mat", "responseups"
 FIRST = 400
@@ -99,7 +98,7 @@ def main() -> None:
     frame = frames[:FIRST].mean(axis=0)
     chosen = select_meter(Z, protocol, frame, USUAL, "magnitude")
     fits = {name: fit_meter(Z, protocol, frame, terms) for name, terms in METERS.items()}
-    terms = METERS | {CHOSEN: tuple(dict.fromkeys(each.term for each in chosen.parameters))}
+    terms = METERS | {CHOSEN: tuple(dict.fromkeys(each.name for each in chosen.parameters))}
     for name, fit in (fits | {CHOSEN: chosen}).items():
         unseen = left_out(Z, protocol, frame, terms[name])
         print(row(name, 1 + len(fit.parameters), fit.predicted, frames, unseen), flush=True)

@@ -28,18 +28,18 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
-from eitskin.simulator.instrument.meter_parameters import USUAL
+from eitskin.simulator.instrument.fit_parameters import USUAL, Parameter
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
-from eitskin.training.twin.forward import TwinForward
+from eitskin.training.twin.fit import TwinForward
 from eitskin.training.twin.parameters import (
-    TwinParameter,
     TwinPrior,
+    centred,
     instrument_parameters,
     sensor_parameters,
+    twin_parameter,
 )
-from eitskin.training.twin.sensor import centred
 from eitskin.training.twin.twin import Twin
 
 Array = NDArray[np.float64]
@@ -70,11 +70,11 @@ SKIN_TERMS: dict[str, tuple[str, ...]] = {
 }
 
 
-def hidden(parameters: tuple[TwinParameter, ...], rng: np.random.Generator) -> Array:
+def hidden(parameters: tuple[Parameter, ...], rng: np.random.Generator) -> Array:
     """Coordinates of a hidden sensor, truncated at two standard deviations."""
     x = np.clip(rng.standard_normal(len(parameters)), -2.0, 2.0)
     x *= [HIDDEN[each.name] for each in parameters]
-    loads = [each.meter is not None for each in parameters]
+    loads = [each.name in TERMS for each in parameters]
     return np.where(loads, np.abs(x), x)
 
 
@@ -106,7 +106,7 @@ def recovery(specimens: int, presses: int, seed: int) -> None:
     """Print how far fitted numbers are off, over their standard errors."""
     design = SensorDesign.reference()
     nominal, prior = centred(Specimen(design, Clamp(), Mechanics())), TwinPrior()
-    sensor = (*sensor_parameters(nominal, prior), TwinParameter("gain", 1.0, prior.gain))
+    sensor = (*sensor_parameters(nominal, prior), twin_parameter("gain", 1.0, prior.gain))
     n = len(design.electrodes)
     pairs = Protocol.pairwise(n)
     bare = TwinForward(nominal, sensor, pairs, "signed", "coarse")

@@ -31,9 +31,9 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.instrument.fit_parameters import USUAL
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import fit_meter
-from eitskin.simulator.instrument.meter_parameters import USUAL
 from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.adaptation.map_grid import MapGrid
 from eitskin.training.adaptation.place_kernel import DesignSpan

@@ -35,8 +35,7 @@ from eitskin.training.joint.own_response import relative_residual
 from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.pipeline.pipeline import Pipeline
 from eitskin.training.pipeline.saved_form import SHIPPED
-from eitskin.training.twin.pressed_twin import PressedTwin
-from eitskin.training.twin.twin import Twin
+from eitskin.training.twin.twin import PressedTwin, Twin
 
 NAME = "twin_response"
 BOARDS: dict[str, tuple[str, ...]] = {
