@@ -1,6 +1,6 @@
 """Sensor check: faults of electrodes, wires and front end.
 
 Frames of the untouched sensor become statistics per channel (`checked_frames`); variation, values
-and the `contact_fit` become findings, gathered by `sensor_check`. `reading_check` needs no model of
+and a fit of the contacts become findings in `sensor_check`. `reading_check` needs no model of
 the sensor: it holds readings against the `linear_relations` that any ideal meter obeys.
 """
