@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations fuzz lint docs reference narrow firmware gallery bench \
+.PHONY: demo test quick coverage mutations lint docs reference narrow firmware gallery bench \
 	bench-long figures clean
 
 demo: $(VENV)/installed
@@ -35,12 +35,6 @@ coverage: $(VENV)/installed
 # Core formulas broken one by one in a copy: tests must fail.
 mutations: $(VENV)/installed
 	$(BIN)/python tests/mutations/run.py $(ARGS)
-
-# Hostile inputs of all kinds, read in processes that are watched; SECURITY.md has the table. Then
-# parsers, guided by coverage, where atheris is installed.
-fuzz: $(VENV)/installed
-	$(BIN)/python -m eitskin.benchmarks.studies.hostile.run $(ARGS)
-	$(BIN)/python -m eitskin.benchmarks.studies.hostile.guided
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
@@ -83,7 +77,7 @@ bench bench-long: $(VENV)/installed
 
 # Figures of README and docs, from benchmarks/published; RESULTS=build/bench puts new ones above.
 figures: $(VENV)/installed
-	$(BIN)/python -m eitskin.benchmarks.studies.render $(RESULTS)
+	$(BIN)/python -m eitskin.benchmarks.page_figures $(RESULTS)
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt

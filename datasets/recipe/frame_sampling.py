@@ -29,7 +29,7 @@ from eitskin.simulator.scene.scene import Scene
 
 Integers = NDArray[np.int64]
 
-# Share of the gel in the work of a press: benchmarks/studies/physics/creep.py, at 5 N.
+# Share of the gel in the work of a press at 5 N (docs/results/studies.md, creep).
 _GEL_SHARE = 0.43
 
 

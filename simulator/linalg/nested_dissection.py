@@ -7,7 +7,7 @@ block leaves a dense Schur complement on its border, which is added to the block
 
 It stands because SuperLU with the same ordering (permc_spec="NATURAL") takes 2.1 times the time and
 2.1 times the memory: 10.3 s and 1.5 GB against 4.8 s and 0.7 GB for an elastic layer of 101,400
-unknowns (`python -m eitskin.benchmarks.studies.physics.dissection 16 32`, one core).
+unknowns (one core; docs/results/studies.md).
 """
 
 from collections.abc import Callable, Sequence

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 
+from eitskin.benchmarks.page_figures import PUBLISHED
 from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.results import Results, read_results
 from eitskin.benchmarks.skinbench import fill
@@ -20,6 +21,7 @@ from eitskin.benchmarks.skinbench.leaderboard import (
     read_leaderboard,
     write_leaderboard,
 )
+from eitskin.benchmarks.skinbench.methods import FRAMES, SPECIMENS, enter, small_recipe
 from eitskin.benchmarks.skinbench.tracks import (
     RECORDING_SHA256,
     SEED,
@@ -27,8 +29,6 @@ from eitskin.benchmarks.skinbench.tracks import (
     VERSION,
     track_of,
 )
-from eitskin.benchmarks.studies.data.methods import FRAMES, SPECIMENS, enter, small_recipe
-from eitskin.benchmarks.studies.render import PUBLISHED
 from eitskin.benchmarks.transfer import run as transfer
 from eitskin.benchmarks.transfer import worlds
 from eitskin.benchmarks.transfer.run import Row, Transfer

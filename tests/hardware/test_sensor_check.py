@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.benchmarks.studies.boards.sensor_check import FRAMES, PAIRS, cases, measured
 from eitskin.cli.main import app
 from eitskin.cli.options import Output, named_board
 from eitskin.datasets import Recipe
@@ -21,6 +20,8 @@ from eitskin.hardware.diagnosis.finding import FindingKind
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status
+
+from sensor_faults import FRAMES, PAIRS, cases, measured
 
 PROTOCOL = Protocol.pairwise(8)
 FULL_SCALE = 846.0

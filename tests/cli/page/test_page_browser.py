@@ -5,12 +5,12 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.studies.boards.chromium import Size, Tab, chromium
 from eitskin.cli.page.access import Access, Tokens
 from eitskin.cli.page.live_page import LivePage
 from eitskin.errors import ConfigurationError
 from eitskin.training.method.predictions import TouchEstimate
 
+from chromium import Size, Tab, chromium
 from page_fakes import DESIGN, FakeConnection, FakeEstimate, FakeSession, port_of, reading
 
 pytestmark = pytest.mark.slow

@@ -2,13 +2,11 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from eitskin.benchmarks.studies.boards.instrument import effect
 from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Instrument, Protocol, Scene, Status
@@ -275,21 +273,6 @@ def test_a_simulator_takes_each_frame_in_a_session_of_its_own_and_passes_the_sta
     assert not one.status.any()
     too_small = only(clipping=True, excitation=0.607, pga_range=0.3)
     assert (sim.measure(Scene(), too_small, rng).status == Status.CLIPPED).all()
-
-
-def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
-    sim = SimpleNamespace(protocol=PAIRS, full_scale=FULL_SCALE)
-    flat = np.full(28, FULL_SCALE + 0j)
-    pressed = np.tile(1.01 * flat, (3, 1))
-    noise = effect(only(snr_db=60.0), sim, flat, pressed, 200)
-    assert noise.value == pytest.approx(0.1, rel=0.03)
-    assert noise.signal == pytest.approx(0.1 * np.sqrt(1 + 1.01**2), rel=0.03)
-    assert noise.phase == pytest.approx(np.rad2deg(1e-3), rel=0.03)
-    gain = effect(only(gain=0.002), sim, flat, pressed, 200)
-    assert gain.value == pytest.approx(0.2, rel=0.15)
-    assert gain.signal < 1e-12
-    clipping = only(clipping=True, excitation=0.607, pga_range=0.3)
-    assert effect(clipping, sim, flat, pressed, 2).flagged == 100.0
 
 
 # ---- what is refused ----

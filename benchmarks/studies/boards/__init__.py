@@ -1,1 +1,0 @@
-"""Studies of boards: signal chain, damage on the line, sensor check, live loop and page."""

@@ -1,1 +1,0 @@
-"""Studies of hostile inputs of every kind, each read in a process that is watched."""
