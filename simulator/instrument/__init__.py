@@ -2,6 +2,5 @@
 
 An `Instrument` states the error terms of a board; a `Session` draws what stays the same from one
 calibration to the next and measures frames; `ad5940` is the chip's signal chain, and `meter` a
-general four-terminal meter, whose circuit is solved in `loaded_network`. `meter_fit` fits its
-parameters to flat frames, and chooses among them.
+general four-terminal meter. `meter_fit` fits its parameters to flat frames, and chooses among them.
 """

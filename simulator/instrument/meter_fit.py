@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -217,20 +218,12 @@ def select_meter(
 
     Arguments and errors as for `fit_meter`.
     """
-    best = fit_meter(impedance, protocol, frames, terms, reads, seed, starts)
-    left = list(dict.fromkeys(terms))
+    fit = partial(fit_meter, impedance, protocol, frames, reads=reads, seed=seed)
+    best = fit(terms, starts=starts)
+    left, starts = list(dict.fromkeys(terms)), min(starts, TRIAL_STARTS)
     while left:
         trials = {
-            term: fit_meter(
-                impedance,
-                protocol,
-                frames,
-                [each for each in left if each != term],
-                reads,
-                seed,
-                min(starts, TRIAL_STARTS),
-            )
-            for term in left
+            term: fit([each for each in left if each != term], starts=starts) for term in left
         }
         term = min(left, key=lambda each: _information(trials[each]))
         if _information(trials[term]) > _information(best):
@@ -281,8 +274,7 @@ class MeterProblem:
         square = float(np.vdot(unscaled, unscaled).real) or 1.0
         if self.start.reads != "complex":
             return float(unscaled.real @ self.target) / square or 1.0
-        half = len(self.target) // 2
-        return complex(np.vdot(unscaled, self.target[:half] + 1j * self.target[half:]) / square)
+        return complex(np.vdot(unscaled, self._readings) / square)
 
     def residual(self, coordinates: Array) -> Array:
         """Residual over the norm of the target, at the scale of least squares (readings,)."""
@@ -343,14 +335,12 @@ class MeterProblem:
         """Derivatives of `residual` by the coordinates, (readings, parameters)."""
         unscaled = self.unscaled(coordinates)
         scale, square = self.scale(unscaled), np.vdot(unscaled, unscaled).real
-        half = len(unscaled)
-        target = self.target.astype(complex)
-        if self.start.reads == "complex":
-            target = self.target[:half] + 1j * self.target[half:]
         columns = []
         for change in self._changes(coordinates):
-            # d (u^H t / u^H u) with the readings u at scale 1 and the target t.
-            turn = (np.vdot(change, target) - 2.0 * scale * np.vdot(unscaled, change).real) / square
+            # d (u^H t / u^H u) with the readings u at scale 1 and the measured ones t.
+            turn = (
+                np.vdot(change, self._readings) - 2.0 * scale * np.vdot(unscaled, change).real
+            ) / square
             columns.append(self._as_target(scale * change + turn * unscaled))
         return np.asarray(np.transpose(columns) / np.linalg.norm(self.target))
 
@@ -391,6 +381,14 @@ class MeterProblem:
             size = np.maximum(np.abs(sensed), np.finfo(float).tiny)
             change = change * np.conj(sensed) / size
         return change.real.astype(complex)
+
+    @property
+    def _readings(self) -> Complex:
+        """Measured readings (measurements,)."""
+        if self.start.reads != "complex":
+            return self.target.astype(complex)
+        half = len(self.target) // 2
+        return np.asarray(self.target[:half] + 1j * self.target[half:])
 
     def _as_target(self, readings: Complex) -> Array:
         return _parts(readings) if self.start.reads == "complex" else readings.real
