@@ -66,7 +66,7 @@ from eitskin.training.reconstruction.pixel_grid import PixelGrid as PixelGrid
 from eitskin.training.reconstruction.reconstructor import (
     Reconstructor as Reconstructor,
 )
-from eitskin.training.reconstruction.regularisation import (
+from eitskin.training.reconstruction.regularised_inverse import (
     Regularisation as Regularisation,
 )
 from eitskin.training.twin.parameters import TwinPrior as TwinPrior

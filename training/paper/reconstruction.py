@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.training.reconstruction.priors import gauss_newton, noser_weights
-from eitskin.training.reconstruction.regularised_inverse import MAX_SNR
+from eitskin.training.reconstruction.regularised_inverse import (
+    MAX_SNR,
+    gauss_newton,
+    noser_weights,
+)
 
 Array = NDArray[np.float64]
 
@@ -35,7 +38,7 @@ class Reconstruction:
         """Reconstruction matrix for a Jacobian and a signal-to-noise ratio.
 
         The matrix of the paper is (J^T J + lambda^2 R)^-1 J^T with NOSER's R = diag(J^T J), with a
-        floor (`priors.noser_weights`). lambda is not tuned but that of the signal-to-noise ratio
+        floor (`noser_weights`). lambda is not tuned but that of the signal-to-noise ratio
         (`RegularisedInverse.of_snr`).
 
         Args:

@@ -5,9 +5,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
@@ -19,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearModel:
-    """Measurements of the untouched sensor to first order in the conductivity of pixels.
+    """Measurements of the flat, untouched sensor to first order in the conductivity of pixels.
 
     Attributes:
         impedance: at the nominal conductivity (measurements,) [ohm].
@@ -33,53 +32,34 @@ class LinearModel:
     @property
     def relative(self) -> Array:
         """Relative Jacobian (measurements, pixels), d log R / d log sigma, dimensionless."""
-        return relative_jacobian(self.sensitivity, self.impedance, 1.0)
+        R = np.real(self.impedance)
+        J: Array = np.real(self.sensitivity).astype(float) / R[:, None]
+        return J
 
 
+@lru_cache(maxsize=4)  # several pipelines and pictures are made for one sensor
 def linear_model(
     design: SensorDesign,
     protocol: Protocol,
     pixels: tuple[int, int],
-    angle_deg: float = 0.0,
-    hinge: Hinge | None = None,
     resolution: "Resolution | Discretisation" = "fast",
 ) -> LinearModel:
-    """Linear model of the untouched nominal sensor at a bend.
+    """Linear model of the nominal sensor; all callers share the arrays.
 
-    Pixels lie on the flat sensor, row by row, and move with the gel. In these coordinates a bent
-    gel has the pulled-back conductivity K = J F^-1 sigma F^-T, and
-    dR = - int grad u_drive . K grad u_sense d sigma / sigma (adjoint method, Geselowitz 1971).
+    dR = - int grad u_drive . sigma grad u_sense d sigma / sigma (adjoint method, Geselowitz 1971).
 
     Args:
         design: the sensor.
         protocol: the measurements.
         pixels: number of rows along y and of columns along x.
-        angle_deg: bend angle [deg].
-        hinge: the fixture; the default fixture when omitted.
         resolution: of the forward model.
-
-    Raises:
-        ConfigurationError: for a bend that the fixture or the sensor does not allow.
     """
-    return _linear_model(design, protocol, pixels, angle_deg, hinge, resolution)
-
-
-@lru_cache(maxsize=4)  # several pipelines and pictures are made for one sensor
-def _linear_model(
-    design: SensorDesign,
-    protocol: Protocol,
-    pixels: tuple[int, int],
-    angle_deg: float,
-    hinge: Hinge | None,
-    resolution: "Resolution | Discretisation",
-) -> LinearModel:
-    """Linear model of a design; all callers share the arrays."""
     # A trained pipeline runs without: these take longer to import than all the rest of it.
     from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.simulator import Simulator
 
-    simulator = Simulator(design, resolution, hinge, protocol)
-    layer, model = simulator.deformed_layer(Scene(Bend(angle_deg))), simulator.model
+    simulator = Simulator(design, resolution, protocol=protocol)
+    layer, model = simulator.deformed_layer(Scene()), simulator.model
     sensitivity = model.sensitivity(
         protocol, layer.conductivity, pixels, layer.area_ratio, along=layer.conductivity
     )
@@ -87,16 +67,3 @@ def _linear_model(
     for values in (sensitivity, impedance):
         values.flags.writeable = False
     return LinearModel(impedance, sensitivity)
-
-
-def relative_jacobian(sensitivity: ArrayLike, impedance: ArrayLike, conductivity: float) -> Array:
-    """Relative Jacobian (measurements, pixels), d log R / d log sigma, dimensionless.
-
-    Args:
-        sensitivity: dR/dsigma (measurements, pixels) [ohm per S/m].
-        impedance: of the same sensor (measurements,) [ohm].
-        conductivity: at which the sensitivity was taken [S/m].
-    """
-    R = np.real(np.asarray(impedance))
-    J: Array = conductivity * np.real(np.asarray(sensitivity)).astype(float) / R[:, None]
-    return J

@@ -13,18 +13,21 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.training.method.input_spec import require_usable, usable_values
 from eitskin.training.method.observations import relative_difference
-from eitskin.training.reconstruction.greit import desired_radius, greit
 from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
-from eitskin.training.reconstruction.pixel_grid import PIXELS, PixelGrid
-from eitskin.training.reconstruction.priors import (
+from eitskin.training.reconstruction.picture_methods import (
     Prior,
-    gauss_newton,
-    noser_weights,
+    TotalVariation,
+    desired_radius,
+    greit,
     prior_matrix,
 )
-from eitskin.training.reconstruction.regularisation import Regularisation
-from eitskin.training.reconstruction.regularised_inverse import RegularisedInverse
-from eitskin.training.reconstruction.total_variation import TotalVariation
+from eitskin.training.reconstruction.pixel_grid import PIXELS, PixelGrid
+from eitskin.training.reconstruction.regularised_inverse import (
+    Regularisation,
+    RegularisedInverse,
+    gauss_newton,
+    noser_weights,
+)
 
 Array = NDArray[np.float64]
 Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit"]

@@ -1,17 +1,23 @@
-"""Family of linear reconstructions over the regularisation parameter, and rules for choosing it."""
+"""Families of linear reconstructions over the regularisation parameter, and the choice of it."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
 
+from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
+RuleName = Literal["noise-figure", "snr", "gcv", "lambda"]
 
 _RANGE = (-9.0, 6.0)  # decades of lambda about the root mean square signal that are searched
+PRIOR_FLOOR = 0.1  # least weight of a pixel in NOSER's prior, relative to the median pixel's
 MAX_SNR = 1e4  # for noise-free data, whose step would otherwise be unregularised
 
 
@@ -19,8 +25,8 @@ MAX_SNR = 1e4  # for noise-free data, whose step would otherwise be unregularise
 class RegularisedInverse:
     """Reconstruction matrices B (G + lambda^2 I)^-1 of every lambda, for white noise.
 
-    One-step Gauss-Newton has this form with B = R^-1 J^T and G = J B (`priors.gauss_newton`), GREIT
-    with B = D Y^T and G = Y Y^T (`greit.greit`).
+    One-step Gauss-Newton has this form with B = R^-1 J^T and G = J B (`gauss_newton`), GREIT with
+    B = D Y^T and G = Y Y^T (`picture_methods.greit`).
 
     Attributes:
         back: B (pixels, measurements).
@@ -151,3 +157,87 @@ class RegularisedInverse:
         """Eigenvalues (M,) and eigenvectors (M, M) of G, and B times these (P, M)."""
         eigenvalues, vectors = np.linalg.eigh(self.gram)
         return np.maximum(eigenvalues, 0.0), vectors, self.back @ vectors
+
+
+def noser_weights(jacobian: Array) -> Array:
+    """Diagonal (pixels,) of NOSER's prior diag(J^T J) (Cheney et al. 1990), with a floor.
+
+    The floor is a tenth of the median. Behind the outermost electrodes lie a few corner pixels that
+    hardly any current passes; plain NOSER lets their conductivity vary a hundred times more than
+    elsewhere, and every image peaks there.
+    """
+    sensitivities = np.sum(jacobian**2, axis=0)
+    weights: Array = np.maximum(sensitivities, PRIOR_FLOOR * np.median(sensitivities))
+    return weights
+
+
+def gauss_newton(jacobian: ArrayLike, prior: Array | csc_array) -> RegularisedInverse:
+    """One-step Gauss-Newton (J^T J + lambda^2 R)^-1 J^T for every lambda.
+
+    Computed in the push-through form R^-1 J^T (J R^-1 J^T + lambda^2 I)^-1: a system of the size of
+    one frame instead of one image.
+
+    Args:
+        jacobian: J (measurements, pixels).
+        prior: R, its diagonal (pixels,) or a sparse matrix (pixels, pixels), positive definite.
+    """
+    J = np.asarray(jacobian, dtype=float)
+    if isinstance(prior, np.ndarray):
+        weighted = (J / prior).T
+    else:
+        weighted = splu(prior, permc_spec="MMD_AT_PLUS_A").solve(np.ascontiguousarray(J.T))
+    return RegularisedInverse(weighted, J @ weighted)
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisation:
+    """Rule for lambda, with its number.
+
+    noise-figure: pictures lose this factor of signal to noise against the data; needs no frames
+    (Adler and Guardo 1996; Graham and Adler 2006).
+    snr: the MAP estimate for a signal-to-noise ratio of the frames.
+    gcv: generalised cross-validation of the frames themselves; its number is not used.
+    lambda: the parameter itself, for data as `Reconstructor.data` makes them.
+
+    Attributes:
+        rule: its name.
+        value: its number, positive.
+    """
+
+    rule: RuleName = "noise-figure"
+    value: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.rule not in get_args(RuleName) or not LEAST <= self.value <= MOST:
+            raise ConfigurationError(
+                f"expected a rule for lambda of {', '.join(get_args(RuleName))} with a "
+                f"number from {LEAST:g} to {MOST:g}, got {self.rule!r} with {self.value!r}"
+            )
+
+    @classmethod
+    def named(cls, text: str) -> "Regularisation":
+        """Rule of a text: `noise-figure:1`, `snr:100`, `gcv`, or `lambda:0.01`."""
+        name, colon, number = text.partition(":")
+        try:
+            if name not in get_args(RuleName) or bool(colon) == (name == "gcv"):
+                raise ValueError
+            return cls(name, float(number) if colon else 1.0)  # type: ignore[arg-type]
+        except ValueError as error:
+            raise ConfigurationError(
+                "expected a rule for lambda as noise-figure:1, snr:100, gcv or lambda:0.01, got "
+                f"'{text}'"
+            ) from error
+
+    def choose(self, family: RegularisedInverse, response: Array, data: Array) -> float:
+        """Regularisation parameter lambda for a family of reconstructions.
+
+        Args:
+            family: the reconstructions.
+            response: noise-free data of a small target in the middle (measurements,).
+            data: of the frames, without missing channels (n, measurements).
+        """
+        if self.rule == "noise-figure":
+            return family.of_noise_figure(self.value, response)
+        if self.rule == "snr":
+            return family.of_snr(self.value)
+        return family.of_gcv(data) if self.rule == "gcv" else self.value

@@ -108,7 +108,7 @@ def command(
 
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.reconstruction.reconstructor import Difference, Method, Reconstructor
-    from eitskin.training.reconstruction.regularisation import Regularisation
+    from eitskin.training.reconstruction.regularised_inverse import Regularisation
 
     output = Output(as_json, quiet, verbose)
     names = list(get_args(Method)) if method == "all" else [one_of("--method", method, Method)]

@@ -5,9 +5,9 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
-from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator import Protocol
 from eitskin.training.paper.reconstruction import MAX_SNR, Reconstruction, signal_to_noise
-from eitskin.training.reconstruction.linear_model import relative_jacobian
+from eitskin.training.reconstruction.linear_model import linear_model
 
 SHAPE = (8, 16)
 
@@ -19,10 +19,7 @@ def jacobian():
 
 @pytest.fixture(scope="module")
 def sensor_jacobian():
-    model = ForwardModel(SensorDesign.reference(), resolution="fast")
-    protocol = Protocol.pairwise(8)
-    sensitivity = model.sensitivity(protocol, pixels=(32, 80))
-    return relative_jacobian(sensitivity, protocol.measure(model.impedance()), 1.0)
+    return linear_model(SensorDesign.reference(), Protocol.pairwise(8), (32, 80)).relative
 
 
 def test_push_through_form_is_the_formula_of_the_paper(jacobian):

@@ -14,7 +14,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
 from eitskin.training.reconstruction.figures_of_merit import figures_of_merit
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor, back_projection
-from eitskin.training.reconstruction.regularisation import Regularisation
+from eitskin.training.reconstruction.regularised_inverse import Regularisation
 
 RADIUS = 0.05
 COARSE = ((2, 1), Grading(4e-3, 0.02, 1.5, layers=1))

@@ -5,9 +5,9 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
+from eitskin.training.reconstruction.picture_methods import prior_matrix
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
-from eitskin.training.reconstruction.priors import gauss_newton, prior_matrix
-from eitskin.training.reconstruction.regularisation import Regularisation
+from eitskin.training.reconstruction.regularised_inverse import Regularisation, gauss_newton
 
 GRID = PixelGrid.of(Rectangle(0.12, 0.06), 72)
 RNG = np.random.default_rng(0)

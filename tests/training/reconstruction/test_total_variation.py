@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin.geometry.design.outline import Rectangle
+from eitskin.training.reconstruction.picture_methods import TotalVariation
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
-from eitskin.training.reconstruction.total_variation import TotalVariation
 
 
 def test_step_of_one_dimension_has_its_closed_form():
