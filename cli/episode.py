@@ -40,7 +40,7 @@ def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> l
     """
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
-    from eitskin.hardware.virtual.scene_script import Script, Step
+    from eitskin.hardware.virtual.stage import Script, Step
 
     script = Script(tuple(Step(scene, frames) for scene in STEPS), repeat=False)
     readings: list[Reading] = []

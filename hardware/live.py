@@ -2,6 +2,7 @@
 
 import logging
 import math
+import threading
 import time
 import typing
 from collections import deque
@@ -11,10 +12,47 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.closeable import Closeable
 from eitskin.datasets.store.state import State
 from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.frame import Frame
+from eitskin.hardware.boards.board import Board, Connection, longest_silence
+from eitskin.hardware.boards.port import UnrecoverableError
 from eitskin.input_files import printable
+from eitskin.latest import Latest
+
+DRIFT = 1e-4  # of two clocks, at most; crystals are off by some 5e-5
+
+
+class AcquisitionClock:
+    """When the measurement of each frame began, by the clock of this machine.
+
+    No frame comes before it was measured: the smallest difference between an arrival and the end of
+    that measurement by the board's clock counts as the difference of the two clocks. It holds the
+    shortest time on the line, which one end alone cannot tell; every result is late by that.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self._session: int | None = None
+        self._offset, self._board_time, self._arrived = math.inf, -math.inf, 0.0
+
+    def begun(self, frame: Frame, arrived: float) -> float:
+        """Time at which a frame's measurement began [s]; NaN where the board tells no duration.
+
+        Args:
+            frame: in the order of arrival.
+            arrived: when it came, by the clock of this machine [s].
+        """
+        if not math.isfinite(frame.duration + frame.time):
+            return math.nan
+        if frame.session != self._session or frame.time < self._board_time:  # another clock
+            self._session, self._offset, self._arrived = frame.session, math.inf, arrived
+        self._offset += DRIFT * (arrived - self._arrived)  # what was smallest may be so no more
+        self._offset = min(self._offset, arrived - (frame.time + frame.duration))
+        self._board_time, self._arrived = frame.time, arrived
+        return frame.time + self._offset
+
 
 LONGEST_REASON = 200  # letters
 
@@ -142,3 +180,114 @@ def _rate(arrivals: deque[float]) -> float:
     if len(arrivals) < 2 or arrivals[-1] <= arrivals[0]:
         return float("nan")
     return (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])
+
+
+class LiveReadings(Closeable):
+    """Live session in a thread of its own, which keeps the newest reading only.
+
+    Any number of threads may iterate, ask for `newest` and have functions called. A board that goes
+    away is connected to again, for as long as it takes. An error that ends the session, such as a
+    board with another sensor, is raised by every iteration, and by `close` where nobody iterates.
+    """
+
+    def __init__(self, board: Board, pipeline: FramePipeline) -> None:
+        """Begin a session; the sensor must be as the pipeline needs it at the start.
+
+        Args:
+            board: an open board, which `close` closes.
+            pipeline: makes the estimates; nobody else may use it meanwhile.
+        """
+        self._board = board
+        self._closing = threading.Event()
+        self._connection = Connection(board, wait=self._pause)
+        self._latest: Latest[Reading] = Latest()
+        self._arrived = 0.0
+        self._error: Exception | None = None
+        self._told = False
+        self._threads: list[threading.Thread] = []
+        self._start(lambda: self._read(pipeline), "live readings")
+
+    @property
+    def newest(self) -> Reading | None:
+        """The newest reading; None before the first, and where it is older than three periods."""
+        reading = self._latest.value
+        fresh = time.monotonic() - self._arrived <= longest_silence(self._board.info.period)
+        return reading if fresh and not self._latest.closed else None
+
+    @property
+    def problem(self) -> str:
+        """Reason why no frames come; empty while they come."""
+        return str(self._error or self._connection.problem)
+
+    def __iter__(self) -> Iterator[Reading]:
+        """Readings as they come, without those that became old meanwhile, until the session ends.
+
+        Raises the error that ended the session.
+        """
+        number = 0
+        while (newest := self._latest.after(number)) is not None:
+            number, reading = newest
+            yield reading
+        if self._error is not None:
+            self._told = True
+            raise self._error
+
+    def call(self, function: Callable[[Reading], object]) -> None:
+        """Call `function` with each newest reading, in a thread of its own.
+
+        A slow function misses readings. An error that it raises ends the session.
+        """
+        self._start(lambda: self._call(function), "live call")
+
+    def close(self) -> None:
+        """End the session, close the board, and wait until all threads are done.
+
+        Raises the error that ended the session, unless an iteration has raised it.
+        """
+        self._closing.set()
+        self._latest.close()
+        self._board.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join()
+        if self._error is not None and not self._told:
+            self._told = True
+            raise self._error
+
+    def _start(self, target: Callable[[], None], name: str) -> None:
+        thread = threading.Thread(target=target, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _pause(self, seconds: float) -> None:
+        """Wait before connecting again; raises UnrecoverableError where the session ends."""
+        if self._closing.wait(seconds):
+            raise UnrecoverableError(f"{self._board.uri}: the session has ended")
+
+    def _read(self, pipeline: FramePipeline) -> None:
+        try:
+            for reading in run_live(self._connection, pipeline):
+                self._arrived = time.monotonic()
+                self._latest.put(reading)
+                if self._closing.is_set():
+                    break
+        except Exception as error:  # raised where the readings are used
+            self._fail(error)
+        finally:
+            self._latest.close()
+
+    def _call(self, function: Callable[[Reading], object]) -> None:
+        number = 0
+        try:
+            while (newest := self._latest.after(number)) is not None:
+                number, reading = newest
+                function(reading)
+        except Exception as error:  # raised by `close`
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """End the session by an error; one that closing the board causes is none."""
+        if not self._closing.is_set():
+            self._error = self._error or error
+            self._closing.set()
+            self._latest.close()

@@ -37,7 +37,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.opening import open_board
-from eitskin.hardware.virtual.scene_script import Script, Step
+from eitskin.hardware.virtual.stage import Script, Step
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis

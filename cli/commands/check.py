@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eitskin.frame import Frame
-    from eitskin.hardware.diagnosis.finding import Finding
+    from eitskin.hardware.diagnosis.checked_frames import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
     from eitskin.hardware.live import Estimate
     from eitskin.protocol import Protocol
@@ -222,7 +222,7 @@ def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | 
 def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tuple[Finding, ...]":
     """Finding of a sensor that is bent or pressed, by its stored reference or by other sensors."""
     from eitskin.datasets.store.state import State
-    from eitskin.hardware.diagnosis.finding import Finding, FindingKind
+    from eitskin.hardware.diagnosis.checked_frames import Finding, FindingKind
 
     try:
         estimate = estimated()

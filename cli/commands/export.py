@@ -57,7 +57,7 @@ def export_mcap(
     docs/interoperability.md has the topics and their units.
     """
     from eitskin.hardware.boards.replay_board import ReplayBoard
-    from eitskin.hardware.export.mcap import McapWriter, require_new
+    from eitskin.hardware.ros2.mcap import McapWriter, require_new
 
     output = Output(as_json, quiet, verbose)
     require_new(out)

@@ -178,7 +178,7 @@ def _break(board: "Board", sheet: SensorDesign | Region, command: FaultCommand) 
 
 
 def _play(board: "Board", sheet: SensorDesign | Region, command: PlayCommand) -> None:  # noqa: ARG001
-    from eitskin.hardware.virtual.scene_script import Script, Step
+    from eitskin.hardware.virtual.stage import Script, Step
 
     if not command.play:
         _stage(board).set(Scene())

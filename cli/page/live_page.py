@@ -15,12 +15,11 @@ from eitskin.closeable import Closeable
 from eitskin.extras import require_all
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.boards.acquisition_clock import AcquisitionClock
+from eitskin.hardware.live import AcquisitionClock
 
 if TYPE_CHECKING:
     from eitskin.cli.page.server import ClientLimits
-    from eitskin.hardware.boards.board import Counts
-    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.boards.board import Connection, Counts
     from eitskin.hardware.live import Reading
 
 log = logging.getLogger(__name__)

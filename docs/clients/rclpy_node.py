@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosidl_runtime_py.utilities import get_message
 
 from eitskin.hardware import LiveReadings, Reading, open_board
-from eitskin.hardware.export.ros_messages import RosMessages
+from eitskin.hardware.ros2.messages import RosMessages
 from eitskin.training import open_pipeline
 
 

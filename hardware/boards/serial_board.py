@@ -16,11 +16,11 @@ from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Counts, longest_silence
-from eitskin.hardware.boards.port import SerialPort
-from eitskin.hardware.boards.reopenable_port import (
+from eitskin.hardware.boards.port import (
     BACKLOG,
     CHUNK,
     ReopenablePort,
+    SerialPort,
     UnrecoverableError,
 )
 from eitskin.hardware.protocol.frame_parts import (

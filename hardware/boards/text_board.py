@@ -17,10 +17,8 @@ from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Counts, longest_silence
-from eitskin.hardware.boards.port import SerialPort, connector
-from eitskin.hardware.boards.reopenable_port import BACKLOG, CHUNK, ReopenablePort
-from eitskin.hardware.boards.text_frames import FrameFinder, FrameLines
-from eitskin.hardware.boards.text_lines import LineDecoder
+from eitskin.hardware.boards.port import BACKLOG, CHUNK, ReopenablePort, SerialPort, connector
+from eitskin.hardware.boards.text_lines import FrameFinder, FrameLines, LineDecoder
 from eitskin.hardware.protocol.messages import Info, Table
 from eitskin.protocol import Protocol
 

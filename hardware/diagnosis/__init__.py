@@ -2,5 +2,5 @@
 
 Frames of the untouched sensor become statistics per channel (`checked_frames`); variation, values
 and a fit of the contacts become findings in `sensor_check`. `reading_check` needs no model of
-the sensor: it holds readings against the `linear_relations` that any ideal meter obeys.
+the sensor: it compares readings with the linear relations that any ideal meter obeys.
 """

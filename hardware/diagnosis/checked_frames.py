@@ -1,7 +1,9 @@
-"""Frames of a sensor check: statistics of each channel, and the electrodes at fault."""
+"""Frames of a sensor check: statistics of each channel, findings, and variation over time."""
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
@@ -188,3 +190,158 @@ def electrodes_at_fault(wrong: Bools, protocol: Protocol) -> tuple[list[int], li
             electrodes.append(electrode)
             left &= ~at
     return electrodes, np.flatnonzero(left).tolist()
+
+
+class FindingKind(StrEnum):
+    """Kinds of findings."""
+
+    NOT_FINITE = "not finite"
+    CLIPPED = "clipped"
+    BOARD = "reported by the board"
+    FROZEN = "frozen"
+    STUCK = "stuck"
+    NOISY = "noisy"
+    MOVED = "moved"
+    OPEN = "open"
+    SHORT = "short"
+    FACTOR = "factor"
+    PHASE = "phase"
+    SWAPPED = "swapped"
+    BAD_CONTACT = "bad contact"
+    MISFIT = "misfit"
+    NOT_FLAT = "not flat"
+    DEAD = "dead"
+    RECIPROCITY = "reciprocity"
+    DRIVE_SWAP = "swapped drives"
+    SENSE_SWAP = "swapped senses"
+    LOOP = "loop sum"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One fault of a sensor.
+
+    Attributes:
+        what: kind of the finding.
+        electrodes: numbers of the electrodes at fault; empty where unknown.
+        channels: numbers of the measurements that show the fault.
+        message: fault and remedy, in words.
+    """
+
+    what: FindingKind
+    electrodes: tuple[int, ...]
+    channels: tuple[int, ...]
+    message: str
+
+
+def findings_by_electrode(
+    what: FindingKind, wrong: Bools, checked: CheckedFrames, said: str, remedy: str
+) -> Iterator[Finding]:
+    """Findings of wrong channels, by electrode where all channels of one are wrong."""
+    if wrong.all():
+        yield Finding(what, (), channel_numbers(wrong), f"every channel {said}: {remedy}")
+        return
+    electrodes, channels = electrodes_at_fault(wrong, checked.protocol)
+    for e in electrodes:
+        at = checked.with_electrode(e)
+        yield Finding(
+            what, (e,), channel_numbers(at), f"every pair of electrode {e} {said}: {remedy}"
+        )
+    for k in channels:
+        yield Finding(what, (), (k,), f"channel {checked.protocol.labels[k]} {said}: {remedy}")
+
+
+def channel_names(wrong: Bools, checked: CheckedFrames) -> str:
+    """Wrong channels, in words."""
+    labels = [checked.protocol.labels[k] for k in np.flatnonzero(wrong)]
+    return "every channel" if wrong.all() else f"channel {', '.join(labels)}"
+
+
+def channel_numbers(channels: Bools) -> tuple[int, ...]:
+    """Numbers of the channels in a mask."""
+    return tuple(np.flatnonzero(channels).tolist())
+
+
+MOVED = 0.003
+"""Relative change of all values in common between quarters of the check that is a movement."""
+TOUCHED = 0.0003
+"""The same beside the common change, rms over the channels."""
+SIGNIFICANT = 6.0
+"""Reduced chi-square of a change, and its ratio to the standard deviation, beyond noise."""
+NOISY, NOISE = 4.0, 0.001
+"""Noise of a noisy channel: in units of the median channel's noise, and relative to its value."""
+NOISY_BOARD = 0.005
+"""Noise of the median channel, relative to the rms of all, from which all values are noisy."""
+FEWEST_FOR_NOISE = 8
+
+
+def frozen(checked: CheckedFrames) -> Iterator[Finding]:
+    """Findings of values that repeat to the last bit, which no measurement does."""
+    same = np.diff(np.where(checked.finite, checked.impedance, 0.0), axis=0) == 0
+    if len(same) < 2 or not checked.usable.any():
+        return
+    same[:, ~checked.usable] = True
+    repeats = int(same.all(axis=1).sum())
+    if repeats >= 2:
+        text = (
+            f"{repeats} of {len(same) + 1} frames repeat the one before: the board sends old "
+            "values; restart it"
+        )
+        yield Finding(FindingKind.FROZEN, (), tuple(range(len(checked.expected))), text)
+        return
+    if (stuck := same.all(axis=0) & checked.usable & ~checked.opened & ~checked.shorted).any():
+        remedy = "its value never changes, not even by noise: check its multiplexer path"
+        yield from findings_by_electrode(FindingKind.STUCK, stuck, checked, "is stuck", remedy)
+
+
+def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+    """Findings of noise and movement among the channels `rest`."""
+    if len(checked.impedance) < FEWEST_FOR_NOISE or not rest.any():
+        return
+    value, noise = np.abs(checked.value), checked.noise
+    relative = noise / np.maximum(value, SHORT * checked.expected)
+    usual = float(np.median(noise[rest]))
+    # White noise is that of the largest values, and far above many of those between neighbours.
+    size = float(np.sqrt(np.mean(value[rest] ** 2)))
+    if usual > NOISY_BOARD * size:
+        text = (
+            f"all values scatter by {100 * usual / size:.1f} % from frame to frame: check ground, "
+            "shield and supply of the board, and that nothing moves"
+        )
+        yield Finding(FindingKind.NOISY, (), channel_numbers(rest), text)
+    elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():
+        yield from findings_by_electrode(
+            FindingKind.NOISY, noisy, checked, "is noisy", "a loose wire or plug does this"
+        )
+        rest = rest & ~noisy
+    yield from _moved(checked, rest, np.maximum(relative, np.median(relative[rest])))
+
+
+def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
+    """Findings of relative changes beyond the noise between quarters of the check."""
+    # In the units of `noise`: a value near zero, as between four terminals, is no unit of its own.
+    size = np.abs(checked.value)
+    unit = np.maximum(size, SHORT * checked.expected) / np.where(size == 0.0, 1.0, size)
+    value = np.where(checked.value == 0.0, 1.0, checked.value) * unit
+    values = (np.where(checked.finite, checked.impedance, value) / value)[:, rest]
+    means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
+    changes = (means[:, None] - means[None]).reshape(16, -1)
+    common = np.median(changes, axis=1)
+    noise_std = np.maximum(noise[rest] * np.sqrt(2 * 4 / len(values)), np.finfo(float).eps)
+    beside = changes - common[:, None]
+    touched = np.sqrt((beside**2).mean(axis=1)) > TOUCHED
+    touched &= ((beside / noise_std) ** 2).mean(axis=1) > SIGNIFICANT
+    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(noise_std)):
+        return
+    largest = np.abs(changes).max(axis=0)
+    moved = np.zeros_like(rest)
+    moved[rest] = largest > np.maximum(MOVED, SIGNIFICANT * noise_std)
+    electrodes, others = electrodes_at_fault(moved, checked.protocol)
+    text = f"values changed by up to {100 * float(largest.max()):.2g} % during the check: "
+    if len(electrodes) == 1 and not others:
+        (e,) = electrodes
+        text += f"the contact of electrode {e} is loose, press its wire into the gel, check plug "
+        yield Finding(FindingKind.MOVED, (e,), channel_numbers(moved), f"{text}{e}")
+        return
+    text += "lay the sensor flat, leave it untouched, let it settle, and check again"
+    yield Finding(FindingKind.MOVED, (), channel_numbers(moved), text)

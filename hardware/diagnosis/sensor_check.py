@@ -20,17 +20,16 @@ from eitskin.hardware.diagnosis.checked_frames import (
     SHORT,
     Bools,
     CheckedFrames,
-    checked_frames,
-    electrodes_at_fault,
-)
-from eitskin.hardware.diagnosis.finding import (
     Finding,
     FindingKind,
     channel_names,
     channel_numbers,
+    checked_frames,
+    electrodes_at_fault,
     findings_by_electrode,
+    frozen,
+    unsteady,
 )
-from eitskin.hardware.diagnosis.variation import frozen, unsteady
 from eitskin.protocol import Protocol
 
 # Each limit lies beyond the values of healthy sensors (docs/boards.md has by how far).

@@ -1,5 +1,5 @@
-"""Readings as live ROS 2 topics, and a service, over DDS alone: no ROS is needed.
+"""Readings as ROS 2 messages, in MCAP files and as live topics over DDS; no ROS is needed.
 
-`names` has ROS 2's names on the wire, `dds_types` its types, `participant` what ROS 2 expects of a
-process, `tare_service` a service, `skin_node` the node that `eitskin live --ros2` runs.
+`messages` makes messages of a reading, `mcap` writes them to a file, `participant` is a process as
+ROS 2 expects it on the wire, and `skin_node` the node that `eitskin live --ros2` runs.
 """

@@ -1,14 +1,189 @@
 """Participant of DDS that ROS 2 takes for a process with one node."""
 
 import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.hardware.ros2 import node_message
-from eitskin.hardware.ros2.dds_types import DdsTypes
-from eitskin.hardware.ros2.names import dds_service, dds_topic, require_domain
+
+DISCOVERY_TOPIC = "ros_discovery_info"
+DISCOVERY_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+OLD = ("foxy", "galactic", "humble")
+"""Distributions whose identifiers have 24 bytes; later ones have 16. The message has one name in
+both, so that a domain can hold only one kind."""
+
+
+@dataclass(frozen=True)
+class NodeDefinitions:
+    """Definitions of the message.
+
+    Attributes:
+        store: type store of rosbags.
+        size: bytes of an identifier.
+    """
+
+    store: Any
+    size: int
+
+    @classmethod
+    def of_distribution(cls) -> "NodeDefinitions":
+        """Definitions of the distribution in ROS_DISTRO; of the later ones where that is unset."""
+        from rosbags.typesys import Stores, get_typestore
+
+        if os.environ.get("ROS_DISTRO") in OLD:
+            return cls(get_typestore(Stores.ROS2_HUMBLE), 24)
+        return cls(get_typestore(Stores.ROS2_JAZZY), 16)
+
+    def message(
+        self,
+        namespace: str,
+        node: str,
+        participant: Any,
+        readers: Sequence[Any],
+        writers: Sequence[Any],
+    ) -> bytes:
+        """CDR form of the message that gives one node of a participant its readers and writers."""
+        make = self.store.types
+        one = make["rmw_dds_common/msg/NodeEntitiesInfo"](
+            node_namespace=f"/{namespace}",
+            node_name=node,
+            reader_gid_seq=[self._identifier(reader) for reader in readers],
+            writer_gid_seq=[self._identifier(writer) for writer in writers],
+        )
+        said = make[DISCOVERY_TYPE](gid=self._identifier(participant), node_entities_info_seq=[one])
+        return bytes(self.store.serialize_cdr(said, DISCOVERY_TYPE))
+
+    def _identifier(self, entity: Any) -> Any:
+        """Identifier of an entity of DDS: its GUID, filled up with zeros."""
+        data = np.frombuffer(entity.guid.bytes.ljust(self.size, b"\0"), np.uint8)
+        return self.store.types["rmw_dds_common/msg/Gid"](data=data)
+
+
+LARGEST_DOMAIN = 232  # ports of UDP above 65535 would follow
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def dds_topic(topic: str) -> str:
+    """Name of a topic, such as rt/tf for /tf."""
+    return f"rt{topic}"
+
+
+def dds_service(service: str) -> tuple[str, str]:
+    """Names of the topics of requests and of replies of a service."""
+    return f"rq{service}Request", f"rr{service}Reply"
+
+
+def dds_type_name(kind: str) -> str:
+    """Name of a type, such as std_msgs::msg::dds_::String_ for std_msgs/msg/String."""
+    package, folder, name = kind.split("/")
+    return f"{package}::{folder}::dds_::{name}_"
+
+
+def require_name(name: str) -> str:
+    """Check the name of a skin, which its topics begin with, and return it.
+
+    Raises ConfigurationError for a name that ROS 2 does not allow.
+    """
+    bare = name.strip("/")
+    if not _NAME.fullmatch(bare) or "__" in bare:
+        raise ConfigurationError(
+            "expected a ROS 2 namespace of letters, digits and single underscores, in parts that "
+            f"begin with no digit, such as left_hand/skin, got '{name}'"
+        )
+    return bare
+
+
+def require_domain(domain: int) -> int:
+    """Check the number of a DDS domain and return it.
+
+    Raises ConfigurationError outside 0 to 232.
+    """
+    if not 0 <= domain <= LARGEST_DOMAIN:
+        raise ConfigurationError(
+            f"expected a DDS domain of 0 to {LARGEST_DOMAIN}, got {domain}; take the robot's "
+            "ROS_DOMAIN_ID"
+        )
+    return domain
+
+
+SCALARS = {"bool": bool, "string": str}
+CHARACTER = "uint8"  # what ROS 2 makes of its type char
+
+HEADER = {"client": "uint64", "sequence_number": "int64"}
+"""What rmw_cyclonedds_cpp puts before requests and replies, so that each finds its way back."""
+
+SERVICE_TYPES = {
+    "std_srvs/srv/Trigger_Request": {"structure_needs_at_least_one_member": "uint8"},
+    "std_srvs/srv/Trigger_Response": {"success": "bool", "message": "string"},
+}
+"""Halves of services; an empty message has one octet in ROS 2."""
+
+
+class DdsTypes:
+    """Types of Cyclone DDS by the name of the ROS 2 type; each is made once."""
+
+    def __init__(self, store: Any) -> None:
+        """Use the definitions in `store`, a type store of rosbags."""
+        self._store = store
+        self._made: dict[str, Any] = {}
+
+    def of(self, kind: str) -> Any:
+        """Class of samples of a message type, such as sensor_msgs/msg/Image."""
+        if kind not in self._made:
+            _, fields = self._store.fielddefs[kind]
+            self._made[kind] = _struct(kind, {name: self._field(each) for name, each in fields})
+        return self._made[kind]
+
+    def of_service(self, kind: str) -> Any:
+        """Class of samples of one of `SERVICE_TYPES`, with the header of rmw_cyclonedds_cpp."""
+        if kind not in self._made:
+            fields = HEADER | SERVICE_TYPES[kind]
+            self._made[kind] = _struct(kind, {name: _scalar(each) for name, each in fields.items()})
+        return self._made[kind]
+
+    def serialised(self, kind: str, data: bytes) -> Any:
+        """Sample of a message type that is written as `data`, its CDR form."""
+        sample = self.of(kind).__new__(self.of(kind))
+        sample.serialize = lambda **_: data
+        return sample
+
+    def _field(self, description: Any) -> Any:
+        """Type of a field from its description by rosbags."""
+        from cyclonedds.idl import types
+        from rosbags.interfaces import Nodetype
+
+        node, inner = description
+        if node == Nodetype.NAME:
+            return self.of(inner)
+        if node == Nodetype.BASE:
+            name, longest = inner
+            return types.bounded_str[longest] if longest else _scalar(name)
+        element, count = self._field(inner[0]), inner[1]
+        if node == Nodetype.ARRAY:
+            return types.array[element, count]
+        return types.sequence[element, count] if count else types.sequence[element]
+
+
+def _struct(kind: str, fields: dict[str, Any]) -> Any:
+    from cyclonedds.idl import make_idl_struct
+
+    return make_idl_struct(kind.replace("/", "__"), dds_type_name(kind), fields)
+
+
+def _scalar(name: str) -> Any:
+    """Type of a number, text or truth value by its name in ROS 2."""
+    from cyclonedds.idl import types
+
+    if name == "char":
+        name = CHARACTER
+    return SCALARS[name] if name in SCALARS else getattr(types, name)
+
 
 DEPTH = 10  # messages that wait for a slow subscriber, as in ROS 2's default profile
 LINGER = (
@@ -73,13 +248,13 @@ class RosParticipant(Closeable):
 
     def announce(self) -> None:
         """Tell the graph of ROS 2 the node with the readers and writers made so far."""
-        definitions = node_message.NodeDefinitions.of_distribution()
+        definitions = NodeDefinitions.of_distribution()
         data = definitions.message(
             self._namespace, self._node, self._participant, self._readers, self._writers
         )
         types = DdsTypes(definitions.store)
-        writer = self._writer(node_message.TOPIC, types.of(node_message.TYPE), "", latched=True)
-        TopicWriter(writer, node_message.TYPE, types).write(data)
+        writer = self._writer(DISCOVERY_TOPIC, types.of(DISCOVERY_TYPE), "", latched=True)
+        TopicWriter(writer, DISCOVERY_TYPE, types).write(data)
 
     def close(self) -> None:
         # An entity of DDS is deleted with the last reference to it.

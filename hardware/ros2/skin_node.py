@@ -1,22 +1,28 @@
 """ROS 2 node of a live sensor."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from eitskin.closeable import Closeable
+from eitskin.errors import EitskinError
 from eitskin.extras import require_all
-from eitskin.hardware.export.ros_messages import NAME, RosMessages
+from eitskin.frame import Frame
 from eitskin.hardware.live import Reading
-from eitskin.hardware.ros2.names import require_name
-from eitskin.hardware.ros2.participant import RosParticipant
-from eitskin.hardware.ros2.tare_service import Tare, TareService
+from eitskin.hardware.ros2.messages import NAME, RosMessages
+from eitskin.hardware.ros2.participant import RosParticipant, require_name, write_at_once
 
 NODE = "skin"  # name of the node, under the name of the skin
 TARE_FRAMES = 32
+TYPE = "std_srvs/srv/Trigger"
+MOST_AT_ONCE = 100  # requests that are taken together
+
+Tare = Callable[[Sequence[Frame]], str]
+"""Makes frames of the untouched sensor the zero; returns how, and raises EitskinError if not."""
 
 
 class SkinNode(Closeable):
-    """Node that publishes readings as the messages of `ros_messages.TOPICS`.
+    """Node that publishes readings as the messages of `messages.TOPICS`.
 
     A stamp is the time, by the clock of this machine, at which the frame came. Publishing never
     waits for a subscriber.
@@ -81,3 +87,56 @@ class SkinNode(Closeable):
             self._service.close()
         self._service, self._topics = None, {}
         self._participant.close()
+
+
+class TareService:
+    """Service std_srvs/srv/Trigger that is answered in the live loop, frame by frame.
+
+    A request is answered after so many frames that came since; requests meanwhile get the same
+    answer. Frames of a session that ended do not count.
+    """
+
+    def __init__(self, participant: RosParticipant, name: str, tare: Tare, frames: int) -> None:
+        """Offer the service under a name; it uses the mean of so many frames."""
+        self._tare, self._count = tare, frames
+        self._requests, self._replies = participant.service(name, TYPE)
+        self._waiting: list[Any] = []
+        self._frames: list[Frame] = []
+
+    def follow(self, frame: Frame) -> None:
+        """Use one frame; answer requests whose frames are complete."""
+        self._waiting += self._new()
+        if not self._waiting:
+            return
+        if self._frames and self._frames[0].session != frame.session:
+            self._frames = []
+        self._frames.append(frame)
+        if len(self._frames) < self._count:
+            return
+        frames, self._frames = self._frames, []
+        try:
+            self._answer(True, self._tare(frames))
+        except EitskinError as error:
+            self._answer(False, str(error))
+
+    def close(self) -> None:
+        """Answer requests that came too late."""
+        self._waiting += self._new()
+        self._answer(False, "the session ended before enough frames came; begin it anew")
+        self._requests = self._replies = None
+
+    def _new(self) -> list[Any]:
+        """Requests since the last frame; that a client has gone is no request."""
+        taken = self._requests.take(MOST_AT_ONCE)
+        return [request for request in taken if request.sample_info.valid_data]
+
+    def _answer(self, success: bool, message: str) -> None:
+        for request in self._waiting:
+            reply = self._replies.data_type(
+                client=request.client,
+                sequence_number=request.sequence_number,
+                success=success,
+                message=message,
+            )
+            write_at_once(self._replies, reply)
+        self._waiting = []

@@ -1,14 +1,22 @@
 """Readings sent to other programs by a thread, so that none of them can hold up the live loop."""
 
+import contextlib
 import json
+import logging
+import re
+import socket
+import struct
 import threading
 import time
 import typing
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from typing import TYPE_CHECKING, Any
 
 from eitskin.closeable import Closeable
-from eitskin.hardware.boards.board import Counts
-from eitskin.hardware.boards.connection import Connection
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
+from eitskin.hardware.boards.board import Connection, Counts
 from eitskin.hardware.live import Reading
 from eitskin.hardware.streams.reading_record import reading_record, silence_record
 from eitskin.latest import Latest
@@ -85,3 +93,184 @@ class ReadingPublisher(Closeable):
             message = json.dumps(record, allow_nan=False)
             for outlet in self._outlets:
                 outlet.send(message)
+
+
+class UdpOutlet:
+    """Datagrams to one address, whether or not anybody listens there.
+
+    Attributes:
+        url: address that datagrams go to.
+        refused: datagrams that the system did not take: no route, full buffer, too long.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Look the address up; raises ConfigurationError where there is none."""
+        self.url = f"udp://{host}:{port}"
+        self.refused = 0
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        except OSError as error:
+            raise ConfigurationError(
+                f"--udp: cannot find {host}: {error.strerror or error}; give a name or number of a "
+                "machine on this network"
+            ) from error
+        family, kind, protocol, _, address = found[0]
+        self._address: tuple[Any, ...] = address
+        self._socket = socket.socket(family, kind, protocol)
+        self._socket.setblocking(False)
+
+    def send(self, message: str) -> None:
+        """Send one datagram."""
+        try:
+            self._socket.sendto(message.encode(), self._address)
+        except OSError:
+            self.refused += 1
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+if TYPE_CHECKING:
+    from websockets.sync.server import ServerConnection
+
+MOST_CLIENTS = 8
+STALLED = 5.0  # s, after which a client that takes nothing is disconnected
+TRY_AGAIN_LATER = 1013  # close code
+# Pages of this machine, and programs, which send no Origin: no foreign page may listen.
+ORIGINS = (None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"))
+
+log = logging.getLogger(__name__)
+log.setLevel(logging.CRITICAL)  # the terminal shows the sensor, not clients that come and go
+
+
+class WebSocketOutlet:
+    """Server of the newest reading; a client that is slow misses readings and gets no old one.
+
+    Attributes:
+        url: address of the stream.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Start to serve.
+
+        Args:
+            host: address to listen at.
+            port: of it; 0 for any that is free.
+
+        Raises:
+            ImportError: naming the extra, where websockets is missing.
+            ConfigurationError: where the port cannot be had.
+        """
+        serve = require("websockets.sync.server", "websocket").serve
+        self._messages: Latest[str] = Latest()
+        self._seats = threading.Semaphore(MOST_CLIENTS)
+        try:
+            self._server = serve(
+                self._serve,
+                host,
+                port,
+                origins=ORIGINS,
+                compression=None,
+                ping_interval=STALLED,
+                ping_timeout=STALLED,
+                close_timeout=1.0,
+                max_size=1024,
+                logger=log,
+            )
+        except OSError as error:
+            raise ConfigurationError(
+                f"--websocket: cannot listen at {host}:{port}: {error.strerror or error}; name "
+                "another port, or 0 for any that is free"
+            ) from error
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"ws://{shown}:{self._server.socket.getsockname()[1]}/"
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="websocket", daemon=True
+        )
+        self._thread.start()
+
+    def send(self, message: str) -> None:
+        """Make the message the next one that every client gets."""
+        self._messages.put(message)
+
+    def close(self) -> None:
+        """Disconnect all clients and end the server."""
+        self._messages.close()
+        self._server.shutdown()
+        self._thread.join()
+
+    def _serve(self, client: "ServerConnection") -> None:
+        """Send each newest message until the client has gone, stalls, or the server ends."""
+        if not self._seats.acquire(blocking=False):
+            client.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients listen already")
+            return
+        try:
+            _limit_sending(client.socket)
+            number = 0  # the newest message is at most a heartbeat old
+            while (newest := self._messages.after(number)) is not None:
+                number, message = newest
+                client.send(message)
+                # The next only when this one has arrived: buffers between would fill with old ones.
+                if not client.ping(ack_on_close=True).wait(STALLED):
+                    raise TimeoutError(f"nothing was read for {STALLED:g} s")
+        except Exception:  # gone, or stalled for too long, in any of the ways of the library
+            log.debug("a client has gone", exc_info=True)
+            with contextlib.suppress(OSError):
+                client.socket.shutdown(socket.SHUT_RDWR)
+        finally:
+            self._seats.release()
+
+
+def _limit_sending(connected: socket.socket) -> None:
+    """Let a send fail that takes too long; the library's own pings wait behind a stalled one."""
+    seconds = int(STALLED)
+    limit = struct.pack("ll", seconds, round(1e6 * (STALLED - seconds)))
+    with contextlib.suppress(OSError, AttributeError):
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+
+
+LOOPBACK = "127.0.0.1"
+
+
+def open_publisher(
+    connection: Connection, udp: str | None, websocket: str | None
+) -> ReadingPublisher:
+    """Publisher by UDP, WebSocket or both.
+
+    Args:
+        connection: to the board whose readings will be published.
+        udp: "PORT" or "HOST:PORT" that datagrams go to; None for no datagrams.
+        websocket: "PORT" or "HOST:PORT" to listen at; None for no server.
+
+    Raises:
+        ConfigurationError: for another form, an unknown host or a port that cannot be had.
+        ImportError: naming the extra, where websockets is missing.
+    """
+    outlets: list[Outlet] = []
+    with ExitStack() as stack:
+        if udp is not None:
+            outlets.append(stack.enter_context(closing(UdpOutlet(*address_of("--udp", udp)))))
+        if websocket is not None:
+            served = WebSocketOutlet(*address_of("--websocket", websocket))
+            outlets.append(stack.enter_context(closing(served)))
+        publisher = ReadingPublisher(connection, outlets)
+        stack.pop_all()  # the publisher closes them
+    return publisher
+
+
+def address_of(option: str, text: str) -> tuple[str, int]:
+    """Host and port of "PORT", which is this machine's own, or "HOST:PORT".
+
+    Args:
+        option: name of the option, for the error.
+        text: its value; an IPv6 host stands in brackets.
+
+    Raises ConfigurationError for another form.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and 0 <= int(port) <= 65535):
+        raise ConfigurationError(
+            f"{option} must be PORT or HOST:PORT, such as 5005 or 192.168.1.7:5005, got '{text}'"
+        )
+    return host.strip("[]") or LOOPBACK, int(port)

@@ -1,5 +1,6 @@
-"""Virtual board: simulated measurements and faults behind a pseudo-terminal.
+"""Virtual board: simulated measurements and faults behind a line in memory.
 
 A `Stage` plays scenes, a `SimulatedSensor` measures them, a `VirtualFirmware` answers requests and
-sends frames, changed by the faults of `fault_table`, and a `PseudoTerminal` serves the bytes.
+sends frames, changed by the faults of `fault_table`, and a `MemoryLine` passes the bytes; a
+`PseudoTerminal` offers that line to other programs.
 """

@@ -1,4 +1,4 @@
-"""Line in memory to a virtual board, which measures a frame when the host reads it."""
+"""Line in memory to a virtual board, which measures the frames that are due when the host reads."""
 
 import errno
 import threading
@@ -12,38 +12,45 @@ from eitskin.hardware.virtual.fault import Unplugged
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 
 _POLL = 0.05  # s, longest wait of a read, as of a real port
+_BACKLOG = 16384  # bytes that wait for a slow host, beyond which a paced board skips frames
 
 
 class MemoryLine(Closeable):
-    """Line to a board of the same process, without thread or pace.
+    """Line to a board of the same process, without a thread.
 
-    The board is never ahead of its host: which frames are read depends on the requests alone, not
-    on how fast the host or the machine is. Delays of faults pass in real time.
+    Without a period a frame is measured for each read that finds none: which frames are read
+    depends on the requests alone, not on how fast the host or the machine is. With a period frames
+    are due at that pace, and those that a slow host has no room for are skipped. Delays of faults
+    pass in real time.
 
     Attributes:
         firmware: firmware of the board.
+        period: time from frame to frame [s]; 0 for as fast as they are read.
         cable: number of times that the cable was plugged in; ports of earlier times have gone.
+        plugged: whether the cable is plugged in.
     """
 
     def __init__(
         self,
         firmware: VirtualFirmware,
+        period: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
         wait: Callable[[float], None] = time.sleep,
     ) -> None:
         """Make a line whose cable is not plugged in yet."""
-        self.firmware, self.cable = firmware, 0
+        self.firmware, self.period, self.cable, self.plugged = firmware, period, 0, False
         self._clock, self._wait = clock, wait
-        self._plugged = False
         self._outgoing = bytearray()
         self._due = self._back_at = 0.0  # s: of the next frame, and of the cable's return
         self._measuring = 0.0  # s, for all frames so far
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     def start(self) -> None:
         """Plug the cable in; the board boots."""
-        self._outgoing[:] = self.firmware.boot()
-        self.cable, self._plugged, self._due = self.cable + 1, True, 0.0
+        with self._lock:
+            self._outgoing[:] = self.firmware.boot()
+            self.cable, self.plugged = self.cable + 1, True
+            self._restart_pace()
 
     def now(self) -> float:
         """Time [s] by the clock, without that which measuring takes.
@@ -52,10 +59,16 @@ class MemoryLine(Closeable):
         """
         return self._clock() - self._measuring
 
+    def remaining(self) -> float:
+        """Time until a frame is due, or the cable may be put back [s]."""
+        if self.plugged:
+            return max(0.0, self._due - self.now())
+        return max(0.0, self._back_at - self._clock())
+
     def connect(self, uri: str) -> "MemoryPort":
         """Port at the host's end; raises DeviceError while the cable is pulled or the port held."""
-        if not self._plugged:
-            if self._clock() < self._back_at or not self.firmware.plugged_in:
+        if not self.plugged:
+            if self.remaining() or not self.firmware.plugged_in:
                 raise unplugged(uri)
             self.start()
         if self.firmware.holds_port:
@@ -63,62 +76,78 @@ class MemoryLine(Closeable):
         return MemoryPort(self)
 
     def close(self) -> None:
-        self._plugged = False
+        self.plugged = False
 
     def waiting(self) -> int:
         """Number of bytes that can be read at once."""
-        return len(self._outgoing)
+        with self._lock:
+            if self.period:
+                self._measure()
+            return len(self._outgoing)
 
     def clear(self) -> None:
         """Discard the bytes that were not read."""
-        self._outgoing.clear()
+        with self._lock:
+            self._outgoing.clear()
 
     def send(self, data: bytes) -> None:
         """Give the board a request; raises OSError while the cable is pulled."""
         with self._lock:
-            if not self._plugged:
+            if not self.plugged:
                 raise OSError(errno.EIO, "the cable was pulled")
             was_streaming = self.firmware.streaming
             self._outgoing += self.firmware.receive(data)
             if self.firmware.streaming and not was_streaming:
-                self._due = 0.0
+                self._restart_pace()
 
     def receive(self, size: int) -> bytes:
         """Up to `size` bytes, of the next frame where none wait; none after a short while.
 
         Raises OSError once the cable is pulled and all bytes are read.
         """
-        with self._lock:
-            left = self._measure()
-            data = bytes(self._outgoing[:size])
-            del self._outgoing[:size]
-            if not data and not self._plugged:
-                raise OSError(errno.EIO, "the cable was pulled")
-        if not data and left > 0.0:
-            self._wait(left)
+        data = self.take(size)
+        if not data and not self.plugged:
+            raise OSError(errno.EIO, "the cable was pulled")
+        if not data and (pause := self.remaining() if self.firmware.streaming else _POLL) > 0.0:
+            self._wait(min(pause, _POLL))
         return data
 
-    def _measure(self) -> float:
-        """Measure a frame if one is due and nothing waits; the time to wait otherwise [s]."""
-        if self._outgoing or not self._plugged:
-            return 0.0
-        if not self.firmware.streaming:
-            return _POLL
-        left = self._due - self._clock()
-        if left > 0.0:
-            return min(left, _POLL)
+    def take(self, size: int) -> bytes:
+        """Up to `size` bytes, of the next frame where none wait, at once."""
+        with self._lock:
+            self._measure()
+            data = bytes(self._outgoing[:size])
+            del self._outgoing[:size]
+        return data
+
+    def _restart_pace(self) -> None:
+        self._due = self.now() + self.period
+
+    def _measure(self) -> None:
+        """Measure the frames that are due, and skip those that find no room."""
+        while self.plugged and self.firmware.streaming and not self.remaining():
+            if self._outgoing and not self.period:
+                return
+            if len(self._outgoing) < _BACKLOG:
+                self._add_frame()
+            else:
+                self.firmware.skip()
+                self._due += self.period
+
+    def _add_frame(self) -> None:
         began = self._clock()
         try:
             self._outgoing += self.firmware.frame()
         except Unplugged as pulled:
             self._outgoing += pulled.sent
-            self._plugged = False
+            self.plugged = False
             self._back_at = self._clock() + (pulled.back_after or 0.0)
-        else:
-            self._due = self._clock() + self.firmware.delay
-        finally:
-            self._measuring += self._clock() - began
-        return 0.0
+        duration = self._clock() - began
+        self._measuring += duration
+        start = self._due if self.period else self.now()
+        self._due = start + self.period + self.firmware.delay
+        if self.period:  # the board's clock goes on while a frame is simulated
+            self.firmware.fall_behind(max(0.0, duration - self.period))
 
 
 class MemoryPort:

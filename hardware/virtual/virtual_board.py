@@ -1,11 +1,10 @@
-"""Virtual board: simulated measurements behind a pseudo-terminal, or a line in memory.
+"""Virtual board: simulated measurements behind a line in memory, or a pseudo-terminal.
 
 The host speaks with it as with a real board's port, so both share the host's code.
 """
 
 import time
-import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -15,15 +14,19 @@ from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.boards.port import SerialPort
 from eitskin.hardware.boards.serial_board import SerialBoard
 from eitskin.hardware.virtual.fault import Fault
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.memory_line import MemoryLine
-from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
-from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
-from eitskin.hardware.virtual.simulated_sensor import SceneSolver, SimulatedSensor
-from eitskin.hardware.virtual.stage import Stage
+from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
+from eitskin.hardware.virtual.stage import (
+    SceneSolver,
+    SceneSource,
+    Script,
+    SimulatedSensor,
+    Stage,
+    Step,
+)
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
@@ -98,7 +101,7 @@ def virtual_firmware(
 
 def virtual_terminal(
     *, speed: str = "real", link: str | Path | None = None, **options: Any
-) -> PseudoTerminal[VirtualFirmware]:
+) -> PseudoTerminal:
     """Pseudo-terminal of a virtual board, not yet served.
 
     Args:
@@ -108,29 +111,9 @@ def virtual_terminal(
 
     Raises ConfigurationError for an option out of range.
     """
-    _require_speed(speed)
-    firmware = virtual_firmware(**options)
-    pace = Pace(firmware.info.period if speed == "real" else 0.0)
-    terminal = PseudoTerminal(firmware, pace, link)
-    firmware.stage.changed = terminal.wake
+    terminal = PseudoTerminal(_virtual_line(speed, options), link)
+    terminal.firmware.stage.changed = terminal.wake
     return terminal
-
-
-class Line(typing.Protocol):
-    """Line between a virtual board and its host."""
-
-    @property
-    def firmware(self) -> VirtualFirmware:
-        """Firmware of the board."""
-
-    def start(self) -> None:
-        """Serve the board from now on."""
-
-    def connect(self, uri: str) -> SerialPort:
-        """Port at the host's end; raises DeviceError where there is none now."""
-
-    def close(self) -> None:
-        """End the board."""
 
 
 class VirtualBoard(SerialBoard):
@@ -144,7 +127,7 @@ class VirtualBoard(SerialBoard):
 
     def __init__(
         self,
-        line: Line,
+        line: MemoryLine | PseudoTerminal,
         uri: str = "virtual:",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -169,23 +152,26 @@ class VirtualBoard(SerialBoard):
             self._line.close()
 
 
-def open_virtual(uri: str = "virtual:", *, speed: str = "real", **options: Any) -> VirtualBoard:
+def open_virtual(
+    uri: str = "virtual:", *, speed: str = "real", link: str | Path | None = None, **options: Any
+) -> VirtualBoard:
     """Open a virtual board; the options are `virtual_terminal`'s.
 
-    At speed "max" it has no terminal unless a link to one is asked for: each frame is measured when
-    it is read, and the same requests give the same frames on any machine.
+    It has no terminal unless a link to one is asked for. At speed "max" each frame is then measured
+    when it is read, and the same requests give the same frames on any machine.
     """
-    _require_speed(speed)
-    if speed == "max" and options.get("link") is None:
-        options.pop("link", None)
-        line = MemoryLine(virtual_firmware(**options))
-        return VirtualBoard(line, uri, line.now)
-    return VirtualBoard(virtual_terminal(speed=speed, **options), uri)
+    if link is not None:
+        return VirtualBoard(virtual_terminal(speed=speed, link=link, **options), uri)
+    line = _virtual_line(speed, options)
+    return VirtualBoard(line, uri, line.now)
 
 
-def _require_speed(speed: str) -> None:
+def _virtual_line(speed: str, options: Mapping[str, Any]) -> MemoryLine:
+    """Line to a virtual board, paced or as fast as it is read."""
     if speed not in SPEEDS:
         raise ConfigurationError(f"speed must be one of {', '.join(SPEEDS)}, got {speed!r}")
+    firmware = virtual_firmware(**options)
+    return MemoryLine(firmware, firmware.info.period if speed == "real" else 0.0)
 
 
 def _simulator(

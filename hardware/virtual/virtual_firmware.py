@@ -25,8 +25,7 @@ from eitskin.hardware.protocol.messages import (
 )
 from eitskin.hardware.protocol.packets import Decoder, MessageError, Packet, encode
 from eitskin.hardware.virtual.fault import Fault, Hook
-from eitskin.hardware.virtual.simulated_sensor import Measure
-from eitskin.hardware.virtual.stage import Stage
+from eitskin.hardware.virtual.stage import Measure, Stage
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 

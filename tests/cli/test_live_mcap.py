@@ -15,7 +15,7 @@ from eitskin.cli.options import Output
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
-from eitskin.hardware.export.mcap import McapWriter
+from eitskin.hardware.ros2.mcap import McapWriter
 
 from live_fakes import Estimate, FakePipeline, frame, run_command
 

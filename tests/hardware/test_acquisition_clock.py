@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.hardware.boards.acquisition_clock import DRIFT, AcquisitionClock
+from eitskin.hardware.live import DRIFT, AcquisitionClock
 from eitskin.simulator import Frame, Protocol
 
 PROTOCOL = Protocol.pairwise(8)

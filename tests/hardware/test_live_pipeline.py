@@ -12,7 +12,8 @@ from eitskin.cli.main import app
 from eitskin.datasets import ShardWriter, State
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.hardware import Script, Step, open_board, run_live
-from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
+from eitskin.hardware.virtual.memory_line import MemoryLine
+from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
 from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.training import Pipeline
 
@@ -57,7 +58,7 @@ def firmware_board(simulator, _):
 
     firmware = CompiledFirmware(SimulatedAfe(impedance), config())
     with (
-        PseudoTerminal(firmware, Pace(0.0)) as terminal,
+        PseudoTerminal(MemoryLine(firmware)) as terminal,
         open_board(f"serial:{terminal.path}") as board,
     ):
         yield board

@@ -16,8 +16,8 @@ from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.hardware import Reading
-from eitskin.hardware.export.mcap import GAP, McapWriter, Stamps
-from eitskin.hardware.export.ros_messages import NAME, TOUCH_FIELDS, RosMessages
+from eitskin.hardware.ros2.mcap import GAP, McapWriter, Stamps
+from eitskin.hardware.ros2.messages import NAME, TOUCH_FIELDS, RosMessages
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Estimate, FoundTouches, Pipeline
 

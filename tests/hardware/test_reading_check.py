@@ -10,9 +10,13 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
-from eitskin.hardware.diagnosis.finding import FindingKind
-from eitskin.hardware.diagnosis.linear_relations import RelationKind, linear_relations
-from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
+from eitskin.hardware.diagnosis.checked_frames import FindingKind
+from eitskin.hardware.diagnosis.reading_check import (
+    RelationKind,
+    check_frames,
+    check_readings,
+    linear_relations,
+)
 from eitskin.simulator import FourTerminalMeter, Protocol, Status
 
 RNG = np.random.default_rng(1)

@@ -17,8 +17,13 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.hardware import Reading
-from eitskin.hardware.export.ros_messages import TOUCH_FIELDS, RosMessages
-from eitskin.hardware.ros2.names import dds_service, dds_type_name, require_domain, require_name
+from eitskin.hardware.ros2.messages import TOUCH_FIELDS, RosMessages
+from eitskin.hardware.ros2.participant import (
+    dds_service,
+    dds_type_name,
+    require_domain,
+    require_name,
+)
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import TouchEstimate
 

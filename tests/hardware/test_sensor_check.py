@@ -16,7 +16,7 @@ from eitskin.errors import ConfigurationError, FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo
-from eitskin.hardware.diagnosis.finding import FindingKind
+from eitskin.hardware.diagnosis.checked_frames import FindingKind
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status

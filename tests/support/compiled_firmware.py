@@ -18,7 +18,8 @@ import pytest
 from eitskin import hardware
 from eitskin.hardware.protocol.messages import Ack, Info, Start, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
-from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
+from eitskin.hardware.virtual.memory_line import MemoryLine
+from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
 
 from loopback import FLAT, PROTOCOL
 from simulated_afe import SimulatedAfe
@@ -262,7 +263,7 @@ def compiled_board(values=FLAT, **changes):
 @contextmanager
 def compiled_terminal(values=FLAT, period=0.0, **changes):
     """A pseudo-terminal that serves such a board, as fast as it is read."""
-    with PseudoTerminal(compiled_board(values, **changes), Pace(period)) as terminal:
+    with PseudoTerminal(MemoryLine(compiled_board(values, **changes), period)) as terminal:
         yield terminal
 
 

@@ -3,7 +3,7 @@
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from eitskin.hardware.export.ros_messages import RosMessages
+from eitskin.hardware.ros2.messages import RosMessages
 
 TYPES = RosMessages().types
 STORE = get_typestore(Stores.ROS2_HUMBLE)

@@ -22,12 +22,11 @@ from eitskin.datasets.store.folder import save_dataset
 from eitskin.datasets.store.manifest import read_manifest
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.boards.text_frames import FrameFinder
-from eitskin.hardware.boards.text_lines import LineDecoder
+from eitskin.hardware.boards.text_lines import FrameFinder, LineDecoder
 from eitskin.hardware.protocol.frame_parts import FrameAssembly, FrameData, FramePart, frame_packets
 from eitskin.hardware.protocol.messages import unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageError, encode
-from eitskin.hardware.virtual.scene_script import Script
+from eitskin.hardware.virtual.stage import Script
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.frame import Frame, Status
-from eitskin.hardware.diagnosis.finding import FindingKind
+from eitskin.hardware.diagnosis.checked_frames import FindingKind
 from eitskin.hardware.diagnosis.sensor_check import SensorCheck
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME

@@ -114,10 +114,10 @@ def command(
     board has started anew; with its stored reference it may be bent and touched. A board that goes
     away is connected to again until it is back.
     """
-    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
-    from eitskin.hardware.streams.opening import open_publisher
+    from eitskin.hardware.streams.publisher import open_publisher
     from eitskin.training.adaptation.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
@@ -229,7 +229,7 @@ def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
     The file comes first: where it cannot be, no folder has been made.
     """
     if mcap is not None:
-        from eitskin.hardware.export.mcap import McapWriter
+        from eitskin.hardware.ros2.mcap import McapWriter
 
         yield MessageRecording(McapWriter(mcap, now=time.time_ns))
     if record is not None:

@@ -8,8 +8,8 @@ from eitskin.errors import PartialError
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.writer import ShardWriter
-    from eitskin.hardware.export.mcap import McapWriter
     from eitskin.hardware.live import Reading
+    from eitskin.hardware.ros2.mcap import McapWriter
 
 
 class Recording(ABC):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from eitskin.cli.page.live_page import LivePage
     from eitskin.frame import Frame
-    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams.publisher import ReadingPublisher

@@ -166,7 +166,7 @@ def _follow_live(
     from eitskin.cli.live_pictures import LivePictures, PicturePipeline
     from eitskin.cli.page.live_page import LivePage
     from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
     from eitskin.protocol import Protocol

@@ -9,8 +9,8 @@ import pytest
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, Step, open_board
-from eitskin.hardware.boards.connection import FIRST_PAUSE, LONGEST_PAUSE
-from eitskin.hardware.boards.reopenable_port import ReopenablePort, UnrecoverableError
+from eitskin.hardware.boards.board import FIRST_PAUSE, LONGEST_PAUSE
+from eitskin.hardware.boards.port import ReopenablePort, UnrecoverableError
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Scene
 

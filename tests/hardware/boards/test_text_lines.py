@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eitskin.hardware.boards.text_frames import FrameDrop, FrameFinder
-from eitskin.hardware.boards.text_lines import LineDecoder, LineDrop, Mark, Measurement
+from eitskin.hardware.boards.text_lines import (
+    FrameDrop,
+    FrameFinder,
+    LineDecoder,
+    LineDrop,
+    Mark,
+    Measurement,
+)
 
 from printed_lines import LINE, PAUSE, PERIOD, printed
 

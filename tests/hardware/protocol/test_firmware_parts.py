@@ -21,7 +21,8 @@ from eitskin.hardware.protocol.messages import (
     unpack,
 )
 from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
-from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
+from eitskin.hardware.virtual.memory_line import MemoryLine
+from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
 from eitskin.simulator import Protocol
 
 from compiled_firmware import CompiledFirmware, ask, config, fuzzer, messages
@@ -62,7 +63,7 @@ def test_928_measurements_of_32_electrodes_come_whole():
 def test_they_come_through_a_pseudo_terminal_too():
     found = board(PAIRWISE, np.linspace(400.0, 800.0, len(PAIRWISE)))
     with (
-        PseudoTerminal(found, Pace(0.0)) as terminal,
+        PseudoTerminal(MemoryLine(found)) as terminal,
         open_board(f"serial:{terminal.path}") as host,
     ):
         frames = take(host, 3)

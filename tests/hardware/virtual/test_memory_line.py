@@ -8,6 +8,9 @@ import pytest
 from eitskin.errors import DeviceError
 from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, SerialBoard, Step
+from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.messages import Start, pack, unpack
+from eitskin.hardware.protocol.packets import Decoder, encode
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.memory_line import MemoryLine
 from eitskin.hardware.virtual.virtual_board import VirtualBoard
@@ -25,12 +28,12 @@ class Clock:
         return self.now
 
     def wait(self, seconds):
-        self.now += seconds
+        self.now += max(seconds, 1e-6)
 
 
-def line(faults="", clock=None, **options):
+def line(faults="", clock=None, period=0.0, **options):
     clock = clock or Clock()
-    return MemoryLine(firmware(read_faults(faults), **options), clock, clock.wait)
+    return MemoryLine(firmware(read_faults(faults), **options), period, clock, clock.wait)
 
 
 def test_the_board_is_never_ahead_of_its_host():
@@ -139,3 +142,55 @@ def test_a_frame_that_takes_long_to_simulate_is_no_stale_stream():
     with VirtualBoard(slow, clock=slow.now) as board:
         assert [each.number for each in take(board, 3)] == [0, 1, 2]
     assert slow.now() < clock.now
+
+
+def numbers_of(port):
+    """Numbers of the frames that wait in a port."""
+    packets = Decoder().feed(port.read(port.in_waiting or 1))
+    return [message.number for message in map(unpack, packets) if isinstance(message, FrameData)]
+
+
+def started(paced):
+    paced.start()
+    port = paced.connect("virtual:")
+    port.write(encode(pack(Start(), 1)))
+    port.reset_input_buffer()
+    return port
+
+
+def test_a_paced_board_gives_a_frame_when_it_is_due_and_not_before():
+    clock = Clock()
+    port = started(line(clock=clock, period=0.3))
+    clock.now = 0.29
+    assert port.in_waiting == 0
+    assert (port.read(9), clock.now) == (b"", pytest.approx(0.3))  # it waits for the frame alone
+    assert numbers_of(port) == [0]
+    clock.now = 1.25
+    assert numbers_of(port) == [1, 2, 3]
+
+
+def test_a_paced_board_skips_frames_that_its_host_has_no_room_for():
+    clock = Clock()
+    port = started(line(clock=clock, period=0.3))
+    clock.now = 300.05
+    late = numbers_of(port)
+    assert late == list(range(len(late)))
+    assert 10 < len(late) < 100
+    clock.now = 300.35
+    assert numbers_of(port) == [1000]
+
+
+def test_a_frame_that_takes_long_to_simulate_moves_the_clock_of_a_paced_board():
+    clock = Clock()
+    slow = line(clock=clock, period=0.3)
+    measured = slow.firmware.frame
+
+    def frame():
+        clock.wait(2.0)
+        return measured()
+
+    slow.firmware.frame = frame
+    with VirtualBoard(slow, clock=slow.now) as board:
+        times = [each.time for each in take(board, 3)]
+    period = slow.firmware.info.period
+    assert np.diff(times) == pytest.approx([period + 1.7] * 2)

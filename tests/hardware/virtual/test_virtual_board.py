@@ -1,8 +1,6 @@
 """The virtual board: its script, noise and pace, and its firmware."""
 
 import dataclasses
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -13,9 +11,7 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Script, Step, open_board
 from eitskin.hardware.protocol.messages import Ack, GetTable, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
-from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
-from eitskin.hardware.virtual.simulated_sensor import SimulatedSensor
-from eitskin.hardware.virtual.stage import Stage
+from eitskin.hardware.virtual.stage import SimulatedSensor, Stage
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import (
     FourTerminalMeter,
@@ -148,20 +144,6 @@ def test_a_period_that_cannot_be_is_refused(period):
         virtual_terminal(simulator=FakeSimulator(), period=period)
 
 
-def test_pace_is_one_frame_a_period_without_bursts():
-    now = [0.0]
-    pace = Pace(0.3, clock=lambda: now[0])
-    assert pace.remaining() == pytest.approx(0.3)
-    now[0] = 0.4
-    assert pace.remaining() == 0.0
-    pace.advance()
-    assert pace.remaining() == pytest.approx(0.2)  # due at 0.6: late once, not late for ever
-    now[0] = 9.0
-    assert pace.advance() == pytest.approx(9.0 - 0.9)
-    assert pace.advance() == 0.0
-    assert pace.remaining() == pytest.approx(0.3)  # what was missed is not caught up
-
-
 def test_the_clock_of_a_board_shows_time_without_frames():
     board = firmware()
 
@@ -175,39 +157,10 @@ def test_the_clock_of_a_board_shows_time_without_frames():
     assert told() == pytest.approx(2 * period + 7.0)
 
 
-def test_a_paced_board_sends_no_frame_before_it_is_due():
-    terminal = PseudoTerminal(firmware(), Pace(0.01))
-    with terminal, open_board(f"serial:{terminal.path}") as board:
-        began = time.monotonic()
-        last = take(board, 4)[-1].number
-        assert time.monotonic() - began >= (last + 1) * 0.01
-
-
 def test_a_virtual_board_is_paced_as_its_info_says():
     terminal = virtual_terminal(simulator=FakeSimulator())
-    assert terminal.pace.period == terminal.firmware.info.period == pytest.approx(0.2968)
+    assert terminal.line.period == terminal.firmware.info.period == pytest.approx(0.2968)
     terminal.close()
-
-
-@pytest.mark.slow
-def test_a_paced_board_skips_frames_that_nobody_reads():
-    measured, full = firmware(), threading.Event()
-    skip = measured.skip
-
-    def counted_skip():
-        skip()
-        if measured.number > 1500:
-            full.set()
-
-    measured.skip = counted_skip
-    terminal = PseudoTerminal(measured, Pace(1e-4))
-    with terminal, open_board(f"serial:{terminal.path}") as board:
-        frames = board.frames()
-        next(frames)
-        assert full.wait(20.0)
-        numbers = [next(frames).number for _ in range(1000)]
-    assert board.lost > 100
-    assert board.lost == numbers[-1] - 1000
 
 
 # ---- firmware: bytes in, bytes out ----

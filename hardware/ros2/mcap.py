@@ -10,8 +10,8 @@ from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
-from eitskin.hardware.export.ros_messages import RosMessages
 from eitskin.hardware.live import Reading
+from eitskin.hardware.ros2.messages import RosMessages
 
 SUFFIX = ".mcap"
 UNFINISHED = ".unfinished"  # ending of the folder of an unfinished file
@@ -45,7 +45,7 @@ class Stamps:
 
 
 class McapWriter(Closeable):
-    """Writer of readings to one MCAP file, with the topics of `ros_messages.TOPICS`.
+    """Writer of readings to one MCAP file, with the topics of `messages.TOPICS`.
 
     The file grows in the folder NAME.mcap.unfinished and takes its name when the writer is closed,
     at the latest at the end of its `with` block, also by Ctrl-C. Where the program was killed that
