@@ -44,16 +44,48 @@ class Card:
 
     def text(self) -> str:
         """Content of README.md."""
-        sections = [
-            f"# {self.title}",
-            self._summary(),
-            self._columns() if self.columns else _EPISODES,
-            self._splits(),
-            self._recipe(),
-            "## Checksums\n\n`sha256sum -c SHA256SUMS` compares every file with what was written.",
-            self._citation(),
-        ]
-        return self._front_matter() + "\n" + "\n\n".join(sections) + "\n"
+        told, frames = self.origin, sum(count for count, _ in self.splits.values())
+        made = "measured, and exported" if told["source"] == "measured" else "simulated"
+        electrodes = f"{told['n_electrodes']} electrodes, " if told["n_electrodes"] else ""
+        of_what = told["quantity"] or "values of a kind that the recording does not name"
+        counts = "\n".join(f"| {name} | {count} |" for name, (count, _) in self.splits.items())
+        return f"""{self._front_matter()}
+# {self.title}
+
+Frames of electrical-impedance robot skin, {made} by eitskin {self.version}. {frames} frames; \
+{electrodes}{told["frequency_hz"]:g} Hz; {of_what}. SI units; degrees where a name ends in `_deg`. \
+Places are those of the flat sensor, from a corner of its conductive layer.
+
+{self._columns() if self.columns else _EPISODES}
+
+## Splits
+
+By specimen: no sensor is in two splits. The split of a specimen follows from a hash of its name, \
+or of the seed and its number, and not from the other frames.
+
+| split | frames |
+|---|---|
+{counts}
+
+{self._recipe()}
+
+## Checksums
+
+`sha256sum -c SHA256SUMS` compares every file with what was written.
+
+## Citation
+
+```bibtex
+@software{{eitskin,
+  title = {{eitskin: a simulator of electrical-impedance robot skin}},
+  author = {{{{The eitskin authors}}}},
+  version = {{{self.version}}},
+  year = {{2026}}
+}}
+
+{PAPER}
+```
+"""
 
     def _front_matter(self) -> str:
         """YAML between dashes; only names that need no quotes come into it."""
@@ -77,21 +109,6 @@ class Card:
             lines.append(f"    num_examples: {count}")
         return "\n".join([*lines, "---", ""])
 
-    def _summary(self) -> str:
-        told = self.origin
-        made = "simulated by eitskin"
-        if told["source"] == "measured":
-            made = "measured, and exported by eitskin"
-        frames = sum(count for count, _ in self.splits.values())
-        electrodes = told["n_electrodes"]
-        of_what = told["quantity"] or "values of a kind that the recording does not name"
-        sensor = f"{electrodes} electrodes, " if electrodes else ""
-        return (
-            f"Frames of electrical-impedance robot skin, {made} {self.version}. {frames} frames; "
-            f"{sensor}{told['frequency_hz']:g} Hz; {of_what}. SI units; degrees where a name ends "
-            "in `_deg`. Places are those of the flat sensor, from a corner of its conductive layer."
-        )
-
     def _columns(self) -> str:
         lines = ["## Columns", "", "| column | type | units | content |", "|---|---|---|---|"]
         for each in self.columns:
@@ -101,18 +118,6 @@ class Card:
             lines.append(f"| `{each.name}` | {kind} | {each.units} | {each.description} |")
         return "\n".join(lines)
 
-    def _splits(self) -> str:
-        lines = [
-            "## Splits",
-            "",
-            "By specimen: no sensor is in two splits. The split of a specimen follows from a hash "
-            "of its name, or of the seed and its number, and not from the other frames.",
-            "",
-            "| split | frames |",
-            "|---|---|",
-        ]
-        return "\n".join([*lines, *(f"| {name} | {n} |" for name, (n, _) in self.splits.items())])
-
     def _recipe(self) -> str:
         if not self.recipe:
             return "## Origin\n\nRecorded; there is no recipe that makes these frames again."
@@ -121,15 +126,6 @@ class Card:
             f"`eitskin generate recipe.toml --out SET`, with seed {self.origin['seed']}.\n\n"
             f"```toml\n{self.recipe.strip()}\n```"
         )
-
-    def _citation(self) -> str:
-        software = (
-            "@software{eitskin,\n"
-            "  title = {eitskin: a simulator of electrical-impedance robot skin},\n"
-            "  author = {{The eitskin authors}},\n"
-            f"  version = {{{self.version}}},\n  year = {{2026}}\n}}"
-        )
-        return f"## Citation\n\n```bibtex\n{software}\n\n{PAPER}\n```"
 
 
 _EPISODES = """## Features

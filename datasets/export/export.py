@@ -13,9 +13,14 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin.datasets.export.card import Card
-from eitskin.datasets.export.frame_table import columns, frame_table, origin
+from eitskin.datasets.export.frame_table import (
+    FILE_BYTES,
+    ParquetFiles,
+    columns,
+    frame_table,
+    origin,
+)
 from eitskin.datasets.export.lerobot import write_lerobot
-from eitskin.datasets.export.parquet_files import FILE_BYTES, ParquetFiles
 from eitskin.datasets.export.splits import SPLITS, specimen_splits
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, new_folder, open_dataset, read_shards

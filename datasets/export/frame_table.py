@@ -1,7 +1,9 @@
-"""Frames of a dataset as an Arrow table: a row for each frame, every column typed."""
+"""Frames of a dataset as Arrow tables, a row for each frame, and Parquet files of them."""
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,11 @@ from eitskin.extras import require
 TOUCH_FIELDS = ("x", "y", "force", "radius", "depth")
 METADATA = b"eitskin"
 """Key of the schema's metadata: JSON of what is not said of single frames."""
+
+FILE_BYTES = 1 << 28
+"""Size in memory of the rows of one file [bytes]."""
+GROUP_BYTES = 1 << 25
+"""Size in memory of the rows that are kept before they are written [bytes]."""
 
 _ROWS = {field.name: field for field in FIELDS}
 _UNITS = {"impedance": "ohm", "magnitude": "ohm", "voltage": "V", "": "1"}
@@ -157,3 +164,72 @@ def _touches(arrow: Any, data: Dataset) -> Any:
     # A touched frame without a place has touches that nobody noted.
     known &= (data.state != State.TOUCH) | there.any(axis=1)
     return arrow.ListArray.from_arrays(arrow.array(offsets), touches, mask=arrow.array(~known))
+
+
+class ParquetFiles:
+    """Writer of the rows of one table to files `STEM-00000-of-00003.parquet`.
+
+    No more than `GROUP_BYTES` and one table are kept in memory. Equal tables give equal bytes, with
+    the same pyarrow. The files get their names when the writer is closed.
+
+    Attributes:
+        size: of the rows so far in memory [bytes].
+    """
+
+    def __init__(self, folder: Path, stem: str, file_bytes: int = FILE_BYTES) -> None:
+        """Begin without files.
+
+        Args:
+            folder: of the files; it exists.
+            stem: beginning of their names.
+            file_bytes: size in memory of the rows of one file, beyond which the next one begins.
+        """
+        self.size = self._in_file = 0
+        self._folder, self._stem, self._file_bytes = folder, stem, file_bytes
+        self._group_bytes = min(GROUP_BYTES, file_bytes)
+        self._tables: list[Any] = []
+        self._parts: list[Path] = []
+        self._writer: Any = None
+
+    def write(self, table: Any) -> None:
+        """Append the rows of a table; all tables have one schema."""
+        self._tables.append(table)
+        self.size += table.nbytes
+        if sum(each.nbytes for each in self._tables) >= self._group_bytes:
+            self._flush()
+
+    def close(self) -> None:
+        """Write what is kept, and give all files their names."""
+        self._flush()
+        self._end_file()
+        for number, part in enumerate(self._parts):
+            name = f"{self._stem}-{number:05d}-of-{len(self._parts):05d}.parquet"
+            part.rename(self._folder / name)
+
+    def abandon(self) -> None:
+        """Close an unfinished file, whose folder is about to be removed."""
+        with contextlib.suppress(OSError):  # a full disk has been told already
+            self._end_file()
+
+    def _flush(self) -> None:
+        arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
+        if not self._tables:
+            return
+        table = arrow.concat_tables(self._tables)
+        self._tables = []
+        most = max(1, self._group_bytes * table.num_rows // max(table.nbytes, 1))
+        for start in range(0, table.num_rows, most):
+            piece = table.slice(start, most)
+            if self._writer is None:
+                path = self._folder / f"{self._stem}-{len(self._parts):05d}.part"
+                self._writer = parquet.ParquetWriter(path, table.schema, compression="zstd")
+                self._parts.append(path)
+            self._writer.write_table(piece, row_group_size=piece.num_rows)
+            self._in_file += piece.nbytes
+            if self._in_file >= self._file_bytes:
+                self._end_file()
+
+    def _end_file(self) -> None:
+        writer, self._writer, self._in_file = self._writer, None, 0
+        if writer is not None:
+            writer.close()

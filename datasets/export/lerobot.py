@@ -9,23 +9,93 @@ import contextlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.export.episode_table import EpisodeTable, Integers
-from eitskin.datasets.export.statistics import RunningStatistics
+from eitskin.datasets.export.frame_table import TOUCH_FIELDS
+from eitskin.datasets.export.splits import SPLITS
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, read_shards
 from eitskin.datasets.store.schema import MAX_TOUCHES
+from eitskin.errors import DataError
 from eitskin.extras import require
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VERSION = "v3.0"
 TASK = "feel bends and touches"
 FILE_MEGABYTES, CHUNK_FILES = 100, 1000
-_TOUCH = ("x", "y", "force", "radius", "depth")
-_OBSERVED = ("impedance", "reference")
+MIN_FRAMES = 2
+
+Integers = NDArray[np.int64]
+Columns = dict[str, NDArray[Any]]
+
+
+class Episodes:
+    """Episodes of at least two frames, those of each split after each other.
+
+    Attributes:
+        table: length, specimen and split of each episode, its number in the dataset, and that of
+            its first frame among those exported.
+        of_frame: row of the table for each frame of the dataset, (n,); -1 for single frames.
+        within: number of each frame within its episode, (n,).
+        period: usual time from one frame to the next [s].
+    """
+
+    def __init__(self, data: Dataset, splits: dict[int, str]) -> None:
+        """Find the episodes of a dataset.
+
+        Args:
+            data: columns `episode`, `time` and `specimen` are read.
+            splits: split of each specimen, by its number.
+
+        Raises DataError where no two frames follow each other in time.
+        """
+        import pandas as pd
+
+        data.read("episode", "time", "specimen")  # of a large dataset, in one pass
+        frames = pd.DataFrame({"episode": data.episode.astype(np.int64), "time": data.time})
+        frames["specimen"] = data.specimen_number[data.specimen].astype(np.int64)
+        run = frames[["episode", "specimen"]].diff().ne(0).any(axis=1).cumsum()
+        groups = frames.groupby(run)
+        table = groups[["specimen", "episode"]].first().assign(length=groups.size())
+        kind = pd.CategoricalDtype(list(SPLITS), ordered=True)
+        table["split"] = table["specimen"].map(splits).astype(kind)
+        single = len(table)
+        table = table[table["length"] >= MIN_FRAMES].sort_values("split", kind="stable")
+        if table.empty:
+            raise DataError(
+                f"expected episodes of at least {MIN_FRAMES} frames, got {single} single "
+                "frames; export them with --format parquet or huggingface, or generate a recipe "
+                "with [[episodes]]"
+            )
+        self.period = float(groups["time"].diff().median())
+        if not self.period > 0.0:
+            raise DataError(
+                f"expected frames with times that rise, got a median interval of {self.period:g} "
+                "s; import the recording with its column of times"
+            )
+        rows = pd.Series(range(len(table)), index=table.index)
+        self.of_frame: Integers = run.map(rows).fillna(-1).to_numpy(np.int64)
+        self.within: Integers = groups.cumcount().to_numpy(np.int64)
+        table["first"] = table["length"].cumsum() - table["length"]
+        self.table = table.reset_index(drop=True)
+
+    def splits(self) -> "dict[str, pd.DataFrame]":
+        """Episodes of each split that has any."""
+        return {str(name): part for name, part in self.table.groupby("split", observed=True)}
+
+    def file_numbers(self, most_frames: int) -> Integers:
+        """Number of the file of each episode, (m,): a file ends once it has so many frames."""
+        numbers, frames = [0], 0
+        for length in self.table["length"].tolist():
+            frames += length
+            numbers.append(numbers[-1] + (frames >= most_frames))
+            frames *= frames < most_frames
+        return np.array(numbers[:-1])
 
 
 def write_lerobot(
@@ -42,41 +112,59 @@ def write_lerobot(
 
     Raises DataError where no frames follow each other in time.
     """
-    table = EpisodeTable.of(data, splits)
-    features = _features(data)
+    import pandas as pd
+
+    episodes, features = Episodes(data, splits), _features(data)
     row_bytes = sum(
         np.dtype(each["dtype"]).itemsize * each["shape"][0] for each in features.values()
     )
-    files = table.files(max(1, FILE_MEGABYTES * 2**20 // row_bytes))
-    statistics = _write_frames(folder, out, table, files, progress)
-    meta = out / "meta"
-    _write_episodes(meta / "episodes" / "chunk-000" / "file-000.parquet", table, files)
-    _write_tasks(meta / "tasks.parquet")
+    files = episodes.file_numbers(max(1, FILE_MEGABYTES * 2**20 // row_bytes))
+    statistics = _write_frames(folder, out, episodes, files, progress)
+    table, meta = episodes.table, out / "meta"
+    columns = {
+        "episode_index": np.arange(len(table)),
+        "tasks": [[TASK]] * len(table),
+        "length": table["length"],
+        "data/chunk_index": files // CHUNK_FILES,
+        "data/file_index": files % CHUNK_FILES,
+        "dataset_from_index": table["first"],
+        "dataset_to_index": table["first"] + table["length"],
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+        "split": table["split"].astype(object),
+        "specimen": table["specimen"],
+        "episode": table["episode"],
+    }
+    (meta / "episodes" / "chunk-000").mkdir(parents=True)
+    path = meta / "episodes" / "chunk-000" / "file-000.parquet"
+    pd.DataFrame(columns).to_parquet(path, index=False)
+    tasks = pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK], dtype=object, name="task"))
+    tasks.to_parquet(meta / "tasks.parquet")
     _write_json(meta / "stats.json", statistics)
-    ranges = table.ranges()
+    parts = episodes.splits()
     info = {
         "codebase_version": VERSION,
         "robot_type": "eitskin",
         "total_episodes": len(table),
-        "total_frames": int(table.length.sum()),
+        "total_frames": int(table["length"].sum()),
         "total_tasks": 1,
         "chunks_size": CHUNK_FILES,
         "data_files_size_in_mb": FILE_MEGABYTES,
         "video_files_size_in_mb": 2 * FILE_MEGABYTES,
-        "fps": 1.0 / table.period,
-        "splits": {name: f"{start}:{stop}" for name, (start, stop) in ranges.items()},
+        "fps": 1.0 / episodes.period,
+        "splits": {n: f"{part.index[0]}:{part.index[-1] + 1}" for n, part in parts.items()},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
         "features": features,
     }
     _write_json(meta / "info.json", info)
-    return {name: int(table.length[start:stop].sum()) for name, (start, stop) in ranges.items()}
+    return {name: int(part["length"].sum()) for name, part in parts.items()}
 
 
 def _features(data: Dataset) -> dict[str, dict[str, Any]]:
     """Features of a frame, as meta/info.json has them."""
     labels = None if data.protocol is None else list(data.protocol.labels)
-    touches = [f"{name}_{number}" for number in range(MAX_TOUCHES) for name in _TOUCH]
+    touches = [f"{name}_{number}" for number in range(MAX_TOUCHES) for name in TOUCH_FIELDS]
 
     def feature(dtype: str, length: int = 1, names: list[str] | None = None) -> dict[str, Any]:
         return {"dtype": dtype, "shape": [length], "names": names}
@@ -84,7 +172,7 @@ def _features(data: Dataset) -> dict[str, dict[str, Any]]:
     return {
         **{
             f"observation.{name}_{part}": feature("float32", data.channels, labels)
-            for name in _OBSERVED
+            for name in ("impedance", "reference")
             for part in ("real", "imag")
         },
         "label.state": feature("int64"),
@@ -96,69 +184,56 @@ def _features(data: Dataset) -> dict[str, dict[str, Any]]:
 
 
 def _write_frames(
-    folder: Path, out: Path, table: EpisodeTable, files: Integers, progress: Progress | None
+    folder: Path, out: Path, episodes: Episodes, files: Integers, progress: Progress | None
 ) -> dict[str, Any]:
     """Write the files of frames; returns the statistics of all that is always known."""
+    arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
     statistics: dict[str, RunningStatistics] = {}
     with contextlib.ExitStack() as stack:
         writer: Any = None
         number = -1
-        for file, columns in _file_pieces(folder, table, files, progress):
-            frames = _arrow_table(columns)
-            if file != number:
-                stack.close()
-                writer, number = _open_writer(out / _data_path(file), frames.schema), file
-                stack.callback(writer.close)
-            writer.write_table(frames)
+        for columns in _pieces(folder, episodes, progress):
+            for file in np.unique(files[columns["episode_index"]]).tolist():
+                rows = files[columns["episode_index"]] == file
+                chosen = {name: values[rows] for name, values in columns.items()}
+                frames = arrow.table({n: _arrow_array(arrow, v) for n, v in chosen.items()})
+                if file != number:
+                    stack.close()
+                    chunk, place = divmod(file, CHUNK_FILES)
+                    path = out / f"data/chunk-{chunk:03d}/file-{place:03d}.parquet"
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    writer, number = parquet.ParquetWriter(path, frames.schema), file
+                    stack.callback(writer.close)
+                writer.write_table(frames)
             for name, values in columns.items():
                 if not name.startswith("label."):
-                    rows = values.reshape(len(values), -1)
-                    statistics.setdefault(name, RunningStatistics()).add(rows)
+                    rows_of_values = values.reshape(len(values), -1)
+                    statistics.setdefault(name, RunningStatistics()).add(rows_of_values)
     return {name: each.document() for name, each in statistics.items()}
 
 
-def _open_writer(path: Path, schema: Any) -> Any:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return require("pyarrow.parquet", "recordings").ParquetWriter(path, schema)
+def _pieces(folder: Path, episodes: Episodes, progress: Progress | None) -> Iterator[Columns]:
+    """Columns of the frames of one split after the other, shard by shard."""
+    first = episodes.table["first"].to_numpy()
+    for part_of_split in episodes.splits().values():
+        begun = 0
+        for part in read_shards(folder, progress):
+            of_frame = episodes.of_frame[begun : begun + len(part)]
+            chosen = np.flatnonzero(np.isin(of_frame, part_of_split.index))
+            if len(chosen):
+                episode, within = of_frame[chosen], episodes.within[begun + chosen]
+                yield _columns(part.select(chosen)) | {
+                    "frame_index": within,
+                    "episode_index": episode,
+                    "index": first[episode] + within,
+                    "task_index": np.zeros(len(chosen), dtype=np.int64),
+                }
+            begun += len(part)
 
 
-def _file_pieces(
-    folder: Path, table: EpisodeTable, files: Integers, progress: Progress | None
-) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-    """File numbers, rising, and the columns of frames that come next in each."""
-    for split in table.ranges():
-        for episode, columns in _pieces(folder, table, split, progress):
-            for file in np.unique(files[episode]).tolist():
-                rows = files[episode] == file
-                yield file, {name: values[rows] for name, values in columns.items()}
-
-
-def _pieces(
-    folder: Path, table: EpisodeTable, split: str, progress: Progress | None
-) -> Iterator[tuple[Integers, dict[str, NDArray[Any]]]]:
-    """Episodes of the frames of one split (n,), and their columns, shard by shard."""
-    begun = 0
-    start, stop = table.ranges()[split]
-    for part in read_shards(folder, progress):
-        rows = slice(begun, begun + len(part))
-        begun += len(part)
-        episode = table.of_frame[rows]
-        chosen = np.flatnonzero((episode >= start) & (episode < stop))
-        if len(chosen):
-            episode, within = episode[chosen], table.within[rows][chosen]
-            columns = _columns(part.select(chosen))
-            columns |= {
-                "frame_index": within,
-                "episode_index": episode,
-                "index": table.first[episode] + within,
-                "task_index": np.zeros(len(chosen), dtype=np.int64),
-            }
-            yield episode, columns
-
-
-def _columns(data: Dataset) -> dict[str, NDArray[Any]]:
+def _columns(data: Dataset) -> Columns:
     reference = data.reference[data.specimen]
-    known = [getattr(data, f"touch_{name}") for name in _TOUCH]
+    touches = [getattr(data, f"touch_{name}") for name in TOUCH_FIELDS]
     return {
         "observation.impedance_real": data.impedance.real,
         "observation.impedance_imag": data.impedance.imag,
@@ -166,65 +241,55 @@ def _columns(data: Dataset) -> dict[str, NDArray[Any]]:
         "observation.reference_imag": reference.imag,
         "label.state": data.state.astype(np.int64),
         "label.bend_angle_deg": data.bend_angle_deg,
-        "label.touches": np.stack(known, axis=2).reshape(len(data), -1),
+        "label.touches": np.stack(touches, axis=2).reshape(len(data), -1),
         "timestamp": data.time.astype(np.float32),
     }
 
 
-def _arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
-    arrow = require("pyarrow", "recordings")
-    arrays = {}
-    for name, values in columns.items():
-        flat = arrow.array(np.ascontiguousarray(values).reshape(-1))
-        lists = values.ndim > 1 and values.shape[1] > 1
-        arrays[name] = (
-            arrow.FixedSizeListArray.from_arrays(flat, values.shape[1]) if lists else flat
-        )
-    return arrow.table(arrays)
-
-
-def _data_path(file: int) -> str:
-    chunk, number = divmod(file, CHUNK_FILES)
-    return f"data/chunk-{chunk:03d}/file-{number:03d}.parquet"
-
-
-def _write_episodes(path: Path, table: EpisodeTable, files: Integers) -> None:
-    arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    zeros = np.zeros(len(table), dtype=np.int64)
-    columns = {
-        "episode_index": np.arange(len(table)),
-        "tasks": [[TASK]] * len(table),
-        "length": table.length,
-        "data/chunk_index": files // CHUNK_FILES,
-        "data/file_index": files % CHUNK_FILES,
-        "dataset_from_index": table.first,
-        "dataset_to_index": table.first + table.length,
-        "meta/episodes/chunk_index": zeros,
-        "meta/episodes/file_index": zeros,
-        "split": table.split.tolist(),
-        "specimen": table.specimen,
-        "episode": table.number,
-    }
-    parquet.write_table(arrow.table(columns), path)
-
-
-def _write_tasks(path: Path) -> None:
-    """Write the table of tasks, whose index pandas is to find in the column `task`."""
-    arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
-    table = arrow.table({"task_index": [0], "task": [TASK]})
-
-    def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
-        kinds = {"pandas_type": pandas_type, "numpy_type": numpy_type, "metadata": None}
-        return {"name": name, "field_name": name, **kinds}
-
-    described = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
-    }
-    parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(described)}), path)
+def _arrow_array(arrow: Any, values: NDArray[Any]) -> Any:
+    """Numbers, or lists of equally many."""
+    flat = arrow.array(np.ascontiguousarray(values).reshape(-1))
+    if values.ndim == 1 or values.shape[1] == 1:
+        return flat
+    return arrow.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
 def _write_json(path: Path, document: dict[str, Any]) -> None:
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+class RunningStatistics:
+    """Least, greatest, mean and standard deviation of the rows of tables, added one at a time.
+
+    Means and squares of parts are joined by the formulas of Chan, Golub and LeVeque (1979), which
+    lose no digits where a mean is large beside the deviation.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._mean: Any = 0.0
+        self._squares: Any = 0.0
+        self._least: Any = np.inf
+        self._most: Any = -np.inf
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Add the rows of a table (n, C), at least one."""
+        table = values.astype(np.float64)
+        count, mean = len(table), table.mean(axis=0)
+        total, step = self._count + count, mean - self._mean
+        within = ((table - mean) ** 2).sum(axis=0)
+        self._squares = self._squares + within + step**2 * self._count * count / total
+        self._mean = self._mean + step * count / total
+        self._least = np.minimum(self._least, table.min(axis=0))
+        self._most = np.maximum(self._most, table.max(axis=0))
+        self._count = total
+
+    def document(self) -> dict[str, Any]:
+        """Statistics as plain data: lists of a number for each column."""
+        return {
+            "min": self._least.tolist(),
+            "max": self._most.tolist(),
+            "mean": self._mean.tolist(),
+            "std": np.sqrt(self._squares / self._count).tolist(),
+            "count": [self._count],
+        }

@@ -7,7 +7,6 @@ import pytest
 
 from eitskin.datasets import export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export import lerobot
-from eitskin.datasets.export.episode_table import EpisodeTable
 from eitskin.datasets.export.splits import SPLITS, specimen_splits
 from eitskin.errors import DataError
 
@@ -158,11 +157,11 @@ def test_single_frames_alone_are_refused(tmp_path):
 def test_frames_without_times_are_refused():
     data = make(20, specimens=1, time=np.zeros(20))
     with pytest.raises(DataError, match="times"):
-        EpisodeTable.of(data, {0: "train"})
+        lerobot.Episodes(data, {0: "train"})
 
 
 def test_another_sensor_begins_another_episode():
     data = make(20, 2, specimen=np.arange(20) // 5 % 2, episode=np.zeros(20))
-    table = EpisodeTable.of(data, {0: "train", 1: "test"})
-    assert table.length.tolist() == [5, 5, 5, 5]
-    assert table.split.tolist() == ["train", "train", "test", "test"]
+    table = lerobot.Episodes(data, {0: "train", 1: "test"}).table
+    assert table["length"].tolist() == [5, 5, 5, 5]
+    assert table["split"].tolist() == ["train", "train", "test", "test"]
