@@ -28,14 +28,14 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.folder import (
     save_dataset as save_dataset,
 )
-from eitskin.datasets.store.shard import write_shard as write_shard
-from eitskin.datasets.store.shard_reader import read_shard as read_shard
-from eitskin.datasets.store.state import (
+from eitskin.datasets.store.schema import (
     UNKNOWN_STATE as UNKNOWN_STATE,
 )
-from eitskin.datasets.store.state import (
+from eitskin.datasets.store.schema import (
     State as State,
 )
+from eitskin.datasets.store.shard import write_shard as write_shard
+from eitskin.datasets.store.shard_reader import read_shard as read_shard
 from eitskin.datasets.store.stored_dataset import StoredDataset as StoredDataset
 from eitskin.datasets.store.torch_dataset import (
     ShuffledShards as ShuffledShards,

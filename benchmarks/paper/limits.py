@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch

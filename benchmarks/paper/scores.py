@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.paper.sets import episodes, in_episode
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.frame import Frame
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import match_distances

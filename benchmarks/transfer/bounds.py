@@ -10,7 +10,7 @@ from eitskin.benchmarks.transfer.scores import Figures
 from eitskin.benchmarks.transfer.worlds import World
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.metrics import root_mean_square
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.transfer.worlds import World
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError, EitskinError
 from eitskin.training.evaluation.matching import match
 from eitskin.training.evaluation.metrics import root_mean_square

@@ -14,7 +14,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.geometry.design.support import Plates
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter

@@ -126,7 +126,7 @@ def _flat_frames(data: "Dataset") -> "tuple[Frames, str]":
     """Frames of the flat, untouched sensor, (n, channels), and where they come from."""
     import numpy as np
 
-    from eitskin.datasets.store.state import UNKNOWN_STATE, State
+    from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 
     untouched = np.isfinite(data.touch_reference).all(axis=1)
     flat = ~(np.abs(data.bend_angle_deg) > 0.0)  # also where the angle is unknown

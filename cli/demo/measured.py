@@ -14,7 +14,7 @@ from eitskin.cli.demo.results import StageResult, as_pictures
 from eitskin.cli.episode import run_episode
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.evaluate import Evaluation, Report

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.extras import require
 from eitskin.training.evaluation.report.drawing import (
     BLUE,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from eitskin.datasets.export.frame_table import TOUCH_FIELDS, Column
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 
 PAPER = """@article{chen2026multitouch,
   title = {Multi-Touch and Bending Sensing Using Electrical Impedance Tomography for Robotics},

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import CLAMP_FIELDS, FIELDS
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import CLAMP_FIELDS, FIELDS, State
 from eitskin.extras import require
 
 TOUCH_FIELDS = ("x", "y", "force", "radius", "depth")

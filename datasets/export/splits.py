@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 
-from eitskin.datasets.store.names import Names
+from eitskin.datasets.store.manifest import Names
 
 SPLITS = ("train", "validation", "test")
 _SHARES = (0.8, 0.1, 0.1)

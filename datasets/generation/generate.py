@@ -16,17 +16,16 @@ from eitskin.datasets.store.folder import make_folder, new_folder
 from eitskin.datasets.store.manifest import (
     MANIFEST,
     Manifest,
+    Names,
     ShardEntry,
     read_manifest,
-    shard_entry,
     write_manifest,
 )
 from eitskin.datasets.store.schema import MOST_SHARD_BYTES
-from eitskin.datasets.store.seal import unsealed
-from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.shard import shard_name, unsealed, write_entry
 from eitskin.datasets.store.shard_reader import shard_of
 from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
 from eitskin.input_files import read_bytes
 
@@ -100,36 +99,42 @@ def generate(
         remove_file(folder / MANIFEST)
         try:
             with closing(make_shards(recipe, folder, missing, workers, scheduler)) as made:
-                for number in made:
+                for number, entry in made:
+                    kept[number] = entry
                     report(number)
         finally:
             if shard is None:
                 remove_leftovers(folder)  # of workers killed while writing
-    if shard is None:
-        kept |= {number: _entry(recipe, folder, number) for number in missing}
-    else:
+    if shard is not None:
         kept = _all_finished(recipe, folder)
     if len(kept) < recipe.shards:
         return None
-    manifest = _manifest(recipe, kept)
+    text = recipe.to_toml()
+    manifest = Manifest.of_shards("simulated", text, recipe.seed, kept.values(), Names())
     write_manifest(folder, manifest)
     return manifest
 
 
 def make_shards(
     recipe: Recipe, folder: Path, shards: Sequence[int], workers: int, scheduler: str | None
-) -> Generator[int, None, None]:
-    """Simulate `shards` into `folder`; numbers of the finished ones as they come."""
+) -> Generator[tuple[int, ShardEntry], None, None]:
+    """Simulate `shards` into `folder`; numbers and entries of the finished ones as they come."""
     task = partial(make_shard, recipe, folder.resolve())
-    remedy = f"continue with --resume in {folder}, which workers elsewhere must see by this path"
-    for number, _ in run_tasks(task, shards, workers, scheduler, remedy):
-        yield number
+    remedy = "continue with --resume"
+    for number, entry in run_tasks(task, shards, workers, scheduler, remedy):
+        if not (folder / entry.name).is_file():
+            raise PartialError(
+                f"there is no {folder / entry.name} here, which a worker has written; where "
+                "workers run on other machines, they must see the same folder under the same path; "
+                f"then {remedy}"
+            )
+        yield number, entry
 
 
-def make_shard(recipe: Recipe, folder: Path, shard: int) -> None:
-    """Simulate and write one shard: the task of a worker."""
+def make_shard(recipe: Recipe, folder: Path, shard: int) -> ShardEntry:
+    """Simulate and write one shard; returns its entry: the task of a worker."""
     data = simulate_shard(recipe, shard)
-    write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
+    return write_entry(folder, shard, data, recipe.shard_range(shard).start)
 
 
 def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
@@ -271,18 +276,3 @@ def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None
         return None
     sound = len(data) == wanted.count and data.recipe == recipe
     return dataclasses.replace(wanted, sha256=found) if sound else None
-
-
-def _entry(recipe: Recipe, folder: Path, shard: int) -> ShardEntry:
-    frames = recipe.shard_range(shard)
-    return shard_entry(folder, shard_name(shard), frames.start, len(frames))
-
-
-def _manifest(recipe: Recipe, entries: Entries) -> Manifest:
-    return Manifest(
-        source="simulated",
-        recipe_sha256=hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
-        seed=recipe.seed,
-        frames=recipe.frames,
-        shards=tuple(entries[shard] for shard in range(recipe.shards)),
-    )

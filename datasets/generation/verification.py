@@ -15,8 +15,8 @@ from eitskin.datasets.store.manifest import (
     note_known,
     read_manifest,
 )
-from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.shard_reader import read_shard
+from eitskin.datasets.store.values import SpecimenReferences
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import DataError
 from eitskin.input_files import read_bytes

@@ -21,7 +21,7 @@ from eitskin.datasets.recipe.specimen import (
     free_length,
     with_wider_gap,
 )
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.viscoelasticity import Prony, mixture

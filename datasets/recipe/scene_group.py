@@ -9,7 +9,7 @@ import numpy as np
 
 from eitskin.bounds import drawn
 from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.deformation.twist import Roll
 from eitskin.geometry.design.outline import PlaneOutline

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.frame import Status
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recordings.reader import Tables
 from eitskin.datasets.recordings.source import Source
-from eitskin.datasets.store.schema import MAX_TOUCHES
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.input_files import quoted
 

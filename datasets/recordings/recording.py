@@ -11,7 +11,7 @@ from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_befor
 from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recorded_file import RecordedFile
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.names import Names
+from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign

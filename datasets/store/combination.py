@@ -9,8 +9,7 @@ import numpy as np
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, read_entry, save_parts
-from eitskin.datasets.store.manifest import Manifest, read_manifest
-from eitskin.datasets.store.names import Names
+from eitskin.datasets.store.manifest import Manifest, Names, read_manifest
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError, DataError
 

@@ -1,6 +1,5 @@
 """Compaction: a dataset written anew in other shards, in the newest version of the format."""
 
-import hashlib
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ from eitskin.datasets.store.manifest import (
     read_manifest,
 )
 from eitskin.datasets.store.schema import LIMITS
-from eitskin.datasets.store.shard import shard_bytes, shard_name
+from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.files import atomic_folder
@@ -70,12 +69,13 @@ def compact(
             entries.append(entry)
             if progress:
                 progress(len(entries), len(pieces))
+        shards = tuple(sorted(entries, key=lambda entry: entry.first_index))
         made = Manifest(
-            source=manifest.source,
-            recipe_sha256=manifest.recipe_sha256,
-            seed=manifest.seed,
-            frames=manifest.frames,
-            shards=tuple(sorted(entries, key=lambda entry: entry.first_index)),
+            manifest.source,
+            manifest.recipe_sha256,
+            manifest.seed,
+            manifest.frames,
+            shards,
             names=manifest.names,
         )
         (temporary / MANIFEST).write_bytes(manifest_bytes(made))
@@ -117,10 +117,7 @@ def _write(folder: Path, out: Path, piece: _Piece) -> ShardEntry:
     """Write one new shard; returns its entry."""
     parts = (_part(folder, entry, piece.frames) for entry in piece.sources)
     data = Dataset.collect(parts, len(piece.frames))
-    name, first = shard_name(piece.number), piece.frames.start
-    content = shard_bytes(data, first)
-    (out / name).write_bytes(content)
-    return ShardEntry(name, first, len(data), hashlib.sha256(content).hexdigest())
+    return write_entry(out, piece.number, data, piece.frames.start, Path.write_bytes)
 
 
 def _part(folder: Path, entry: ShardEntry, frames: range) -> Dataset:

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.config import toml_table
-from eitskin.datasets.store.names import Names
-from eitskin.datasets.store.references import SpecimenReferences
+from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import (
     FIELDS,
     FRAME_FIELDS,
@@ -21,7 +20,7 @@ from eitskin.datasets.store.schema import (
     MOST_REFERENCE_FRAMES,
     QUANTITIES,
 )
-from eitskin.datasets.store.values import check_values
+from eitskin.datasets.store.values import SpecimenReferences, check_values
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign

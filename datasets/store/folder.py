@@ -1,7 +1,6 @@
 """Dataset on disk: a folder of shards with a manifest, written last."""
 
 import dataclasses
-import hashlib
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -10,15 +9,14 @@ from pathlib import Path
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import (
     Manifest,
+    Names,
     ShardEntry,
     note_known,
     read_manifest,
     shard_content,
-    shard_entry,
     write_manifest,
 )
-from eitskin.datasets.store.names import Names
-from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.shard_reader import read_shard, shard_of
 from eitskin.datasets.store.stored_dataset import StoredDataset, require_memory
 from eitskin.errors import ConfigurationError, DataError
@@ -117,20 +115,11 @@ def save_parts(
     first, names = 0, Names()
     for part in parts:
         names = names.joined(part.names)
-        name = shard_name(len(entries))
-        write_shard(folder / name, part, first)
-        entries.append(shard_entry(folder, name, first, len(part)))
+        entries.append(write_entry(folder, len(entries), part, first))
         first += len(part)
         if progress:
             progress(len(entries))
-    manifest = Manifest(
-        source=part.source,
-        recipe_sha256=hashlib.sha256(part.recipe.encode()).hexdigest(),
-        seed=part.seed,
-        frames=first,
-        shards=tuple(entries),
-        names=names,
-    )
+    manifest = Manifest.of_shards(part.source, part.recipe, part.seed, entries, names)
     write_manifest(folder, manifest)
     return manifest
 

@@ -1,20 +1,63 @@
 """Manifest of a dataset: the shards of a complete folder, with their checksums."""
 
 import hashlib
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 
-from eitskin.datasets.store import known_shards
-from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
-from eitskin.errors import DataError, PartialError
+from eitskin.errors import DataError
 from eitskin.files import write_file
 from eitskin.input_files import parse_json, quoted, read_bytes
+from eitskin.simulator.mechanics import solved_files
 
 MANIFEST = "manifest.json"
 MOST_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Names of specimens and sessions by their numbers; those without a name are left out.
+
+    Attributes:
+        specimens: name of a specimen, with that of its sensor where a recording tells both, by
+            `Dataset.specimen_number`.
+        sessions: name of a session, by the number of its episode.
+    """
+
+    specimens: dict[int, str] = field(default_factory=dict)
+    sessions: dict[int, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, specimens: Mapping[str, int], sessions: Mapping[str, int]) -> "Names":
+        """Names that say more than the numbers they stand for; both are numbers by name."""
+        return cls(_telling(specimens), _telling(sessions))
+
+    def __bool__(self) -> bool:
+        """Whether there is any name."""
+        return bool(self.specimens or self.sessions)
+
+    def shifted(self, specimens: int, episodes: int) -> "Names":
+        """The same names of specimens and episodes that are counted from other numbers."""
+        return Names(
+            {number + specimens: name for number, name in self.specimens.items()},
+            {number + episodes: name for number, name in self.sessions.items()},
+        )
+
+    def joined(self, other: "Names") -> "Names":
+        """Names of both; where both name a number, those of this one."""
+        return Names(other.specimens | self.specimens, other.sessions | self.sessions)
+
+    def specimen(self, number: int) -> str:
+        """Name of a specimen; its number where it has none."""
+        return self.specimens.get(number, str(number))
+
+
+def _telling(numbers: Mapping[str, int]) -> dict[int, str]:
+    return {number: name for name, number in numbers.items() if name != str(number)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +90,15 @@ class Manifest:
     format_version: int = FORMAT_VERSION
     names: Names = field(default_factory=Names)
 
+    @classmethod
+    def of_shards(
+        cls, source: str, recipe: str, seed: int, shards: Iterable[ShardEntry], names: Names
+    ) -> "Manifest":
+        """Manifest of a recipe's shards, or of shards without a recipe."""
+        ordered = tuple(sorted(shards, key=lambda entry: entry.first_index))
+        digest = hashlib.sha256(recipe.encode()).hexdigest()
+        return cls(source, digest, seed, sum(each.count for each in ordered), ordered, names=names)
+
 
 def read_manifest(folder: Path) -> Manifest:
     """Manifest of a dataset's folder, checked; raises DataError."""
@@ -71,8 +123,9 @@ def read_manifest(folder: Path) -> Manifest:
     except ValueError as error:
         raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
     _check_shards(path, manifest)
-    known = known_shards.known(entry.sha256 for entry in manifest.shards)
-    return _marked(manifest, known)
+    with suppress(OSError):
+        return _marked(manifest, _note_path(manifest).is_file())
+    return manifest
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
@@ -82,13 +135,26 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def note_known(manifest: Manifest) -> Manifest:
-    """Note that the shards of a manifest do no harm, since they were made or read here.
+    """Note that the shards of a manifest do no harm to HDF5, since they were made or read here.
+
+    A hash in a manifest tells damage and not intent: a folder from elsewhere brings both. Datasets
+    that were made here, or whose shards were all read in a child, are noted in the user's folder
+    for caches, so that their shards are read in this process from then on. Without a folder to
+    write to, nothing is noted.
 
     Returns the manifest with entries that say so.
     """
     if not all(entry.known for entry in manifest.shards):
-        known_shards.note(entry.sha256 for entry in manifest.shards)
+        with suppress(OSError):
+            path = _note_path(manifest)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
     return _marked(manifest, True)
+
+
+def _note_path(manifest: Manifest) -> Path:
+    text = "\n".join(entry.sha256 for entry in manifest.shards).encode(errors="surrogatepass")
+    return solved_files.folder() / "known-datasets" / hashlib.sha256(text).hexdigest()
 
 
 def _marked(manifest: Manifest, known: bool) -> Manifest:
@@ -104,19 +170,6 @@ def manifest_bytes(manifest: Manifest) -> bytes:
     if not manifest.names:
         del document["names"]
     return bytes(msgspec.json.format(msgspec.json.encode(document), indent=2)) + b"\n"
-
-
-def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
-    """Manifest entry of a shard in `folder`; raises PartialError where the shard is missing."""
-    try:
-        content = read_bytes(folder / name, MOST_SHARD_BYTES, PartialError)
-    except PartialError as error:
-        raise PartialError(
-            f"cannot read back {folder / name}: {error}; where workers run on other "
-            "machines, they must see the same folder under the same path; then continue with "
-            "--resume"
-        ) from error
-    return ShardEntry(name, first_index, count, hashlib.sha256(content).hexdigest())
 
 
 def shard_content(folder: Path, entry: ShardEntry) -> bytes:

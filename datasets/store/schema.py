@@ -1,6 +1,7 @@
 """Schema of the dataset format: names, types, axes and units, as in docs/dataset-format.md."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
@@ -14,6 +15,17 @@ MOST_REFERENCE_FRAMES: Final = 1000
 LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}
 MAX_VALUES: Final = 1 << 26
 MOST_SHARD_BYTES: Final = 1 << 31
+
+UNKNOWN_STATE: Final = 255
+"""Value for an unknown state in arrays; no class, and so no member of `State`."""
+
+
+class State(IntEnum):
+    """State of the sensor in one frame; `TOUCH` for a sensor both bent and touched."""
+
+    IDLE = 0
+    TOUCH = 1
+    BEND = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,113 +62,49 @@ def _field(
     axes: str,
     units: str,
     description: str,
-    *,
-    finite: bool = False,
-    missing: float = 0,
     since: int | None = 1,
 ) -> Field:
     grouped = axes == "frame touch" or name.startswith("clamp_")
     path = name.replace("_", "/", 1) if grouped else name
+    unknown = float("nan") if "NaN" in description else UNKNOWN_STATE if name == "state" else 0
+    finite = name in ("impedance", "reference", "specimen", "time")
     split = tuple(axes.split())
-    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, since)
+    return Field(name, path, np.dtype(dtype), split, units, description, finite, unknown, since)
 
 
 QUANTITIES: Final = ("impedance", "magnitude", "voltage")
 
-NAN: Final = float("nan")
+_SAME_BEND: Final = (
+    "untouched sensor at the same bend, measured with its own noise; NaN where unknown"
+)
+_FLAT: Final = "flat untouched sensor, free of noise where simulated"
+_SPAN: Final = "free length between the plates of the clamp; NaN where unknown"
+_OFFSET: Final = "axis of the clamp below the mid-plane of the layer; NaN where unknown"
+_FACES: Final = "faces held by the plates of the clamp, 1 or 2; NaN where unknown"
+_STIFFNESS: Final = "shear modulus of the encapsulation over that of the layer; NaN where unknown"
+_NUMBER: Final = "number of the specimen within the dataset, rising"
+_RADIUS: Final = "radius of the indenter; NaN where absent or unknown"
+_FORCE: Final = "force of a touch; NaN where absent or unknown"
+_DEPTH: Final = "depth of a touch; NaN where absent or unknown"
+
 FIELDS: Final = (
-    _field("impedance", "<c8", "frame channel", "ohm", "measured transfer impedance", finite=True),
-    _field(
-        "touch_reference",
-        "<c8",
-        "frame channel",
-        "ohm",
-        "untouched sensor at the same bend, measured with its own noise; NaN where unknown",
-        missing=NAN,
-    ),
-    _field(
-        "reference",
-        "<c8",
-        "specimen channel",
-        "ohm",
-        "flat untouched sensor, free of noise where simulated",
-        finite=True,
-    ),
-    _field(
-        "specimen_number",
-        "<u4",
-        "specimen",
-        "1",
-        "number of the specimen within the dataset, rising",
-        since=2,
-    ),
-    _field("specimen", "<u4", "frame", "1", "which sensor, a row of reference", finite=True),
-    _field("state", "|u1", "frame", "1", "idle, touch or bend; 255 where unknown", missing=255),
-    _field("bend_angle_deg", "<f4", "frame", "degree", "bend; NaN where unknown", missing=NAN),
-    _field("touch_x", "<f4", "frame touch", "m", "place of a touch; NaN where absent", missing=NAN),
-    _field("touch_y", "<f4", "frame touch", "m", "place of a touch; NaN where absent", missing=NAN),
-    _field(
-        "touch_force",
-        "<f4",
-        "frame touch",
-        "N",
-        "force of a touch; NaN where absent or unknown",
-        missing=NAN,
-    ),
-    _field(
-        "touch_radius",
-        "<f4",
-        "frame touch",
-        "m",
-        "radius of the indenter; NaN where absent or unknown",
-        missing=NAN,
-    ),
-    _field(
-        "touch_depth",
-        "<f4",
-        "frame touch",
-        "m",
-        "depth of a touch; NaN where absent or unknown",
-        missing=NAN,
-        since=None,
-    ),
-    _field(
-        "clamp_span",
-        "<f4",
-        "frame",
-        "m",
-        "free length between the plates of the clamp; NaN where unknown",
-        missing=NAN,
-        since=None,
-    ),
-    _field(
-        "clamp_offset",
-        "<f4",
-        "frame",
-        "m",
-        "axis of the clamp below the mid-plane of the layer; NaN where unknown",
-        missing=NAN,
-        since=None,
-    ),
-    _field(
-        "clamp_faces",
-        "<f4",
-        "frame",
-        "1",
-        "faces held by the plates of the clamp, 1 or 2; NaN where unknown",
-        missing=NAN,
-        since=None,
-    ),
-    _field(
-        "clamp_stiffness",
-        "<f4",
-        "frame",
-        "1",
-        "shear modulus of the encapsulation over that of the layer; NaN where unknown",
-        missing=NAN,
-        since=None,
-    ),
-    _field("time", "<f8", "frame", "s", "since the episode began", finite=True),
+    _field("impedance", "<c8", "frame channel", "ohm", "measured transfer impedance"),
+    _field("touch_reference", "<c8", "frame channel", "ohm", _SAME_BEND),
+    _field("reference", "<c8", "specimen channel", "ohm", _FLAT),
+    _field("specimen_number", "<u4", "specimen", "1", _NUMBER, since=2),
+    _field("specimen", "<u4", "frame", "1", "which sensor, a row of reference"),
+    _field("state", "|u1", "frame", "1", "idle, touch or bend; 255 where unknown"),
+    _field("bend_angle_deg", "<f4", "frame", "degree", "bend; NaN where unknown"),
+    _field("touch_x", "<f4", "frame touch", "m", "place of a touch; NaN where absent"),
+    _field("touch_y", "<f4", "frame touch", "m", "place of a touch; NaN where absent"),
+    _field("touch_force", "<f4", "frame touch", "N", _FORCE),
+    _field("touch_radius", "<f4", "frame touch", "m", _RADIUS),
+    _field("touch_depth", "<f4", "frame touch", "m", _DEPTH, since=None),
+    _field("clamp_span", "<f4", "frame", "m", _SPAN, since=None),
+    _field("clamp_offset", "<f4", "frame", "m", _OFFSET, since=None),
+    _field("clamp_faces", "<f4", "frame", "1", _FACES, since=None),
+    _field("clamp_stiffness", "<f4", "frame", "1", _STIFFNESS, since=None),
+    _field("time", "<f8", "frame", "s", "since the episode began"),
     _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),
     _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
     _field("number", "<u4", "frame", "1", "as counted; a gap is frames lost", since=2),

@@ -1,12 +1,18 @@
-"""Shards: HDF5 files of a dataset, built in memory and written atomically.
+"""Shards: HDF5 files of a dataset, built in memory, sealed, and written atomically.
 
-`shard_reader` reads them.
+`shard_reader` reads them. A seal is a SHA-256 of everything before it, in a line at the end of the
+file. HDF5 checks the values of arrays and not its own tables, where a flipped bit may turn values
+into zeros, keep a reader busy for ever or end the process. A seal is compared before HDF5 looks at
+the file. HDF5 passes over what follows the end that it has noted, and a program that changes the
+file cuts the seal off, so that a file without one is old or was changed on purpose.
 """
 
 import hashlib
 import json
+import re
+import struct
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -17,14 +23,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import FIELDS, FORMAT, FORMAT_VERSION, Field
-from eitskin.datasets.store.seal import sealed
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.manifest import ShardEntry
+from eitskin.datasets.store.schema import (
+    FIELDS,
+    FORMAT,
+    FORMAT_VERSION,
+    UNKNOWN_STATE,
+    Field,
+    State,
+)
+from eitskin.errors import DataError
 from eitskin.files import write_file
 
 CHUNK_FRAMES = 1024
 # Not lzf: the hash table of h5py's lzf is uninitialised, so equal data give different bytes.
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+_SEAL = re.compile(rb"\neitskin seal 1 sha256 ([0-9a-f]{64})\n")
+_LENGTH = len("\neitskin seal 1 sha256 \n") + 64
+_SUPERBLOCK = b"\x89HDF\r\n\x1a\n\x00"  # of version 0, which h5py writes; then sizes, and addresses
+_END = struct.Struct("<40xQ")
 STATES = {**{state.name.lower(): state.value for state in State}, "unknown": UNKNOWN_STATE}
 
 
@@ -46,6 +63,19 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
     Raises PartialError where the file cannot be written.
     """
     write_file(Path(path), shard_bytes(data, first_index))
+
+
+def write_entry(
+    folder: Path,
+    number: int,
+    data: Dataset,
+    first_index: int,
+    write: Callable[[Path, bytes], object] = write_file,
+) -> ShardEntry:
+    """Write shard `number` of a dataset into `folder`; returns its entry in the manifest."""
+    content, name = shard_bytes(data, first_index), shard_name(number)
+    write(folder / name, content)
+    return ShardEntry(name, first_index, len(data), hashlib.sha256(content).hexdigest())
 
 
 @cache
@@ -129,3 +159,28 @@ def _attach_time(file: h5py.File) -> None:
     for field in FIELDS:
         if field.axes[0] == "frame" and field.name != "time" and field.path in file:
             file[field.path].dims[0].attach_scale(file["time"])
+
+
+def sealed(image: bytes) -> bytes:
+    """Content of a file: an HDF5 file and its seal."""
+    return image + b"\neitskin seal 1 sha256 " + hashlib.sha256(image).hexdigest().encode() + b"\n"
+
+
+def unsealed(content: bytes) -> tuple[bytes, bool]:
+    """HDF5 file of a content, and whether it was sealed; raises DataError for a broken seal."""
+    image, tail = content[:-_LENGTH], content[-_LENGTH:]
+    if match := _SEAL.fullmatch(tail):
+        if hashlib.sha256(image).hexdigest() != match[1].decode():
+            raise DataError(
+                "this is not a whole shard: its content is not the one that was sealed; make or "
+                "copy it again"
+            )
+        return image, True
+    if content.startswith(_SUPERBLOCK) and len(content) > _END.size:
+        (end,) = _END.unpack_from(content)
+        if len(content) > end:
+            raise DataError(
+                f"this is not a whole shard: expected its end or a whole seal after {end} bytes, "
+                f"got {len(content) - end} other bytes; make or copy it again"
+            )
+    return content, False

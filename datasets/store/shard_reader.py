@@ -30,7 +30,7 @@ from eitskin.datasets.store.schema import (
     MOST_SHARD_BYTES,
     Field,
 )
-from eitskin.datasets.store.seal import unsealed
+from eitskin.datasets.store.shard import unsealed
 from eitskin.datasets.store.stored_arrays import all_arrays, one_array
 from eitskin.datasets.store.values import check_values
 from eitskin.errors import DataError

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from eitskin.datasets.store.dataset import ORIGIN, Dataset, frame_bytes, require_same_origin
 from eitskin.datasets.store.manifest import Manifest, ShardEntry, note_known, shard_content
-from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS
 from eitskin.datasets.store.shard_reader import Columns, opened_shard
+from eitskin.datasets.store.values import SpecimenReferences
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame
 

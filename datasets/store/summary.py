@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.references import SpecimenReferences
-from eitskin.datasets.store.schema import MAX_TOUCHES
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
+from eitskin.datasets.store.values import SpecimenReferences
 
 Values = NDArray[Any]
 

@@ -1,6 +1,5 @@
 """Writer of datasets that grow frame by frame, such as recordings."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +10,9 @@ from numpy.typing import NDArray
 from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import new_folder
-from eitskin.datasets.store.manifest import Manifest, ShardEntry, shard_entry, write_manifest
-from eitskin.datasets.store.schema import MAX_TOUCHES
-from eitskin.datasets.store.shard import shard_name, write_shard
-from eitskin.datasets.store.state import UNKNOWN_STATE
+from eitskin.datasets.store.manifest import Manifest, Names, ShardEntry, write_manifest
+from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE
+from eitskin.datasets.store.shard import write_entry
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
@@ -95,7 +93,7 @@ class ShardWriter(Closeable):
         """Write the remaining frames; a writer without frames leaves no dataset."""
         if self._rows:
             self._finish_shard()
-        elif self.readable < sum(entry.count for entry in self._entries):
+        elif self.readable < self._count:
             self._list_shards()  # which failed before
 
     def _finish_shard(self) -> None:
@@ -119,25 +117,20 @@ class ShardWriter(Closeable):
             **labels,
             **self._shared,
         )
-        name = shard_name(len(self._entries))
-        first = sum(entry.count for entry in self._entries)
-        write_shard(self.folder / name, data, first)
-        entry = shard_entry(self.folder, name, first, len(data))
+        entry = write_entry(self.folder, len(self._entries), data, self._count)
         self._rows.clear()
         self._entries.append(entry)
         self._list_shards()
 
+    @property
+    def _count(self) -> int:
+        """Number of frames in finished shards, listed or not."""
+        return sum(entry.count for entry in self._entries)
+
     def _list_shards(self) -> None:
-        frames = sum(entry.count for entry in self._entries)
-        manifest = Manifest(
-            source=self._shared["source"],
-            recipe_sha256=hashlib.sha256(b"").hexdigest(),
-            seed=0,
-            frames=frames,
-            shards=tuple(self._entries),
-        )
-        write_manifest(self.folder, manifest)
-        self.readable = frames
+        source = self._shared["source"]
+        write_manifest(self.folder, Manifest.of_shards(source, "", 0, self._entries, Names()))
+        self.readable = self._count
 
 
 def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:

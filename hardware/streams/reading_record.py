@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Counts
 from eitskin.hardware.live import Estimate, Reading

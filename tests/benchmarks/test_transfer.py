@@ -13,7 +13,7 @@ from eitskin.benchmarks.transfer import run, worlds
 from eitskin.benchmarks.transfer.scores import Judged, Labelled
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.geometry.design.support import Plates
 from eitskin.training.method.predictions import FoundTouches

@@ -12,7 +12,7 @@ from toy_skin import toy_presses
 
 from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.datasets.store.state import UNKNOWN_STATE
+from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Status
 from eitskin.simulator import Protocol

@@ -21,8 +21,7 @@ from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store import shard_reader, worker_processes
-from eitskin.datasets.store.seal import unsealed
-from eitskin.datasets.store.shard import shard_name
+from eitskin.datasets.store.shard import shard_name, unsealed
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
 from eitskin.simulator import Instrument, Scene, Simulator

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.datasets import open_dataset, read_shard, save_dataset, verify, write_shard
 from eitskin.datasets.store import manifest, shard_reader
-from eitskin.datasets.store.seal import sealed, unsealed
+from eitskin.datasets.store.shard import sealed, unsealed
 from eitskin.errors import DataError
 
 from small_dataset import assert_same, make

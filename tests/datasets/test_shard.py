@@ -21,8 +21,7 @@ from eitskin.datasets import (
     write_shard,
 )
 from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
-from eitskin.datasets.store.seal import unsealed
-from eitskin.datasets.store.shard import shard_bytes
+from eitskin.datasets.store.shard import shard_bytes, unsealed
 from eitskin.errors import DataError, PartialError
 
 from small_dataset import assert_same, make

@@ -8,10 +8,10 @@ import eitskin.files
 from eitskin.datasets.generation.generate import make_shard
 
 
-def killed_once(recipe, folder: Path, shard: int) -> None:
+def killed_once(recipe, folder: Path, shard: int):
     """Stands in for the task of a worker; the first to come is killed while it writes."""
     _be_killed_once(folder)
-    make_shard(recipe, folder, shard)
+    return make_shard(recipe, folder, shard)
 
 
 def was_killed(folder: Path) -> bool:

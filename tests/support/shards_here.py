@@ -8,6 +8,7 @@ import pytest
 
 from eitskin.datasets import Recipe, generate
 from eitskin.datasets.generation import generate as generation
+from eitskin.datasets.store.manifest import ShardEntry
 from eitskin.threads import one_thread
 
 _one_at_a_time = threading.Lock()  # simulators are shared
@@ -19,12 +20,12 @@ def make_shards(
     shards: Sequence[int],
     workers: int,  # noqa: ARG001
     scheduler: str | None,  # noqa: ARG001
-) -> Iterator[int]:
+) -> Iterator[tuple[int, ShardEntry]]:
     """As that of `generate`, without the second that each worker takes to load."""
     for shard in shards:
         with _one_at_a_time, one_thread():  # as in workers, on whose sums bytes depend
-            generation.make_shard(recipe, folder, shard)
-        yield shard
+            entry = generation.make_shard(recipe, folder, shard)
+        yield shard, entry
 
 
 def in_this_process(monkeypatch):

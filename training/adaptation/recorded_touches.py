@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.errors import DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method

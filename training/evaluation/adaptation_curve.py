@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.training.adaptation.labelled_presses import LabelledPresses, places_of

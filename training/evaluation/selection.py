@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import GATE, ospa

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import CLAMP_FIELDS
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import CLAMP_FIELDS, State
 from eitskin.training.method.symmetry import Mirror
 
 Array = NDArray[np.float64]

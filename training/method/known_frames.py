@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 from eitskin.geometry.design.surface import Surface

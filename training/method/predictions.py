@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets, most_probable

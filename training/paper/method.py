@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.training.method.learning_curve import LearningCurve

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.frame import Frame
 from eitskin.training.method.predictions import FoundTouches, Predictions, TouchEstimate
 from eitskin.training.method.targets import Targets

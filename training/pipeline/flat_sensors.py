@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import fdtrc
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.training.method.observations import relative_difference
 
 Array = NDArray[np.float64]

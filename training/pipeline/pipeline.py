@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 from eitskin.training.method.calibration import Adaptation, Calibration

@@ -129,8 +129,7 @@ def as_dataset(
     import numpy as np
 
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.datasets.store.schema import MAX_TOUCHES
-    from eitskin.datasets.store.state import State
+    from eitskin.datasets.store.schema import MAX_TOUCHES, State
     from eitskin.errors import DataError
 
     values = np.array([frame.impedance for frame, _ in taken])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from eitskin.datasets.store.names import Names
+from eitskin.datasets.store.manifest import Names
 from eitskin.training.evaluation.selection import _left_out
 
 from small_dataset import make

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, State
-from eitskin.datasets.store.state import UNKNOWN_STATE
+from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import DataError
 from eitskin.training.method.hold_out import hold_out
 from eitskin.training.method.settings import TrainingSettings

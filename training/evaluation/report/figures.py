@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.evaluate import Evaluation
