@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.closeable import Closeable
-from eitskin.datasets.store.state import State
+from eitskin.datasets.store.schema import State
 from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.hardware.boards.board import Board, Connection, longest_silence

@@ -221,7 +221,7 @@ def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | 
 
 def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tuple[Finding, ...]":
     """Finding of a sensor that is bent or pressed, by its stored reference or by other sensors."""
-    from eitskin.datasets.store.state import State
+    from eitskin.datasets.store.schema import State
     from eitskin.hardware.diagnosis.checked_frames import Finding, FindingKind
 
     try:
