@@ -9,7 +9,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.linalg.sparse_solvers import SolverName
+from eitskin.simulator.linalg.elimination_order import OrderName
 
 # A ladder's rungs: each divides the cells at the electrode edges by this.
 _STEP = 4.0
@@ -33,7 +33,7 @@ class ModelCase:
     name: str
     resolution: Resolution | Discretisation
     cells: CellKind = "hexahedra"
-    solver: SolverName | None = None
+    solver: OrderName | None = None
 
     def model(self, design: SensorDesign) -> ForwardModel:
         """Forward model of the design on its mesh."""
@@ -45,7 +45,7 @@ def ladder(
     coarse: Grading,
     rungs: int,
     cells: CellKind = "hexahedra",
-    solver: SolverName | None = None,
+    solver: OrderName | None = None,
 ) -> list[ModelCase]:
     """Sequence of ever finer gradings for elements of one order.
 
@@ -89,7 +89,7 @@ FULL: tuple[ModelCase, ...] = (
     *ladder((2, 2, 1), Grading(1e-3, 4e-3, 1.0), 3),
     *ladder(*CUBIC, rungs=4),
     *ladder((4, 3, 2), Grading(1e-3, 6e-3, 3.0), 4),
-    *ladder(*CUBIC, rungs=3, solver="sparse LU"),
+    *ladder(*CUBIC, rungs=3, solver="nested dissection"),
     *named("prisms"),
     *ladder((1, 1), Grading(2e-3, 4e-3, 0.7), 3, "prisms"),
     *ladder((2, 2, 1), Grading(1e-3, 5e-3, 0.7), 2, "prisms"),
@@ -103,7 +103,7 @@ QUICK_PEERS = (uniform(8e-3, 2),)
 QUICK: tuple[ModelCase, ...] = (
     *named("hexahedra", ("fast",)),
     *ladder((1, 1), Grading(4e-3, 5e-3, 1.0), 2),
-    *ladder((3, 2, 1), Grading(2e-3, 6e-3, 2.0), 2, solver="sparse LU"),
+    *ladder((3, 2, 1), Grading(2e-3, 6e-3, 2.0), 2, solver="nested dissection"),
     *ladder((2, 2, 1), Grading(4e-3, 1e-2, 1.0), 2, "prisms"),
 )
 

@@ -41,7 +41,6 @@ from eitskin.hardware.virtual.stage import Script, Step
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis
-from eitskin.simulator.linalg.block_cholesky import BlockCholesky
 from eitskin.simulator.scene.scene import Scene
 from eitskin.threads import one_thread
 
@@ -193,16 +192,14 @@ def floor(count: int = PER_BEND) -> Floor:
 def _operations(model: ForwardModel, corrections: float) -> float:
     """Operations, multiplications and additions, for one scene with as many corrections."""
     assembly, solver = model.assembly, model.solver
-    if not isinstance(solver, BlockCholesky):
-        raise TypeError("the reference sensor is solved strip by strip")
     elements, outer = assembly.space.numbers.shape
     inner, electrodes = assembly.space.element.inner, assembly.electrodes
     points, components, entries = assembly._reference.shape
     matrices = 2 * elements * points * components * entries
     condensation = elements * (2 * inner**3 / 3 + 2 * inner**2 * outer + 2 * inner * outer**2)
     product = 2 * (elements + len(assembly.facet_numbers)) * outer**2 * electrodes
-    # Inverse and sub-diagonal block of each strip, once forward and once backward.
-    blocks = sum(len(row.unknowns) ** 2 + row.coupled * row.next_size for row in solver.block_rows)
+    # Inverse and lower block of each front, once forward and once backward.
+    blocks = sum(front.size * (front.size + front.outer) for front in solver.fronts)
     solution = 4 * blocks * electrodes
     return float(matrices + condensation + product + corrections * (solution + product))
 

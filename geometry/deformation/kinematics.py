@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
 from eitskin.errors import ConfigurationError
 
 Points = NDArray[np.float64]
@@ -66,14 +65,8 @@ class Composed:
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3), by the chain rule."""
         places, inner = mapped(self.first, points)
-        kernels = compiled("eitskin.geometry.deformation.tensor_kernels")
-        if kernels is not None:
-            factors = (self.second.gradient(places), inner)
-            whole: Gradients = kernels.products(*(_contiguous(each) for each in factors))
-            return whole.reshape(inner.shape)
-        # With the points innermost the product takes a fifth of the time of many small products.
-        F = np.einsum("ik...,kj...->ij...", _entries(self.second.gradient(places)), _entries(inner))
-        return np.moveaxis(F, (0, 1), (-2, -1))
+        F: Gradients = np.einsum("...ij,...jk->...ik", self.second.gradient(places), inner)
+        return F
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,30 +121,20 @@ def pulled_back(gradients: Gradients) -> Gradients:
 
 def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
     """Entries xx, yy, zz, xy, xz and yz of `pulled_back`, (..., 6)."""
-    kernels = compiled("eitskin.geometry.deformation.tensor_kernels")
-    if kernels is not None:
-        entries = np.empty((*gradients.shape[:-2], 6))
-        negative = kernels.pull_back(_contiguous(gradients), entries.reshape(-1, 6))
-        _require_positive(negative, entries.size // 6)
-        return entries
     F, n = _entries(gradients), _cofactors(gradients)
     J = F[0, 0] * n[0, 0] + F[1, 0] * n[1, 0] + F[2, 0] * n[2, 0]
-    _require_positive(int((~(J > 0.0)).sum()), J.size)
-    # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
-    S = np.empty((*J.shape, 6))
-    for entry, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        S[..., entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) / J
-    return S
-
-
-def _require_positive(negative: int, points: int) -> None:
-    """Raise ConfigurationError where J is not positive at some of the points."""
+    negative = int((~(J > 0.0)).sum())
     if negative:
         raise ConfigurationError(
             "the deformation turns the body inside out or is not a number at "
-            f"{negative} of {points} points; press or bend less, or presses further from the edge "
+            f"{negative} of {J.size} points; press or bend less, or presses further from the edge "
             "and from each other"
         )
+    # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
+    S, inverse = np.empty((*J.shape, 6)), 1.0 / J
+    for entry, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        S[..., entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) * inverse
+    return S
 
 
 def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -162,11 +145,6 @@ def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np
     turned = np.einsum("ij...,...j->i...", _cofactors(gradients), normals)
     ratio: NDArray[np.float64] = np.sqrt(np.einsum("i...,i...->...", turned, turned))
     return ratio
-
-
-def _contiguous(gradients: Gradients) -> Gradients:
-    """Gradients as (n, 3, 3), contiguous."""
-    return np.ascontiguousarray(gradients.reshape(-1, 3, 3), dtype=np.float64)
 
 
 def _entries(gradients: Gradients) -> Gradients:

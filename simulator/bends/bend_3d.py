@@ -17,7 +17,6 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.bends.elastic_bond import ElasticBond
-from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.corner_field import CornerField
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
@@ -188,7 +187,7 @@ class ClampedStack:
         self._bond = self._bonded()
         if self._bond:
             self._terms = (self.solid, self._bond)
-        self._eliminate = by_blocks(self._blocks())
+        self._eliminate = self.solid.elimination(self._fixed)
         # Without strain, Newton's relative tolerance has no scale: flat is not solved.
         self._solved = {0.0: np.zeros(self.solid.unknowns)}
 
@@ -261,14 +260,6 @@ class ClampedStack:
             return None
         facets = self.solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
         return ElasticBond(self.solid, facets, self._clamp.compliance)
-
-    def _blocks(self) -> list[Block]:
-        """Blocks of free unknowns in the order of elimination."""
-        displaced = np.repeat(self.solid.nodes[:, :2], 3, axis=0)
-        places = np.concatenate([displaced, self.solid.pressure_nodes[:, :2]])
-        free = np.setdiff1d(np.arange(len(places)), self._fixed)
-        blocks = dissected(places[free], self.lines[:2])
-        return [Block(free[block.own], block.within) for block in blocks]
 
     def _moved(self, angle_deg: float) -> Array:
         """Displacements (unknowns,) of the plates, at the nodes that they hold."""

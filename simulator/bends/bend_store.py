@@ -139,6 +139,7 @@ def equilibrium(design: SensorDesign, clamp: Clamp, mechanics: Mechanics, angle:
     return next(ClampedStack(design, held, mechanics).equilibria([angle.angle_deg]))
 
 
+@lru_cache(maxsize=64)
 def check_clamp(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> None:
     """Raise ConfigurationError for a sensor that cannot be clamped."""
     clamped_lines(Slab.of(design), clamp, mechanics)

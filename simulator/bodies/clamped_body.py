@@ -104,7 +104,7 @@ class ClampedBody:
         self._plates = self._held()
         both = np.concatenate(self._plates)
         self._fixed: Indices = np.sort((3 * both[:, None] + np.arange(3)).ravel())
-        self._eliminate = self.body.elimination(self._fixed)
+        self._eliminate = self.body.solid.elimination(self._fixed)
         self._known: dict[float, Array] = {0.0: np.zeros(self.body.solid.unknowns)}
 
     def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentBody]:

@@ -169,7 +169,7 @@ class BodyPress:
             x = np.zeros(unknowns + len(self.touches))
             x[unknowns:] = shallow
             start = Load(self._all_fixed(every), self._fixed_values(shallow), np.zeros_like(x))
-            factorise = self.body.elimination(start.fixed, len(self.touches))
+            factorise = self.body.solid.elimination(start.fixed, len(self.touches))
             try:
                 return newton(terms, x, start, factorise), shallow
             except SolidError as error:
@@ -189,7 +189,7 @@ class BodyPress:
 
         Returns the unknowns and the contacts that they balance.
         """
-        eliminate = self.body.elimination(load(0.0).fixed, len(self.touches))
+        eliminate = self.body.solid.elimination(load(0.0).fixed, len(self.touches))
         reached, step, before, balanced = 0.0, _FIRST_STEP, (0.0, x), contacts
         while reached < 1.0:
             target = min(1.0, reached + step)

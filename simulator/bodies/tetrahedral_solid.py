@@ -1,11 +1,8 @@
 """Soft body on tetrahedra: mesh, faces, and order of elimination."""
 
-from collections.abc import Callable
-
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
@@ -13,7 +10,6 @@ from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_body
 from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
-from eitskin.simulator.linalg.nested_dissection import Block, Elimination, by_blocks
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -66,28 +62,6 @@ class TetrahedralSolid:
         dofs = self.solid.basis.get_dofs(facets=self.facets[chosen]).flatten()
         return np.unique(dofs).astype(np.int64)
 
-    def elimination(self, fixed: Indices, further: int = 0) -> Callable[[csc_array], Elimination]:
-        """Elimination of all unknowns but the fixed ones, by nested dissection of the cells.
-
-        `further` unknowns follow those of the solid, coupled with any; they come last.
-        """
-        solid = self.solid
-        # The unknowns of each cell: displacements of ten nodes and pressures of four corners.
-        dofs = solid.basis.element_dofs.T.astype(np.int64)
-        moved = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
-        kept, numbers = np.unique(solid.mesh.t.T, return_inverse=True)
-        pressures = solid.nodes.size + numbers.reshape(len(dofs), 4)
-        if solid.nodes.size + len(kept) != solid.unknowns:
-            raise ValueError("expected one pressure per corner of the mesh")
-        free = np.ones(solid.unknowns + further, dtype=bool)
-        free[fixed] = False
-        middles = solid.mesh.p[:, solid.mesh.t].mean(axis=1).T
-        blocks = _dissected(np.hstack([moved, pressures]), middles, free)
-        last = np.arange(solid.unknowns, solid.unknowns + further)
-        last = last[free[last]]
-        blocks[-1] = Block(np.concatenate([blocks[-1].own, last]), blocks[-1].within)
-        return by_blocks(blocks)
-
     def field(self, x: Array) -> TetrahedralField:
         """Displacement and mean stress of the unknowns x (n,)."""
         solid = self.solid
@@ -122,43 +96,3 @@ def meshed(design: SensorDesign, grading: Grading, near: Array) -> skfem.MeshTet
     """Tetrahedra of a body, finest at points `near` (k, 3) [m]."""
     points, cells = tetrahedral_body(design, grading, near)
     return skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
-
-
-def _dissected(unknowns: Indices, middles: Array, free: NDArray[np.bool_]) -> list[Block]:
-    """Blocks of free unknowns in the order of their elimination.
-
-    Cells are halved at the median along their longest extent; unknowns of both halves separate.
-
-    Args:
-        unknowns: of each cell, (cells, k).
-        middles: of the cells, (cells, 3) [m].
-        free: whether each unknown is to be eliminated; changed.
-    """
-    blocks: list[Block] = []
-    leaves: list[Indices] = []
-
-    def dissect(cells: Indices) -> int:
-        own = np.unique(unknowns[cells])
-        inside: tuple[int, ...] = ()
-        if len(cells) > _LEAF:
-            axis = int(np.argmax(np.ptp(middles[cells], axis=0)))
-            order = cells[np.argsort(middles[cells, axis], kind="stable")]
-            halves = order[: len(order) // 2], order[len(order) // 2 :]
-            lower, upper = (np.unique(unknowns[half]) for half in halves)
-            own = np.intersect1d(lower, upper, assume_unique=True)
-            own = own[free[own]]
-            free[own] = False
-            inside = (dissect(halves[0]), dissect(halves[1]))
-        else:
-            own = own[free[own]]
-            free[own] = False
-            leaves.append(cells)
-        blocks.append(Block(own, inside))
-        return len(blocks) - 1
-
-    dissect(np.arange(len(unknowns)))
-    # Neighbours in turn: they stay together in the borders of the blocks within.
-    turn = np.zeros(len(free), dtype=np.int64)
-    for number, leaf in reversed(list(enumerate(leaves))):
-        turn[unknowns[leaf]] = number
-    return [Block(b.own[np.argsort(turn[b.own], kind="stable")], b.within) for b in blocks]

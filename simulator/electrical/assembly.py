@@ -23,7 +23,6 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.simulator.electrical.function_space import FunctionSpace, Rule
@@ -103,7 +102,10 @@ class Assembly:
         require_memory(self.space)
         self.unknowns = self.space.unknowns
         self.points = self.space.rule.points
-        self._pairs = np.tril_indices(self.space.numbers.shape[1])
+        outer = self.space.numbers.shape[1]
+        self._pairs = np.tril_indices(outer)
+        self._whole = np.zeros((outer, outer), dtype=np.int64)  # entry of each pair in a triangle
+        self._whole[self._pairs] = self._whole.T[self._pairs] = np.arange(len(self._pairs[0]))
         self._prepare_elements()
         self._prepare_electrodes(mesh.contacts)
         self.contact_entries = len(self._facet_rows)
@@ -200,32 +202,30 @@ class Assembly:
         found: Array = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
 
-    def condensed_matrices(self, matrices: Array) -> Array:
-        """Symmetric matrices of the outer functions, (elements, outer, outer), as `condensed`."""
-        kernels = compiled("eitskin.simulator.linalg.element_kernels")
-        outer = self.space.numbers.shape[1]
-        if kernels is not None:
-            whole = np.empty((len(matrices), outer, outer))
-            if kernels.condense(matrices, outer, self.space.element.inner, whole):
-                return whole
-        lower = self.condensed(matrices).values.reshape(len(matrices), -1)
-        i, j = self._pairs
-        whole = np.empty((len(matrices), outer, outer))
-        whole[:, i, j] = whole[:, j, i] = lower
-        return whole
+    def condensed_matrices(self, matrices: Array) -> tuple[Array, Array]:
+        """Static condensation of element matrices (elements, entries).
+
+        Gives the symmetric matrices of the outer functions, (elements, outer, outer), and the
+        matrices from an element's outer to its inner unknowns, (elements, inner, outer).
+        """
+        inner, outer = self.space.element.inner, self.space.numbers.shape[1]
+        own, joining, within = np.split(
+            matrices, [len(self._pairs[0]), len(self._pairs[0]) + inner * outer], axis=1
+        )
+        whole = own.take(self._whole, axis=1)
+        joining = joining.reshape(len(matrices), inner, outer)
+        if not inner:
+            return whole, joining
+        # The inverse of a block is well-conditioned, and many are found faster than solutions.
+        solved = -np.linalg.inv(within.reshape(-1, inner, inner)) @ joining
+        whole += solved.swapaxes(1, 2) @ joining
+        return whole, solved
 
     def condensed(self, matrices: Array) -> Stiffness:
-        """Static condensation of element matrices (elements, entries)."""
-        (i, j), inner, outer = self._pairs, self.space.element.inner, self.space.numbers.shape[1]
-        own, joining, within = np.split(matrices, [len(i), len(i) + inner * outer], axis=1)
-        if not inner:
-            return Stiffness(own.ravel(), np.zeros((len(matrices), 0, outer)))
-        joining = joining.reshape(-1, inner, outer)
-        solved: Array = np.asarray(
-            -np.linalg.solve(within.reshape(-1, inner, inner), joining), dtype=np.float64
-        )
-        own = own + (joining.swapaxes(1, 2) @ solved)[:, i, j]
-        return Stiffness(own.ravel(), solved)
+        """Condensed stiffness of element matrices (elements, entries)."""
+        whole, solved = self.condensed_matrices(matrices)
+        i, j = self._pairs
+        return Stiffness(whole[:, i, j].ravel(), solved)
 
     def electrode_terms(
         self, impedance: Numbers, area_ratio: Array | float = 1.0

@@ -91,9 +91,12 @@ class SystemPattern:
         lower = np.flatnonzero(lifted[columns])
         upper = np.flatnonzero(lifted[rows] & (rows != columns))
         ground = np.full(int(lifted[self._ground]), self._ground)
-        self._entry = np.concatenate([lower, upper, np.full(len(ground), -1)])
-        self._to = np.concatenate([rows[lower], columns[upper], ground])
-        self._source = np.concatenate([columns[lower], rows[upper], ground])
+        entry = np.concatenate([lower, upper, np.full(len(ground), -1)])
+        to = np.concatenate([rows[lower], columns[upper], ground])
+        source = np.concatenate([columns[lower], rows[upper], ground])
+        term, electrode = np.nonzero(self._lift[source])
+        self._entry, self._factor = entry[term], self._lift[source[term], electrode]
+        self._position = to[term] * assembly.electrodes + electrode
         self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
 
     def system(
@@ -109,13 +112,8 @@ class SystemPattern:
         ground = stiffness[self._grounded].sum()
         values = np.append(stiffness, ground)
         E = self._lift
-        KE = np.stack(
-            [
-                scatter_sum(self._to, values[self._entry] * E[self._source, electrode], len(E))
-                for electrode in range(E.shape[1])
-            ],
-            axis=1,
-        )
+        KE = scatter_sum(self._position, values[self._entry] * self._factor, E.size)
+        KE = KE.reshape(E.shape)
         energy = E.T @ KE
         if lifted is None:
             lifted = self._liftable & (np.diag(energy) < np.abs(contact.admittance))

@@ -22,7 +22,8 @@ from eitskin.simulator.electrical.resolution import (
     suited_cells,
 )
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
-from eitskin.simulator.linalg.sparse_solvers import Solver, SolverName, choose_solver
+from eitskin.simulator.linalg.elimination_order import choose_order
+from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -43,7 +44,7 @@ class ForwardModel:
         mesh: of the undeformed layer.
         assembly: of the matrices on the mesh.
         pattern: of the linear system, shared by all scenes.
-        solver: of the linear system; `solver.name` names the factorisation.
+        solver: of the linear system; `solver.name` names its order of elimination.
         factorisations: number of matrices factorised so far.
     """
 
@@ -53,7 +54,7 @@ class ForwardModel:
         resolution: Resolution | Discretisation = "standard",
         breaks: Sequence[float] = (),
         cells: CellKind | None = None,
-        solver: SolverName | None = None,
+        solver: str | None = None,
     ) -> None:
         """Mesh the design.
 
@@ -63,8 +64,8 @@ class ForwardModel:
             breaks: further positions along x with faces of a mesh of hexahedra [m].
             cells: kind of mesh; when omitted hexahedra for rectangles with few electrodes, prisms
                 for other plane outlines and tetrahedra for surfaces.
-            solver: "block Cholesky", "nested dissection" or "sparse LU"; one of the first two, by
-                the shape of the body, when omitted.
+            solver: order of elimination, "block Cholesky" or "nested dissection"; by the shape of
+                the body when omitted.
 
         Raises:
             ConfigurationError: for an unknown resolution, cells that do not suit the outline, or
@@ -77,13 +78,12 @@ class ForwardModel:
         self.factorisations = 0
         self.assembly = Assembly(self.mesh, order)
         self.pattern = SystemPattern(self.assembly)
-        self.solver: Solver = choose_solver(
-            solver,
-            (self.pattern.rows, self.pattern.columns),
-            self.assembly.space.numbers,
-            self._element_middles(),
-            self._end_elements(),
+        positions = self.pattern.rows, self.pattern.columns
+        numbers = self.assembly.space.numbers
+        name, blocks = choose_order(
+            solver, positions, numbers, self._element_middles(), self._end_elements()
         )
+        self.solver = MultifrontalSolver(*positions, blocks, name)
 
     def _end_elements(self) -> NDArray[np.int64]:
         """Elements at the body's end of smallest x."""

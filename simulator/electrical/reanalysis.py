@@ -15,18 +15,16 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.electrical.assembly import ElectrodeTerms
 from eitskin.simulator.electrical.cem_system import impedance_matrix, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
-from eitskin.simulator.linalg.block_cholesky import BlockFactors
-from eitskin.simulator.linalg.element_products import ElementProducts
-from eitskin.simulator.linalg.multifrontal_cholesky import MultifrontalFactors
-from eitskin.simulator.linalg.sparse_solvers import Factorisation
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 Tolerance: TypeAlias = float
 """Error of a scene's change from the flat sensor, over the norm of that change."""
@@ -73,11 +71,7 @@ class Reanalysis:
         self._ground = int(pattern.rows[-1]), float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
         self._potentials: Array = np.asarray(factors.solve(system.coupling), dtype=np.float64)
-        self._factors: Factorisation = (
-            factors.rounded()
-            if isinstance(factors, BlockFactors | MultifrontalFactors)
-            else factors
-        )
+        self._factors = factors.rounded()
         model.factorisations += 1
         self.solutions = 1
         self.base: Array = np.real(system.impedance(system.coupling.T @ self._potentials))
@@ -156,7 +150,7 @@ class Reanalysis:
         """Solutions after 0, 1, 2, ... corrections."""
         assembly = self._model.assembly
         matrices = assembly.matrices(layer.entries(assembly.points))
-        matrices = assembly.condensed_matrices(matrices)
+        matrices, _ = assembly.condensed_matrices(matrices)
         contact = self._contact(layer)
         B, D = np.asarray(contact.coupling, dtype=np.float64), np.diag(contact.admittance)
         lifted = self._lift.any(axis=0)
@@ -245,3 +239,21 @@ class _Subspace:
             residual -= AV @ own
             start += V.shape[1]
         return x, self._loads.T @ found, residual
+
+
+class ElementProducts:
+    """Matrices that are sums of element matrices on one mesh."""
+
+    def __init__(self, numbers: Indices, unknowns: int) -> None:
+        """Prepare for elements with the unknowns `numbers`, (elements, functions)."""
+        self._numbers = numbers
+        ends = np.arange(numbers.size + 1)
+        ones = np.ones(numbers.size)
+        self._gathered = csr_array(
+            (ones, numbers.ravel(), ends), (numbers.size, unknowns)
+        ).T.tocsr()
+
+    def product(self, matrices: Array, vectors: Array) -> Array:
+        """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
+        each = matrices @ vectors[self._numbers]
+        return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))

@@ -1,8 +1,5 @@
-"""Assembly and direct solvers of sparse symmetric systems.
+"""Assembly and the direct solver of sparse symmetric systems, electrical and mechanical.
 
-`sparse_solvers` chooses between `block_cholesky` and `multifrontal_cholesky` for the forward model;
-`sparse_lu` serves complex matrices;
-`element_products` multiplies by matrices that are not assembled, for reanalysis;
-`nested_dissection` serves the three-dimensional press; `stiffness_pattern` assembles the matrices
-that nonlinear solves factorise.
+`elimination_order` says in which blocks unknowns are eliminated, `multifrontal` eliminates them;
+`stiffness_pattern` assembles the matrices that nonlinear solves factorise.
 """

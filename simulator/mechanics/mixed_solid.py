@@ -12,7 +12,7 @@ stress is positive in tension.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, Self
 
 import numpy as np
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
+from eitskin.simulator.linalg.elimination_order import Block, dissection
+from eitskin.simulator.linalg.multifrontal import Factors, factorised
 from eitskin.simulator.linalg.stiffness_pattern import ElementBlocks, StiffnessPattern
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 
@@ -221,6 +223,22 @@ class Solid:
             (cells, self._stiffness(law, cells, at, mean_stress)) for law, cells in self._groups()
         )
         return self._assembled(at), self._pattern.assembled(elements, len(x))
+
+    def elimination(self, fixed: Indices, further: int = 0) -> Callable[[csc_array], Factors]:
+        """Elimination of all unknowns but the fixed ones, by nested dissection of the cells.
+
+        The function takes matrices (m, m) of the m free unknowns, numbered in rising order.
+        `further` unknowns follow those of the solid, coupled with any; they come last.
+        """
+        free = np.setdiff1d(np.arange(self.unknowns + further), fixed)
+        number = np.full(self.unknowns + further, -1)
+        number[free] = np.arange(len(free))
+        numbers = number[np.hstack([self._displacement_numbers, self._pressure_numbers])]
+        blocks = dissection(numbers, self.mesh.p[:, self.mesh.t].mean(axis=1).T)
+        last = number[self.unknowns :]
+        if (last >= 0).any():
+            blocks.append(Block(last[last >= 0], (len(blocks) - 1,)))
+        return partial(factorised, blocks=blocks)
 
     def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
         """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.

@@ -27,7 +27,6 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.presses.contact_frame import BentState
@@ -108,7 +107,7 @@ class FiniteStack:
         base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
         self._fixed = _unknowns(held)
         self._loose = _unknowns(np.setdiff1d(base, held))
-        self._eliminate = by_blocks(self._blocks())
+        self._eliminate = self.solid.elimination(self._fixed, presses)
         self._contacts: list[HeldContact] = []
         self._load, self._bend = np.zeros(self._size), np.zeros(self.solid.unknowns)
         self._scale = 0.0
@@ -263,16 +262,6 @@ class FiniteStack:
         """Points (n, 3) with their heights over the gel's lower face [m]."""
         bottom = self.body.stack.levels[self.body.stack.gel]
         return np.asarray(points - np.array([0.0, 0.0, bottom]))
-
-    def _blocks(self) -> list[Block]:
-        """Blocks of free unknowns in the order of elimination."""
-        solid = self.solid
-        places = np.full((self._size, 2), np.nan)
-        places[: solid.nodes.size] = np.repeat(solid.nodes[:, :2], 3, axis=0)
-        places[solid.nodes.size : solid.unknowns] = solid.pressure_nodes[:, :2]
-        free = np.setdiff1d(np.arange(len(places)), self._fixed)
-        blocks = dissected(places[free], self.body.lines[:2])
-        return [Block(free[block.own], block.within) for block in blocks]
 
     def _result(self, x: Array) -> Correction:
         solid, lines = self.solid, self.body.lines

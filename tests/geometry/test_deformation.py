@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
-from eitskin.geometry.deformation.kinematics import Composed, Displaced, area_ratio, pulled_back
+from eitskin.geometry.deformation.kinematics import (
+    Composed,
+    Displaced,
+    area_ratio,
+    pulled_back,
+    pulled_back_entries,
+)
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.simulator import Cylinder, Sphere
 from eitskin.simulator.layer.dents import Dents, PlacedDent
@@ -194,3 +200,14 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
 def test_fixtures_and_fits_that_cannot_be_are_refused(make, says) -> None:
     with pytest.raises(ConfigurationError, match=says):
         make()
+
+
+def test_deformations_inside_out_are_refused() -> None:
+    shrunk = Displaced(
+        lambda x: -0.5 * x, lambda x: np.broadcast_to(-0.5 * np.eye(3), (*x.shape, 3))
+    )
+    F = Composed(shrunk, shrunk).gradient(np.zeros((4, 3)))
+    assert pytest.approx(0.25 * np.eye(3)) == F[0]
+    F[2, 0, 0] *= -1.0
+    with pytest.raises(ConfigurationError, match="at 1 of 4 points"):
+        pulled_back_entries(F)

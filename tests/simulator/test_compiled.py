@@ -5,16 +5,13 @@ import pytest
 
 from eitskin import compiled
 from eitskin.compiled import kernels
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
-from eitskin.geometry.deformation import kinematics
-from eitskin.geometry.deformation.kinematics import Composed, Displaced
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField
 from eitskin.simulator.presses.fields.spline_field import spline_sum
 
-KERNELS = "eitskin.geometry.deformation.tensor_kernels"
+KERNELS = "eitskin.simulator.mechanics.spline_kernels"
 if compiled.loaded(KERNELS) is None:
     pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
 
@@ -52,33 +49,6 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
     flat = sim.measure(Scene()).impedance
     assert not np.array_equal(found, plain)  # kernels round otherwise
     assert np.abs(found - plain).max() < 1e-8 * np.abs(plain - flat).max()
-
-
-def test_condensed_matrices_are_those_of_plain_numpy(sim) -> None:
-    model = sim.model.assembly
-    matrices = model.matrices(sim.deformed_layer(Scene(Bend(30.0))).entries(model.points))
-    plain = model.condensed_matrices(matrices)
-    found = with_kernels(model.condensed_matrices, matrices)
-    assert found == pytest.approx(plain, rel=1e-11, abs=1e-15)
-
-
-def test_matrices_without_cholesky_factors_are_condensed_plainly(sim) -> None:
-    model = sim.model.assembly
-    matrices = -model.matrices(np.ones((len(model.points), 1, 1)))
-    found = with_kernels(model.condensed_matrices, matrices)
-    assert np.array_equal(found, model.condensed_matrices(matrices))
-
-
-def test_deformations_inside_out_are_refused_by_both() -> None:
-    shrunk = Displaced(
-        lambda x: -0.5 * x, lambda x: np.broadcast_to(-0.5 * np.eye(3), (*x.shape, 3))
-    )
-    F = Composed(shrunk, shrunk).gradient(np.zeros((4, 3)))
-    assert pytest.approx(0.25 * np.eye(3)) == F[0]
-    F[2, 0, 0] *= -1.0
-    for call in (lambda f, x: f(x), with_kernels):
-        with pytest.raises(ConfigurationError, match="at 1 of 4 points"):
-            call(kinematics.pulled_back_entries, F)
 
 
 def test_fields_are_summed_as_splines() -> None:

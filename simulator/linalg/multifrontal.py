@@ -1,0 +1,392 @@
+"""Multifrontal factorisation of sparse symmetric matrices, in a given order of elimination.
+
+Blocks of unknowns are eliminated one after the other, each in a dense frontal matrix. Elimination
+leaves a dense Schur complement on the unknowns that the block is coupled to, its border, which is
+added to the front of a later block (multifrontal method, Duff and Reid 1983). Positive definite
+matrices have Cholesky factors. Others, complex ones among them, have factors L D L^T with pivots
+of order 1 and 2 within blocks (Bunch and Kaufman 1977).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack, ldl, solve_triangular
+from scipy.sparse import csc_array
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.linalg.elimination_order import Block
+
+Numbers = NDArray[Any]  # real or complex
+Indices = NDArray[np.int64]
+Places = slice | Indices
+
+_STRIP = 256  # rows of a Schur complement that are computed at once
+_SHORTEST_RUN = 15  # rows, in the mean, of runs that are added one by one
+
+
+class Run(NamedTuple):
+    """Rows of a Schur complement that are added to a front together.
+
+    Attributes:
+        here: the rows of the complement.
+        there: their places among the front's own unknowns, or in its border.
+        own: whether they are own unknowns.
+    """
+
+    here: slice
+    there: Places
+    own: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Front:
+    """Unknowns eliminated together, and those that their elimination couples.
+
+    Unknowns are numbered by their elimination.
+
+    Attributes:
+        own: the unknowns eliminated.
+        border: unknowns eliminated later, rising; a slice where they follow each other.
+        size, outer: number of own unknowns, and of those in the border.
+        within: fronts whose Schur complements are added, each with the runs of its border here.
+        entries: the front's part of the matrix entries, which are sorted by column.
+        positions: of these entries in the matrix (own, own), column by column, then in the matrix
+            (border, own) below.
+    """
+
+    own: slice
+    border: Places
+    size: int
+    outer: int
+    within: tuple[tuple[int, tuple[Run, ...]], ...]
+    entries: slice
+    positions: Indices
+
+
+class _Factor(NamedTuple):
+    """Factor of one front: P^T L D L^T P, and Y^T = (L^-1 P K)^T for its coupling K to the border.
+
+    Attributes:
+        own: unknowns in the order P of the pivots.
+        lower: L, in the lower triangle.
+        inverse: diagonal and sub-diagonal of D^-1; None for a Cholesky factor, where D is one.
+        below: Y^T, (border, own).
+    """
+
+    own: Places
+    lower: Numbers
+    inverse: tuple[Numbers, Numbers] | None
+    below: Numbers
+
+
+class MultifrontalSolver:
+    """Solver for matrices whose lower triangle has a fixed sparsity pattern.
+
+    Matrices are real and positive definite, or complex and symmetric with a positive definite real
+    part, as with complex contact impedances; these need no pivots across blocks (Higham 1998).
+
+    Attributes:
+        name: of the order of elimination, for people.
+        fronts: in the order of elimination.
+    """
+
+    def __init__(
+        self, rows: Indices, columns: Indices, blocks: Sequence[Block], name: str = "given"
+    ) -> None:
+        """Prepare for values at (rows, columns); those of equal position add up."""
+        self.name = name
+        self._order = np.concatenate([block.own for block in blocks])
+        rank = np.empty_like(self._order)
+        rank[self._order] = np.arange(len(rank))
+        # Each entry belongs to the front that eliminates the first of its two unknowns.
+        first, second = (ends(rank[rows], rank[columns]) for ends in (np.minimum, np.maximum))
+        self._gather = np.lexsort((second, first))
+        first, second = first[self._gather], second[self._gather]
+        new = np.append(True, (np.diff(first) != 0) | (np.diff(second) != 0))
+        self._runs = np.flatnonzero(new)
+        ends = np.searchsorted(first[self._runs], np.arange(len(rank) + 1))
+        self.fronts = list(_fronts(blocks, ends, second[self._runs]))
+
+    def factorise(self, values: Numbers) -> "Factors":
+        """Factorise the matrix with these values."""
+        return Factors(self._order, self.fronts, list(self._factors(values)))
+
+    def congruence(self, values: Numbers, B: Numbers) -> Numbers:
+        """B^T A^-1 B, (k, k), for the matrix A with these values; no factor is kept."""
+        x = np.array(B[self._order], dtype=np.result_type(values, B))
+        total: Numbers = np.zeros((B.shape[1], B.shape[1]), dtype=x.dtype)
+        for front, factor in zip(self.fronts, self._factors(values), strict=True):
+            y, scaled = _forward(front, factor, x)
+            total = total + y.T @ scaled
+        return total
+
+    def _factors(self, values: Numbers) -> Iterator[_Factor]:
+        entries = np.add.reduceat(values[self._gather], self._runs)
+        return _eliminated(self.fronts, entries, not np.iscomplexobj(values))
+
+
+class Factors:
+    """Multifrontal factors of one matrix.
+
+    Attributes:
+        negative: number of negative eigenvalues (Sylvester's law of inertia).
+    """
+
+    def __init__(self, order: Indices, fronts: Sequence[Front], factors: Sequence[_Factor]) -> None:
+        """Keep the factors of the fronts, and the unknowns in the order of elimination."""
+        self._order, self._fronts, self._factors = order, fronts, factors
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues of the matrix (Sylvester's law of inertia)."""
+        return sum(_negative(f.inverse) for f in self._factors if f.inverse is not None)
+
+    def rounded(self) -> "SingleFactors":
+        """The same Cholesky factors in single precision."""
+        return SingleFactors(self._order, self._fronts, self._factors)
+
+    def solve(self, B: Numbers) -> Numbers:
+        """A^-1 B, (n,) or (n, k), by forward and backward substitution."""
+        kind = np.result_type(B, *{factor.lower.dtype for factor in self._factors})
+        x = np.array(B[self._order], dtype=kind).reshape(len(B), -1)
+        for front, factor in zip(self._fronts, self._factors, strict=True):
+            _, x[front.own] = _forward(front, factor, x)
+        for front, f in zip(reversed(self._fronts), reversed(self._factors), strict=True):
+            right = x[front.own] - _scaled(f.inverse, f.below.T @ x[front.border])
+            x[f.own] = _triangular(f, right, transposed=True)
+        solution = np.empty_like(x)
+        solution[self._order] = x
+        return solution.reshape(B.shape)
+
+
+class SingleFactors:
+    """Cholesky factors in single precision, for approximate solutions of many systems.
+
+    The blocks S and J of L on and below the diagonal are kept as S^-1 above -J S^-1, so that each
+    front takes one matrix product a sweep.
+    """
+
+    def __init__(self, order: Indices, fronts: Sequence[Front], factors: Sequence[_Factor]) -> None:
+        """Invert the diagonal block of L of each front, and round to single precision."""
+        self._order = order
+        self._fronts = []
+        for front, factor in zip(fronts, factors, strict=True):
+            inverse = lapack.dtrtri(np.tril(factor.lower), lower=1)[0]
+            block = np.concatenate([inverse, -factor.below @ inverse]).astype(np.float32)
+            self._fronts.append((front.own, front.border, block))
+
+    def solve(self, B: Numbers) -> Numbers:
+        """A^-1 B, (n, k), to single precision."""
+        scale = np.abs(B).max(initial=np.finfo(np.float32).tiny)
+        x = (B[self._order] / scale).astype(np.float32)
+        for own, border, block in self._fronts:
+            found, size = block @ x[own], own.stop - own.start
+            x[own] = found[:size]
+            x[border] += found[size:]
+        for own, border, block in reversed(self._fronts):
+            x[own] = block.T @ np.concatenate([x[own], x[border]])
+        solution = np.empty_like(B)
+        solution[self._order] = scale * x
+        return solution
+
+
+def factorised(matrix: csc_array, blocks: Sequence[Block]) -> Factors:
+    """Factors L D L^T of a symmetric matrix (n, n), possibly indefinite, in the order of blocks.
+
+    Raises RuntimeError for a singular matrix.
+    """
+    order = np.concatenate([block.own for block in blocks])
+    position = np.empty_like(order)
+    position[order] = np.arange(len(order))
+    columns = csc_array(matrix[:, order])
+    rows = position[columns.indices]
+    later = rows >= np.repeat(np.arange(len(order)), np.diff(columns.indptr))
+    ends = np.concatenate([[0], np.cumsum(later)])[columns.indptr]
+    fronts = list(_fronts(blocks, ends, rows[later]))
+    return Factors(order, fronts, list(_eliminated(fronts, columns.data[later], definite=False)))
+
+
+def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[Front]:
+    """Fronts of the entries in `rows`, columns between `ends`, of a lower triangle."""
+    local = np.empty(len(ends) - 1, dtype=np.int64)
+    borders: dict[int, Indices] = {}
+    start = 0
+    for number, block in enumerate(blocks):
+        size = len(block.own)
+        stop = start + size
+        entries = slice(int(ends[start]), int(ends[stop]))
+        coupled = np.zeros(len(local) - stop, dtype=bool)
+        inner = [(child, borders.pop(child)) for child in block.within]
+        for numbers in (rows[entries], *(border for _, border in inner)):
+            coupled[numbers[numbers >= stop] - stop] = True
+        border = stop + np.flatnonzero(coupled)
+        outer = len(border)
+        local[start:stop], local[border] = np.arange(size), size + np.arange(outer)
+        columns = np.repeat(np.arange(size), np.diff(ends[start : stop + 1]))
+        row = local[rows[entries]]
+        below = size * (size - 1) + columns * outer + row
+        yield Front(
+            own=slice(start, stop),
+            border=_as_slice(border),
+            size=size,
+            outer=outer,
+            within=tuple((child, tuple(_runs(local[rim], size))) for child, rim in inner),
+            entries=entries,
+            positions=np.where(row < size, columns * size + row, below),
+        )
+        borders[number] = border
+        start = stop
+
+
+def _runs(rows: Indices, size: int) -> Iterator[Run]:
+    """Runs of rising rows of a front with `size` own unknowns, one for each slice of rows.
+
+    Where these are many, there is one run for all own unknowns and one for all of the border.
+    """
+    split = int(np.searchsorted(rows, size))
+    breaks = np.union1d(np.flatnonzero(np.diff(rows) != 1) + 1, split)
+    if _SHORTEST_RUN * len(breaks) > len(rows):
+        breaks = np.array([split])
+    for first, last in pairwise([0, *breaks[(breaks > 0) & (breaks < len(rows))], len(rows)]):
+        own = first < split
+        yield Run(slice(first, last), _as_slice(rows[first:last] - (0 if own else size)), own)
+
+
+def _as_slice(numbers: Indices) -> Places:
+    if len(numbers) and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return slice(int(numbers[0]), int(numbers[-1]) + 1)
+    return numbers
+
+
+def _eliminated(fronts: Iterable[Front], entries: Numbers, definite: bool) -> Iterator[_Factor]:
+    """Factor of each front, in the order of elimination."""
+    complements: dict[int, Numbers] = {}
+    for number, front in enumerate(fronts):
+        size, outer = front.size, front.outer
+        flat = np.zeros(size * (size + outer), dtype=entries.dtype)
+        flat[front.positions] = entries[front.entries]
+        own = flat[: size * size].reshape(size, size).T
+        below = flat[size * size :].reshape(size, outer).T
+        corner = np.zeros((outer, outer), dtype=entries.dtype, order="F")
+        for inner, runs in front.within:
+            _add_lower((own, below, corner), runs, complements.pop(inner))
+        if definite:
+            factor, complements[number] = _cholesky_front(front, own, below, corner)
+        else:
+            factor, complements[number] = _ldl_front(front, own, below, corner)
+        yield factor
+
+
+def _add_lower(
+    front: tuple[Numbers, Numbers, Numbers], runs: tuple[Run, ...], complement: Numbers
+) -> None:
+    """Add the lower triangle of a Schur complement to a front's own, lower and last block."""
+    own, below, corner = front
+    for number, row in enumerate(runs):
+        for column in runs[: number + 1]:
+            target = corner if not column.own else own if row.own else below
+            at = row.there, column.there
+            if isinstance(at[0], np.ndarray) and isinstance(at[1], np.ndarray):
+                target[at[0][:, None], at[1]] += complement[row.here, column.here]
+            else:
+                target[at] += complement[row.here, column.here]
+
+
+def _cholesky_front(
+    front: Front, own: Numbers, below: Numbers, corner: Numbers
+) -> tuple[_Factor, Numbers]:
+    """Cholesky factor of a front, and the lower triangle of its Schur complement."""
+    lower, info = lapack.dpotrf(own, lower=1, clean=0, overwrite_a=1)
+    if info:
+        raise ConfigurationError(
+            f"the matrix is not positive definite to rounding (row {info} of a block of "
+            f"{len(own)}); conductivities or contact impedances differ by more orders of "
+            "magnitude than double precision holds: bring them closer"
+        )
+    if front.outer:
+        below = blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        corner = blas.dsyrk(-1.0, below, 1.0, corner, lower=1, overwrite_c=1)
+    return _Factor(front.own, lower, None, below), corner
+
+
+def _ldl_front(
+    front: Front, own: Numbers, below: Numbers, corner: Numbers
+) -> tuple[_Factor, Numbers]:
+    """Factor L D L^T of a front, and the lower triangle of its Schur complement."""
+    lower, D, order = ldl(own, hermitian=False, check_finite=False)
+    lower = lower[order]
+    inverse = _inverse(np.diagonal(D).copy(), np.append(np.diagonal(D, -1), 0.0))
+    rows = solve_triangular(
+        lower, below[:, order].T, lower=True, unit_diagonal=True, check_finite=False
+    )
+    scaled = _scaled(inverse, rows)
+    for first in range(0, len(corner), _STRIP):
+        strip = slice(first, first + _STRIP), slice(first + _STRIP)
+        corner[strip] -= rows[:, strip[0]].T @ scaled[:, strip[1]]
+    return _Factor(front.own.start + order, lower, inverse, rows.T), corner
+
+
+def _forward(front: Front, factor: _Factor, x: Numbers) -> tuple[Numbers, Numbers]:
+    """L^-1 and D^-1 L^-1 times the rows of a front's own unknowns; its border's are updated."""
+    y = _triangular(factor, x[factor.own])
+    scaled = _scaled(factor.inverse, y)
+    x[front.border] -= factor.below @ scaled
+    return y, scaled
+
+
+def _triangular(factor: _Factor, right: Numbers, transposed: bool = False) -> Numbers:
+    """L^-1 or L^-T times rows (own, k)."""
+    if factor.inverse is None:
+        solved: Numbers = blas.dtrsm(1.0, factor.lower, right, lower=1, trans_a=int(transposed))
+        return solved
+    return np.asarray(
+        solve_triangular(
+            factor.lower,
+            right,
+            trans="T" if transposed else "N",
+            lower=True,
+            unit_diagonal=True,
+            check_finite=False,
+        )
+    )
+
+
+def _inverse(diagonal: Numbers, beside: Numbers) -> tuple[Numbers, Numbers]:
+    """Diagonal and sub-diagonal of D^-1; raises RuntimeError for a singular D."""
+    first = np.flatnonzero(beside)  # of the pairs of unknowns that share a 2 x 2 pivot
+    a, b, c = diagonal[first], beside[first], diagonal[first + 1]
+    determinant = a * c - b**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1.0 / diagonal
+        inverse[first], inverse[first + 1] = c / determinant, a / determinant
+        beside[first] = -b / determinant
+    if not (np.all(np.isfinite(inverse)) and np.all(np.isfinite(beside))):
+        raise RuntimeError("the matrix is singular")
+    return inverse, beside
+
+
+def _negative(inverse: tuple[Numbers, Numbers]) -> int:
+    """Number of negative eigenvalues of a real D, from D^-1."""
+    diagonal, beside = inverse
+    first = np.flatnonzero(beside)
+    single = np.ones(len(diagonal), dtype=bool)
+    single[first] = single[first + 1] = False
+    indefinite = diagonal[first] * diagonal[first + 1] < beside[first] ** 2
+    pairs = np.where(indefinite, 1, np.where(diagonal[first] < 0.0, 2, 0))
+    return int(np.count_nonzero(diagonal[single] < 0.0) + pairs.sum())
+
+
+def _scaled(inverse: tuple[Numbers, Numbers] | None, rows: Numbers) -> Numbers:
+    """D^-1 times rows (n, k); the rows themselves where D is one."""
+    if inverse is None:
+        return rows
+    diagonal, beside = (each[:, None] for each in inverse)
+    product: Numbers = diagonal * rows
+    first = np.flatnonzero(inverse[1])
+    product[first] += beside[first] * rows[first + 1]
+    product[first + 1] += beside[first] * rows[first]
+    return product

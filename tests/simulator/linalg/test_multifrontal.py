@@ -1,0 +1,144 @@
+"""Multifrontal factors beside dense solutions and eigenvalues, and the growth of the factors."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.linalg import elimination_order
+from eitskin.simulator.linalg.elimination_order import (
+    Block,
+    choose_order,
+    dissection,
+    level_structure,
+    strips,
+)
+from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorised
+
+
+def grid(n, m):
+    """Corners of the cells of a grid of n x m cells, and the middles of the cells."""
+    nodes = np.arange((n + 1) * (m + 1)).reshape(n + 1, m + 1)
+    cells = np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]], axis=-1)
+    middles = np.stack(np.meshgrid(np.arange(n), np.arange(m), indexing="ij"), axis=-1)
+    return cells.reshape(-1, 4), middles.reshape(-1, 2).astype(float)
+
+
+def assembled(cells, parts):
+    """Rows, columns and values of the lower triangle of a sum of cells, and the dense matrix."""
+    A = np.zeros((cells.max() + 1,) * 2, dtype=parts.dtype)
+    np.add.at(A, (cells[:, :, None], cells[:, None]), parts)
+    i, j = np.tril_indices(cells.shape[1])
+    first, second = cells[:, i].ravel(), cells[:, j].ravel()
+    return np.maximum(first, second), np.minimum(first, second), parts[:, i, j].ravel(), A
+
+
+def blocks_of(order, rows, columns, cells, middles):
+    if order == "strips":
+        return strips(rows, columns, level_structure(cells, np.flatnonzero(middles[:, 0] == 0.0)))
+    return dissection(cells, middles)
+
+
+@pytest.mark.parametrize("kind", ["real", "complex"])
+@pytest.mark.parametrize(
+    ("order", "leaf"), [("strips", 0), ("dissected", 1), ("dissected", 20), ("dissected", 10**6)]
+)
+def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch) -> None:
+    monkeypatch.setattr(elimination_order, "_LEAF", leaf)
+    rng = np.random.default_rng(7)
+    cells, middles = grid(9, 5)
+    parts = rng.normal(size=(len(cells), 4, 4))
+    parts = parts @ parts.swapaxes(1, 2) + 0.1 * np.eye(4)
+    if kind == "complex":
+        more = rng.normal(size=parts.shape)
+        parts = parts + 1j * (more + more.swapaxes(1, 2))
+    rows, columns, values, A = assembled(cells, parts)
+    solver = MultifrontalSolver(rows, columns, blocks_of(order, rows, columns, cells, middles))
+    B = rng.normal(size=(len(A), 3))
+    factors, wanted = solver.factorise(values), np.linalg.solve(A, B)
+    assert factors.solve(B) == pytest.approx(wanted, rel=1e-9)
+    assert solver.congruence(values, B) == pytest.approx(B.T @ wanted, rel=1e-9)
+    if kind == "real":
+        for size in (1.0, 1e-60, 1e60):  # neither overflows nor vanishes in single precision
+            given = size * B
+            error = factors.rounded().solve(given) - size * wanted
+            assert 1e-10 < np.linalg.norm(error) / np.linalg.norm(size * wanted) < 1e-4
+            assert np.array_equal(given, size * B)
+
+
+def indefinite(rng):
+    """Symmetric matrix of cells of three unknowns a node, and one unknown coupled to all."""
+    nodes, middles = grid(6, 4)
+    cells = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
+    parts = rng.normal(size=(len(cells), 12, 12))
+    parts += parts.swapaxes(1, 2)
+    A = np.pad(assembled(cells, parts)[3], (0, 1))
+    A[-1, :-1] = A[:-1, -1] = rng.normal(size=len(A) - 1)
+    blocks = dissection(cells, middles)
+    return A, [*blocks, Block(np.array([len(A) - 1]), (len(blocks) - 1,))]
+
+
+@pytest.mark.parametrize("leaf", [1, 60, 1000])
+def test_solutions_and_inertia_are_those_of_an_indefinite_matrix(leaf, monkeypatch) -> None:
+    monkeypatch.setattr(elimination_order, "_LEAF", leaf)
+    rng = np.random.default_rng(3)
+    A, blocks = indefinite(rng)
+    found = factorised(csc_array(A), blocks)
+    assert found.negative == np.count_nonzero(np.linalg.eigvalsh(A) < 0.0)
+    right = rng.normal(size=len(A))
+    assert found.solve(right) == pytest.approx(np.linalg.solve(A, right), rel=1e-9, abs=1e-9)
+
+
+def test_a_singular_matrix_is_refused() -> None:
+    A, blocks = indefinite(np.random.default_rng(6))
+    A[5] = A[:, 5] = 0.0
+    with pytest.raises(RuntimeError, match="singular"):
+        factorised(csc_array(A), blocks)
+
+
+@pytest.mark.parametrize("order", ["strips", "dissected"])
+def test_each_unknown_is_eliminated_once(order, monkeypatch) -> None:
+    monkeypatch.setattr(elimination_order, "_LEAF", 10)
+    cells, middles = grid(9, 9)
+    rows, columns, _, _ = assembled(cells, np.zeros((81, 4, 4)))
+    solver = MultifrontalSolver(rows, columns, blocks_of(order, rows, columns, cells, middles))
+    ends = [(front.own.start, front.own.stop) for front in solver.fronts]
+    assert [first for first, _ in ends] == [0, *(last for _, last in ends[:-1])]
+    assert ends[-1][1] == 100
+    assert len(ends) >= 9
+
+
+def test_factors_grow_as_n_log_n(monkeypatch) -> None:
+    monkeypatch.setattr(elimination_order, "_LEAF", 20)
+
+    def entries(n):
+        cells, middles = grid(n, n)
+        rows, columns, _, _ = assembled(cells, np.zeros((n * n, 4, 4)))
+        fronts = MultifrontalSolver(rows, columns, dissection(cells, middles)).fronts
+        return sum(front.size * (front.size + front.outer) for front in fronts)
+
+    assert entries(32) / entries(16) < 4.0 * np.log(32) / np.log(16) * 1.2
+
+
+def test_the_order_suits_the_shape() -> None:
+    names = []
+    for n, m in ((80, 4), (200, 200)):
+        cells, middles = grid(n, m)
+        rows, columns, _, _ = assembled(cells, np.zeros((n * m, 4, 4)))
+        first = np.flatnonzero(middles[:, 0] == 0.0)
+        names.append(choose_order(None, (rows, columns), cells, middles, first)[0])
+    assert names == ["block Cholesky", "nested dissection"]
+
+
+def test_a_body_in_two_parts_is_refused() -> None:
+    """Two elements that share no unknown: from the first, nothing reaches the second."""
+    with pytest.raises(ConfigurationError, match="parts"):
+        level_structure(np.array([[0, 1], [2, 3]]), np.array([0]))
+
+
+def test_sparse_lu_is_served_by_nested_dissection() -> None:
+    cells, middles = grid(3, 3)
+    rows, columns, _, _ = assembled(cells, np.zeros((9, 4, 4)))
+    with pytest.warns(DeprecationWarning, match="nested dissection"):
+        name, _ = choose_order("sparse LU", (rows, columns), cells, middles, np.array([0]))
+    assert name == "nested dissection"
