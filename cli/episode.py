@@ -74,7 +74,7 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
-    from eitskin.training.evaluation import matching, metrics
+    from eitskin.training.evaluation import matching, scores
 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
@@ -87,7 +87,7 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     latencies = [1e3 * float(reading.latency) for reading in readings]
     return {
         "true_state": truth,
-        "state": max(metrics.STATES, key=names.count),
+        "state": max(scores.STATES, key=names.count),
         "right_frames": names.count(truth),
         "true_angle_deg": scene.bend.angle_deg,
         "angle_deg": float(np.median(angles)),

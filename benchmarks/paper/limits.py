@@ -14,7 +14,7 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, scene_derivatives
-from eitskin.training.evaluation.metrics import root_mean_square
+from eitskin.training.evaluation.scores import root_mean_square
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from eitskin.datasets.store.schema import State
 from eitskin.frame import Frame
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import match_distances
-from eitskin.training.evaluation.metrics import (
+from eitskin.training.evaluation.scores import (
+    TouchScore,
     determination,
     percentiles,
     root_mean_square,
 )
-from eitskin.training.evaluation.scores import TouchScore
 from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.pipeline import Pipeline
 

@@ -12,7 +12,7 @@ from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.schema import State
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
-from eitskin.training.evaluation.metrics import root_mean_square
+from eitskin.training.evaluation.scores import root_mean_square
 
 TOUCHED, BENT = 4, 4  # frames of each sensor, evenly among its frames
 

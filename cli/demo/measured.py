@@ -18,9 +18,9 @@ from eitskin.datasets.store.schema import State
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.evaluate import Evaluation, Report
-from eitskin.training.evaluation.metrics import percentiles
 from eitskin.training.evaluation.report.figures import loss_curves
 from eitskin.training.evaluation.report.folder import PICTURES
+from eitskin.training.evaluation.scores import percentiles
 from eitskin.training.paper.method import PaperMethod
 
 if TYPE_CHECKING:

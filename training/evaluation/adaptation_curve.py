@@ -4,12 +4,13 @@ The frames are split into blocks of neighbours in time. Each block is tested wit
 from some frames of the others: neighbours in time are too similar to learn from and to test on.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import UNKNOWN_STATE, State
@@ -17,7 +18,7 @@ from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.training.adaptation.labelled_presses import LabelledPresses, places_of
 from eitskin.training.adaptation.press_fit import FEWEST, learn_places
-from eitskin.training.evaluation.matching import localisation
+from eitskin.training.evaluation.matching import match_distances
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -62,15 +63,20 @@ class CurvePoint:
 class _Errors:
     """Errors gathered over the blocks: of angles [deg] and places [m], and touches in all."""
 
-    angles: list[float]
-    places: list[float]
+    angles: list[float] = field(default_factory=list)
+    places: list[float] = field(default_factory=list)
     touches: int = 0
 
-    def point(self, method: str, frames: int) -> CurvePoint:
-        angle = float(np.sqrt(np.mean(np.square(self.angles)))) if self.angles else None
-        place = 1e3 * float(np.mean(self.places)) if self.places else None
-        found = len(self.places) / self.touches if self.touches else None
-        return CurvePoint(method, frames, angle, place, found)
+    def add_angles(self, errors: Array) -> None:
+        self.angles += errors[np.isfinite(errors)].tolist()
+
+    def add_places(self, errors: ArrayLike, touches: int) -> None:
+        self.places += np.asarray(errors, dtype=float).tolist()
+        self.touches += touches
+
+
+Gathered = defaultdict[tuple[str, int], _Errors]
+"""Errors by method and number of labelled frames."""
 
 
 def press_curve(
@@ -84,27 +90,21 @@ def press_curve(
 
     Raises DataError for fewer presses than can be learned from in each block.
     """
-    blocks = list(_blocks(np.arange(len(presses)), FEWEST))
-    counts = _counts(min(len(rest) for rest, _ in blocks), FEWEST)
+    gathered: Gathered = defaultdict(_Errors)
     named = {ADAPTED: presses}
     if presses.design is not None:
         named[ALONE] = replace(presses, design=None)
-    found: dict[tuple[str, int], _Errors] = {}
-    steps = len(blocks) * len(counts)
-    for at, (rest, tested) in enumerate(blocks):
-        for step, count in enumerate(counts):
-            progress(at * len(counts) + step, steps)
-            chosen = _spaced(rest, count)
-            truth = presses.places[tested]
-            for name, known in named.items():
-                learned = learn_places(known.select(chosen))
-                place = learned.locator.apply(presses.ratios[tested])
-                _note(found, name, count, places=np.linalg.norm(place - truth, axis=1))
-            logs = np.log(np.where(presses.ratios > 0, presses.ratios, 1.0))
-            place = _forest(logs[chosen], presses.places[chosen], logs[tested])
-            _note(found, FORESTS, count, places=np.linalg.norm(place - truth, axis=1))
-    progress(steps, steps)
-    return _points(found)
+    logs = np.log(np.where(presses.ratios > 0, presses.ratios, 1.0))
+    for chosen, tested in _trials(np.arange(len(presses)), FEWEST, progress):
+        truth = presses.places[tested]
+        places = {FORESTS: _forest(logs[chosen], presses.places[chosen], logs[tested])}
+        for name, known in named.items():
+            learned = learn_places(known.select(chosen))
+            places[name] = learned.locator.apply(presses.ratios[tested])
+        for name in (*named, FORESTS):
+            errors = np.linalg.norm(places[name] - truth, axis=1)
+            gathered[name, len(chosen)].add_places(errors, len(truth))
+    return _points(gathered)
 
 
 def pipeline_curve(
@@ -119,65 +119,54 @@ def pipeline_curve(
 
     Raises DataError for fewer labelled frames than there are blocks.
     """
+    gathered: Gathered = defaultdict(_Errors)
     order = np.lexsort((np.arange(len(data)), data.time, data.episode))
-    bent, touched = _bent(data), data.touch_count == 1
-    labelled = order[(bent | touched)[order]]
-    blocks = list(_blocks(labelled, 1))
-    counts = _counts(min(len(rest) for rest, _ in blocks), 1)
-    found: dict[tuple[str, int], _Errors] = {}
-    steps = len(blocks) * len(counts)
-    for at, (rest, tested) in enumerate(blocks):
-        part = data.select(tested)
-        _judge(found, TRAINED, 0, pipeline, part)
-        for step, count in enumerate(counts):
-            progress(at * len(counts) + step, steps)
-            shown = data.select(_spaced(rest, count))
-            mine = replace(pipeline)
-            try:
-                mine.adapt(shown)
-            except DataError:  # few frames may contradict their angles; more may not
-                continue
-            _judge(found, ADAPTED, count, mine, part)
-            _judge_forests(found, count, shown, part)
-    progress(steps, steps)
-    return _points(found)
+    labelled = order[(_bent(data) | (data.touch_count == 1))[order]]
+    judged: Rows | None = None
+    for chosen, tested in _trials(labelled, 1, progress):
+        part, shown, mine = data.select(tested), data.select(chosen), replace(pipeline)
+        if judged is not tested:
+            _judge(gathered[TRAINED, 0], pipeline, part)
+            judged = tested
+        try:
+            mine.adapt(shown)
+        except DataError:  # few frames may contradict their angles; more may not
+            continue
+        _judge(gathered[ADAPTED, len(chosen)], mine, part)
+        _judge_forests(gathered[FORESTS, len(chosen)], shown, part)
+    return _points(gathered)
 
 
-def _judge(
-    found: dict[tuple[str, int], _Errors], name: str, count: int, pipeline: Pipeline, data: Dataset
-) -> None:
+def _judge(errors: _Errors, pipeline: Pipeline, data: Dataset) -> None:
     said = pipeline.perceive(data)
-    angles: Array = np.zeros(0)
     if pipeline.targets.angle and (bent := _bent(data)).any():
-        angles = said.bend_angle_deg[bent] - data.bend_angle_deg[bent]
-    places, touches = np.zeros(0), 0
+        errors.add_angles(said.bend_angle_deg[bent] - data.bend_angle_deg[bent])
     if pipeline.targets.touches and (touched := np.flatnonzero(data.touch_count == 1)).size:
         truth = places_of(data, touched)
         pairs = [(truth[[k]], said.touches[row].place[:1]) for k, row in enumerate(touched)]
-        matched = localisation(pairs)
-        places, touches = np.array(matched.errors), matched.true
-    _note(found, name, count, angles, places, touches)
+        errors.add_places([d for pair in pairs for d in match_distances(*pair)], len(pairs))
 
 
-def _judge_forests(
-    found: dict[tuple[str, int], _Errors], count: int, shown: Dataset, data: Dataset
-) -> None:
+def _judge_forests(errors: _Errors, shown: Dataset, data: Dataset) -> None:
     """Regressions of angles on changes from the flat sensor, of places on those by touches."""
-    learned, tested = (_changes(each) for each in (shown, data))
-    angles, places, touches = np.zeros(0), np.zeros(0), 0
-    if (known := _bent(shown)).any() and (bent := _bent(data)).any():
-        angle = _forest(
-            learned[0][known], shown.bend_angle_deg[known].astype(float), tested[0][bent]
+    learned, tested = Observations.of(shown), Observations.of(data)
+    known, asked = _bent(shown), _bent(data)
+    if known.any() and asked.any():
+        angle = shown.bend_angle_deg[known].astype(float)
+        found = _forest(_good(learned.static[known]), angle, _good(tested.static[asked]))
+        errors.add_angles(found - data.bend_angle_deg[asked])
+    known, asked = shown.touch_count == 1, data.touch_count == 1
+    if known.any() and asked.any():
+        place, truth = (
+            places_of(each, np.flatnonzero(mask)) for each, mask in ((shown, known), (data, asked))
         )
-        angles = angle - data.bend_angle_deg[bent]
-    known, touched = shown.touch_count == 1, data.touch_count == 1
-    if known.any() and touched.any():
-        place = _forest(
-            learned[1][known], places_of(shown, np.flatnonzero(known)), tested[1][touched]
-        )
-        truth = places_of(data, np.flatnonzero(touched))
-        places, touches = np.linalg.norm(place - truth, axis=1), len(truth)
-    _note(found, FORESTS, count, angles, places, touches)
+        found = _forest(_good(learned.dynamic[known]), place, _good(tested.dynamic[asked]))
+        errors.add_places(np.linalg.norm(found - truth, axis=1), len(truth))
+
+
+def _good(changes: NDArray[np.floating]) -> Array:
+    """Changes (n, C) with 0 for bad channels."""
+    return np.nan_to_num(changes).astype(float)
 
 
 def _forest(features: Array, truth: Array, asked: Array) -> Array:
@@ -188,22 +177,17 @@ def _forest(features: Array, truth: Array, asked: Array) -> Array:
     return predicted
 
 
-def _note(
-    found: dict[tuple[str, int], _Errors],
-    name: str,
-    count: int,
-    angles: Array | Sequence[float] = (),
-    places: Array | Sequence[float] = (),
-    touches: int | None = None,
-) -> None:
-    errors = found.setdefault((name, count), _Errors([], []))
-    errors.angles += [float(each) for each in angles if np.isfinite(each)]
-    errors.places += [float(each) for each in places]
-    errors.touches += len(places) if touches is None else touches
-
-
-def _points(found: dict[tuple[str, int], _Errors]) -> tuple[CurvePoint, ...]:
-    return tuple(errors.point(name, count) for (name, count), errors in found.items())
+def _points(gathered: Mapping[tuple[str, int], _Errors]) -> tuple[CurvePoint, ...]:
+    return tuple(
+        CurvePoint(
+            name,
+            count,
+            float(np.sqrt(np.mean(np.square(each.angles)))) if each.angles else None,
+            1e3 * float(np.mean(each.places)) if each.places else None,
+            len(each.places) / each.touches if each.touches else None,
+        )
+        for (name, count), each in gathered.items()
+    )
 
 
 def _bent(data: Dataset) -> NDArray[np.bool_]:
@@ -213,15 +197,10 @@ def _bent(data: Dataset) -> NDArray[np.bool_]:
     return np.asarray(untouched & (data.touch_count == 0) & (np.abs(angle) > FLAT_DEG))
 
 
-def _changes(data: Dataset) -> tuple[Array, Array]:
-    """Changes (n, C) from the flat and from the untouched sensor; 0 for bad channels."""
-    seen = Observations.of(data)
-    return np.nan_to_num(seen.static).astype(float), np.nan_to_num(seen.dynamic).astype(float)
+def _trials(rows: Rows, fewest: int, progress: Progress) -> Iterator[tuple[Rows, Rows]]:
+    """Rows to learn from, ever more of them, and rows to test, of each block of neighbours in time.
 
-
-def _blocks(rows: Rows, fewest: int) -> Iterator[tuple[Rows, Rows]]:
-    """Rows outside and, at most `MOST_TESTED`, inside of each block of neighbours in time.
-
+    At least `fewest` rows are learned from, outside of the block, and at most `MOST_TESTED` tested.
     Raises DataError where a block leaves too few rows to learn from.
     """
     parts = np.array_split(rows, BLOCKS)
@@ -231,13 +210,14 @@ def _blocks(rows: Rows, fewest: int) -> Iterator[tuple[Rows, Rows]]:
             f"expected {needed} labelled frames or more to tell errors by, got {len(rows)}; label "
             "or record more"
         )
-    for part in parts:
-        yield np.setdiff1d(rows, part, assume_unique=True), _spaced(part, MOST_TESTED)
-
-
-def _counts(most: int, fewest: int) -> list[int]:
-    """Numbers of frames to learn from, up to `most`."""
-    return sorted({each for each in COUNTS if fewest <= each < most} | {most})
+    most = len(rows) - max(map(len, parts))
+    counts = sorted({each for each in COUNTS if fewest <= each < most} | {most})
+    for number, part in enumerate(parts):
+        rest, tested = np.setdiff1d(rows, part, assume_unique=True), _spaced(part, MOST_TESTED)
+        for step, count in enumerate(counts):
+            progress(number * len(counts) + step, BLOCKS * len(counts))
+            yield _spaced(rest, count), tested
+    progress(BLOCKS * len(counts), BLOCKS * len(counts))
 
 
 def _spaced(rows: Rows, count: int) -> Rows:

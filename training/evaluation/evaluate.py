@@ -12,9 +12,9 @@ from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import DataError
 from eitskin.frame import Frame
 from eitskin.protocol import Protocol
-from eitskin.training.evaluation import metrics
 from eitskin.training.evaluation.matching import Matches
 from eitskin.training.evaluation.scores import (
+    STATES,
     BendScore,
     ForceScore,
     LatencyScore,
@@ -22,6 +22,12 @@ from eitskin.training.evaluation.scores import (
     StateScore,
     TouchScore,
     UntouchedScore,
+    confusion,
+    consistency,
+    determination,
+    percentiles,
+    root_mean_square,
+    similarity,
 )
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
@@ -93,7 +99,7 @@ class Evaluation:
             _touch_scores(dataset, matches, similarity) if located else {},
             _untouched_score(dataset, matches) if located else None,
             _force_score(matches),
-            metrics.consistency(matches.error, matches.deviation),
+            consistency(matches.error, matches.deviation),
             _latency(pipeline, dataset),
             targets,
         )
@@ -166,7 +172,7 @@ def _similarities(
         for name, maps in pictures.items():
             pairs = zip(maps, truth, strict=True)
             row = values.setdefault(name, np.full(len(dataset), np.nan))
-            row[piece] = [metrics.similarity(*pair) for pair in pairs]
+            row[piece] = [similarity(*pair) for pair in pairs]
     return values
 
 
@@ -174,15 +180,15 @@ def _state_score(
     dataset: Dataset, predictions: Predictions, told_apart: tuple[str, ...]
 ) -> StateScore:
     """Score of the frames whose true state is one that the pipeline tells apart."""
-    known = np.isin(dataset.state, [metrics.STATES.index(name) for name in told_apart])
-    counts = metrics.confusion(dataset.state[known], predictions.state[known])
+    known = np.isin(dataset.state, [STATES.index(name) for name in told_apart])
+    counts = confusion(dataset.state[known], predictions.state[known])
     bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
     right = predictions.state == dataset.state
     idle = counts[State.IDLE]
     return StateScore(
         {
             name: _share(row[i], row.sum())
-            for i, (name, row) in enumerate(zip(metrics.STATES, counts, strict=True))
+            for i, (name, row) in enumerate(zip(STATES, counts, strict=True))
         },
         _share(right[bent].sum(), bent.sum()),
         _share(idle[State.TOUCH], idle.sum()),
@@ -197,12 +203,12 @@ def _bend_score(dataset: Dataset, predictions: Predictions) -> BendScore:
     true, estimated = dataset.bend_angle_deg.astype(float), predictions.bend_angle_deg
     error = estimated - true
     return BendScore(
-        metrics.determination(true[bent], estimated[bent]) if bent.any() else None,
-        metrics.root_mean_square(error[bent]) if bent.any() else None,
+        determination(true[bent], estimated[bent]) if bent.any() else None,
+        root_mean_square(error[bent]) if bent.any() else None,
         float(error[bent].mean()) if bent.any() else None,
-        metrics.root_mean_square(error[touched]) if touched.any() else None,
+        root_mean_square(error[touched]) if touched.any() else None,
         float(error[touched].mean()) if touched.any() else None,
-        metrics.consistency(error, predictions.bend_deviation_deg),
+        consistency(error, predictions.bend_deviation_deg),
     )
 
 
@@ -265,7 +271,7 @@ def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
         pipeline.process(frame)
         seconds.append(time.perf_counter() - start)
     pipeline.reset()
-    p50, p99 = metrics.percentiles(seconds[1:])
+    p50, p99 = percentiles(seconds[1:])
     return LatencyScore(p50 * 1e3, p99 * 1e3)
 
 

@@ -1,6 +1,5 @@
 """Matching of found touches to true ones, and the errors that follow."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,53 +15,20 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
-class Localisation:
-    """Localisation errors, misses and false touches.
-
-    Attributes:
-        errors: distances of matched touches [m].
-        missed: number of true touches without a match.
-        false: number of found touches without a match.
-    """
-
-    errors: tuple[float, ...]
-    missed: int
-    false: int
-
-    @property
-    def true(self) -> int:
-        """Number of true touches."""
-        return len(self.errors) + self.missed
+def match_distances(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> list[float]:
+    """Distances [m] of the matched pairs of one frame; see `match`."""
+    rows, columns = match(true, found, gate)
+    away = np.linalg.norm(_positions(true)[rows] - _positions(found)[columns], axis=1)
+    distances: list[float] = away.tolist()
+    return distances
 
 
-def localisation(frames: Iterable[tuple[ArrayLike, ArrayLike]], gate: float = GATE) -> Localisation:
-    """Matches of the found to the true positions of each frame, both (touches, 2) [m].
+def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
+    """Matched rows of `true` and of `found` in one frame, both positions (touches, 2) [m].
 
     The Hungarian method makes as many pairs closer than `gate` [m] as there can be and, among
     those, the pairs of the smallest total distance (Kuhn 1955).
     """
-    errors: list[float] = []
-    missed = false = 0
-    for true, found in frames:
-        distances = match_distances(true, found, gate)
-        errors += distances
-        missed += len(_positions(true)) - len(distances)
-        false += len(_positions(found)) - len(distances)
-    return Localisation(tuple(errors), missed, false)
-
-
-def match_distances(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> list[float]:
-    """Distances [m] of the matched pairs of one frame; see `localisation`."""
-    rows, columns = match(true, found, gate)
-    return [
-        float(d)
-        for d in np.linalg.norm(_positions(true)[rows] - _positions(found)[columns], axis=1)
-    ]
-
-
-def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
-    """Matched rows of `true` and of `found` in one frame; see `localisation`."""
     a, b = _positions(true), _positions(found)
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
     # A pair beyond the gate costs more than any number of pairs within it can save.
@@ -94,7 +60,7 @@ def _positions(values: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """The m matched touches of a dataset of n frames; see `localisation`.
+    """The m matched touches of a dataset of n frames; see `match`.
 
     Attributes:
         frame: index of each touch's frame (m,).

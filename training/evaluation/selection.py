@@ -12,8 +12,7 @@ from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import GATE, ospa
-from eitskin.training.evaluation.metrics import STATES
-from eitskin.training.evaluation.scores import Report
+from eitskin.training.evaluation.scores import STATES, Report
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import Targets, with_implied_labels
 from eitskin.training.pipeline.pipeline import Pipeline

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.evaluation.matching import GATE, localisation, match, match_distances, ospa
+from eitskin.training.evaluation.matching import GATE, match, match_distances, ospa
 
 
 def test_matching_minimises_the_total_distance_not_the_nearest_first():
@@ -27,20 +27,20 @@ def test_matched_rows_belong_together():
 
 @pytest.mark.parametrize(("distance", "pairs"), [(0.0149, 1), (0.0151, 0), (0.029, 0)])
 def test_nothing_is_matched_beyond_the_gate(distance, pairs):
-    found = localisation([([(0.05, 0.03)], [(0.05 + distance, 0.03)])], gate=0.015)
-    assert (len(found.errors), found.missed, found.false) == (pairs, 1 - pairs, 1 - pairs)
+    assert len(match_distances([(0.05, 0.03)], [(0.05 + distance, 0.03)], gate=0.015)) == pairs
 
 
-def test_misses_and_false_touches_are_counted_apart():
-    frames = [
-        ([(0.03, 0.03), (0.10, 0.03)], [(0.031, 0.03)]),
-        ([(0.05, 0.03)], [(0.05, 0.03 + GATE * 1.01), (0.05, 0.03 - GATE * 0.99)]),
-        (np.zeros((0, 2)), [(0.01, 0.01)]),
-        ([(0.02, 0.02)], []),
-    ]
-    score = localisation(frames)
-    assert score.errors == pytest.approx((0.001, GATE * 0.99))
-    assert (score.true, score.missed, score.false) == (4, 2, 2)
+@pytest.mark.parametrize(
+    ("true", "found", "distances"),
+    [
+        ([(0.03, 0.03), (0.10, 0.03)], [(0.031, 0.03)], [0.001]),
+        ([(0.05, 0.03)], [(0.05, 0.03 + GATE * 1.01), (0.05, 0.03 - GATE * 0.99)], [GATE * 0.99]),
+        (np.zeros((0, 2)), [(0.01, 0.01)], []),
+        ([(0.02, 0.02)], [], []),
+    ],
+)
+def test_misses_and_false_touches_have_no_partner(true, found, distances):
+    assert match_distances(true, found) == pytest.approx(distances)
 
 
 def test_ospa_distance_counts_misses_and_false_touches_as_the_cutoff():

@@ -11,7 +11,6 @@ from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import GATE
-from eitskin.training.evaluation.metrics import STATES, root_mean_square
 from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
@@ -24,6 +23,7 @@ from eitskin.training.evaluation.report.drawing import (
     draw_sensor,
     new_figure,
 )
+from eitskin.training.evaluation.scores import STATES, root_mean_square
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.pipeline.pipeline import Pipeline
 

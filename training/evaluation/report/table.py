@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-from eitskin.training.evaluation.metrics import Consistency
-from eitskin.training.evaluation.scores import Report, TouchScore
+from eitskin.training.evaluation.scores import Consistency, Report, TouchScore
 
 Row = tuple[str, str, str]
 

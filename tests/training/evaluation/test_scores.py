@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.evaluation.metrics import (
+from eitskin.training.evaluation.scores import (
     confusion,
     consistency,
     determination,
