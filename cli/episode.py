@@ -74,7 +74,8 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
-    from eitskin.training.evaluation import matching, scores
+    from eitskin.training.evaluation.matching import match_distances
+    from eitskin.training.method.targets import STATE_NAMES
 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
@@ -82,12 +83,12 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     true = [(touch.x, touch.y) for touch in scene.touches]
     places = [[(float(x), float(y)) for x, y, _ in each.touches or ()] for each in estimates]
     found = places[-1]
-    errors = matching.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
+    errors = match_distances(true, found) if true else []
     angles = [np.nan if e.bend_angle_deg is None else e.bend_angle_deg for e in estimates]
     latencies = [1e3 * float(reading.latency) for reading in readings]
     return {
         "true_state": truth,
-        "state": max(scores.STATES, key=names.count),
+        "state": max(STATE_NAMES, key=names.count),
         "right_frames": names.count(truth),
         "true_angle_deg": scene.bend.angle_deg,
         "angle_deg": float(np.median(angles)),

@@ -166,7 +166,7 @@ def _judge_forests(errors: _Errors, shown: Dataset, data: Dataset) -> None:
 
 def _good(changes: NDArray[np.floating]) -> Array:
     """Changes (n, C) with 0 for bad channels."""
-    return np.nan_to_num(changes).astype(float)
+    return np.asarray(np.nan_to_num(changes), dtype=float)
 
 
 def _forest(features: Array, truth: Array, asked: Array) -> Array:

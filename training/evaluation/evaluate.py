@@ -14,7 +14,6 @@ from eitskin.frame import Frame
 from eitskin.protocol import Protocol
 from eitskin.training.evaluation.matching import Matches
 from eitskin.training.evaluation.scores import (
-    STATES,
     BendScore,
     ForceScore,
     LatencyScore,
@@ -31,7 +30,7 @@ from eitskin.training.evaluation.scores import (
 )
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
-from eitskin.training.method.targets import with_implied_labels
+from eitskin.training.method.targets import STATE_NAMES, with_implied_labels
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -180,7 +179,7 @@ def _state_score(
     dataset: Dataset, predictions: Predictions, told_apart: tuple[str, ...]
 ) -> StateScore:
     """Score of the frames whose true state is one that the pipeline tells apart."""
-    known = np.isin(dataset.state, [STATES.index(name) for name in told_apart])
+    known = np.isin(dataset.state, [STATE_NAMES.index(name) for name in told_apart])
     counts = confusion(dataset.state[known], predictions.state[known])
     bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
     right = predictions.state == dataset.state
@@ -188,7 +187,7 @@ def _state_score(
     return StateScore(
         {
             name: _share(row[i], row.sum())
-            for i, (name, row) in enumerate(zip(STATES, counts, strict=True))
+            for i, (name, row) in enumerate(zip(STATE_NAMES, counts, strict=True))
         },
         _share(right[bent].sum(), bent.sum()),
         _share(idle[State.TOUCH], idle.sum()),

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.extras import require
-from eitskin.training.method.targets import STATE_NAMES as STATES
-from eitskin.training.method.targets import Targets
+from eitskin.training.method.targets import STATE_NAMES, Targets
 
 SSIM_DEFINITION = (
     "SSIM: scikit-image's structural_similarity with its 7 x 7 window and data_range 1, between a "
@@ -211,8 +210,8 @@ def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
 
 
 def confusion(true: ArrayLike, estimated: ArrayLike) -> NDArray[np.int64]:
-    """Confusion matrix (3, 3): rows the true state, columns the estimated one, as in `STATES`."""
-    counts = np.zeros((len(STATES), len(STATES)), np.int64)
+    """Confusion matrix (3, 3): rows the true state, columns the estimated one, as in `STATE_NAMES`."""
+    counts = np.zeros((len(STATE_NAMES), len(STATE_NAMES)), np.int64)
     np.add.at(counts, (np.asarray(true, dtype=int), np.asarray(estimated, dtype=int)), 1)
     return counts
 

@@ -12,9 +12,9 @@ from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.matching import GATE, ospa
-from eitskin.training.evaluation.scores import STATES, Report
+from eitskin.training.evaluation.scores import Report
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
-from eitskin.training.method.targets import Targets, with_implied_labels
+from eitskin.training.method.targets import STATE_NAMES, Targets, with_implied_labels
 from eitskin.training.pipeline.pipeline import Pipeline
 
 CANDIDATES = ("joint", "quick")
@@ -269,7 +269,7 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
             f"other figures; {FEW_SPECIMENS} and more make them reliable"
         )
     warnings += _left_out(data, evaluation)
-    for state, name in zip(State, STATES, strict=True):
+    for state, name in zip(State, STATE_NAMES, strict=True):
         count = int(np.sum(data.state == state))
         if 0 < count < FEW_FRAMES:
             warnings.append(f"{count} frames of the state {name} are few; {FEW_FRAMES} are better")

@@ -23,8 +23,9 @@ from eitskin.training.evaluation.report.drawing import (
     draw_sensor,
     new_figure,
 )
-from eitskin.training.evaluation.scores import STATES, root_mean_square
+from eitskin.training.evaluation.scores import root_mean_square
 from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.pipeline import Pipeline
 
 SHORTEST_SEQUENCE = 20  # frames
@@ -92,7 +93,7 @@ def confusion_matrix(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
         text = f"{100 * share:.1f} %\n{counts[row, column]}" if totals[row] else "no frames"
         colour = "white" if share > 0.5 else DARK
         axes.text(column, row, text, ha="center", va="center", color=colour)
-    axes.set(xticks=range(3), yticks=range(3), xticklabels=STATES, yticklabels=STATES)
+    axes.set(xticks=range(3), yticks=range(3), xticklabels=STATE_NAMES, yticklabels=STATE_NAMES)
     axes.set(xlabel="estimated state", ylabel="true state")
     axes.tick_params(length=0)
     axes.grid(visible=False)
