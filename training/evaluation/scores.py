@@ -210,7 +210,7 @@ def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
 
 
 def confusion(true: ArrayLike, estimated: ArrayLike) -> NDArray[np.int64]:
-    """Confusion matrix (3, 3): rows the true state, columns the estimated one, as in `STATE_NAMES`."""
+    """Confusion matrix (3, 3): rows the true state, columns the estimated one."""
     counts = np.zeros((len(STATE_NAMES), len(STATE_NAMES)), np.int64)
     np.add.at(counts, (np.asarray(true, dtype=int), np.asarray(estimated, dtype=int)), 1)
     return counts
