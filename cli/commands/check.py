@@ -188,7 +188,7 @@ def sensor_findings(
         taken: frames.
         estimate: gives the pipeline's estimate of the last one; may raise FrameError.
     """
-    from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
+    from eitskin.hardware.diagnosis.reading_check import LAWS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -197,7 +197,7 @@ def sensor_findings(
     expected = None if pipeline is None else _expected(pipeline)
     if expected is not None:
         known = check_sensor(taken, expected).findings
-        findings = (*known, *(each for each in findings if each.what in LAW_FINDINGS))
+        findings = (*known, *(each for each in findings if each.what in LAWS))
         # Other faults make a sensor look bent or pressed.
         if isinstance(pipeline, Pipeline):
             findings = findings or _not_flat(pipeline, estimate)

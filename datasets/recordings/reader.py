@@ -1,4 +1,4 @@
-"""What readers of files of recordings have in common: tables by name, read in blocks of rows."""
+"""Base of the readers of files of recordings: tables by name, read in blocks of rows."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping

@@ -1,9 +1,15 @@
-"""Check of readings without any model of the sensor: dead channels, and laws of linear circuits."""
+"""Check of readings without any model of the sensor: dead channels, and laws of linear circuits.
+
+The readings of an ideal meter are d . Z s with drive and sense patterns d and s and a symmetric
+impedance matrix Z. Whatever the sensor, therefore: exchanging the electrodes of a pair changes the
+sign (swap), exchanging drive and sense pair changes nothing (reciprocity, Geselowitz 1971), and the
+voltages around a closed loop of sense pairs sum to zero, as do the readings of a closed loop of
+drive pairs (Kirchhoff's voltage law and superposition).
+"""
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
@@ -31,15 +37,6 @@ Signed = tuple[int, int]
 """Number of a measurement, and its sign, +1 or -1."""
 
 
-class RelationKind(StrEnum):
-    """Kinds of relations."""
-
-    DRIVE_SWAP = "swapped drives"
-    SENSE_SWAP = "swapped senses"
-    RECIPROCITY = "reciprocity"
-    LOOP = "loop sum"
-
-
 @dataclass(frozen=True, slots=True)
 class Relation:
     """Signed sum of readings that is zero.
@@ -50,7 +47,7 @@ class Relation:
         signs: +1 or -1 of each.
     """
 
-    kind: RelationKind
+    kind: FindingKind
     channels: tuple[int, ...]
     signs: tuple[int, ...]
 
@@ -66,7 +63,7 @@ def _swaps(protocol: Protocol) -> Iterator[Relation]:
         (first, sign), *others = same
         for other, turned in others:
             same_drive = protocol.table[first][:2] == protocol.table[other][:2]
-            kind = RelationKind.SENSE_SWAP if same_drive else RelationKind.DRIVE_SWAP
+            kind = FindingKind.SENSE_SWAP if same_drive else FindingKind.DRIVE_SWAP
             yield Relation(kind, (first, other), (1, -sign * turned))
 
 
@@ -76,7 +73,7 @@ def _reciprocities(protocol: Protocol) -> Iterator[Relation]:
     for (drive, sense), same in found.items():
         if drive < sense and (sense, drive) in found:
             (forth, sign), (back, turned) = same[0], found[sense, drive][0]
-            yield Relation(RelationKind.RECIPROCITY, (forth, back), (1, -sign * turned))
+            yield Relation(FindingKind.RECIPROCITY, (forth, back), (1, -sign * turned))
 
 
 def _loops(protocol: Protocol) -> Iterator[Relation]:
@@ -90,7 +87,7 @@ def _loops(protocol: Protocol) -> Iterator[Relation]:
         for loop in _fundamental_loops(edges):
             channels = tuple(edges[pair][0] for pair, _ in loop)
             signs = tuple(edges[pair][1] * direction for pair, direction in loop)
-            yield Relation(RelationKind.LOOP, channels, signs)
+            yield Relation(FindingKind.LOOP, channels, signs)
 
 
 def _by_pairs(protocol: Protocol) -> Mapping[tuple[Pair, Pair], list[Signed]]:
@@ -153,30 +150,25 @@ DEAD = 1e-6
 FEWEST_VALUES = 8
 """Least number of different values of a channel, beside its limit, that is not stuck there."""
 
-_LAWS = {
-    RelationKind.DRIVE_SWAP: (
-        FindingKind.DRIVE_SWAP,
+LAWS = {
+    FindingKind.DRIVE_SWAP: (
         "exchanging the two drive electrodes",
         "source and sink load the sensor differently",
     ),
-    RelationKind.SENSE_SWAP: (
-        FindingKind.SENSE_SWAP,
+    FindingKind.SENSE_SWAP: (
         "exchanging the two sense electrodes",
         "the two sense inputs load the sensor differently, or there is an offset",
     ),
-    RelationKind.RECIPROCITY: (
-        FindingKind.RECIPROCITY,
+    FindingKind.RECIPROCITY: (
         "exchanging drive and sense pair",
         "source and sense inputs load the sensor differently",
     ),
-    RelationKind.LOOP: (
-        FindingKind.LOOP,
+    FindingKind.LOOP: (
         "going around a closed loop of pairs",
         "gains or offsets differ from channel to channel, or the inputs load the sensor",
     ),
 }
-LAW_FINDINGS = frozenset(kind for kind, *_ in _LAWS.values())
-"""Kinds of findings about the laws of an ideal meter."""
+"""Laws of an ideal meter by the kind of their findings: what is exchanged, and the likely cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +183,7 @@ class LawCheck:
         largest: largest of these differences.
     """
 
-    kind: RelationKind
+    kind: FindingKind
     relations: int
     violated: int
     median: float
@@ -253,7 +245,7 @@ def check_readings(
     magnitudes = _are_magnitudes(values)
     relations = [each for each in linear_relations(protocol) if good[list(each.channels)].all()]
     laws = []
-    for kind in RelationKind:
+    for kind in LAWS:
         chosen = [each for each in relations if each.kind == kind]
         if chosen:
             law, found = _check_law(kind, chosen, checked, magnitudes=magnitudes)
@@ -319,7 +311,7 @@ def _limited(limited: Bools, checked: CheckedFrames) -> Iterator[Finding]:
 
 
 def _check_law(
-    kind: RelationKind, relations: list[Relation], checked: CheckedFrames, *, magnitudes: bool
+    kind: FindingKind, relations: list[Relation], checked: CheckedFrames, *, magnitudes: bool
 ) -> tuple[LawCheck, list[Finding]]:
     """Outcome of one law, and its findings."""
     median = float(np.median(np.abs(checked.value)))
@@ -342,7 +334,7 @@ def _check_law(
         return law, []
     channels = _suspects(relations, np.array(wrong), len(checked.expected))
     text = _law_text(law, float(np.median(ratios)), signs, channels, checked)
-    return law, [Finding(_LAWS[kind][0], (), channel_numbers(channels), text)]
+    return law, [Finding(kind, (), channel_numbers(channels), text)]
 
 
 def _suspects(relations: Sequence[Relation], wrong: Bools, count: int) -> Bools:
@@ -380,15 +372,15 @@ def _law_text(
     law: LawCheck, ratio: float, signs: int, channels: Bools, checked: CheckedFrames
 ) -> str:
     """Violation in words, with its likely cause and the remedy."""
-    _, exchange, cause = _LAWS[law.kind]
+    exchange, cause = LAWS[law.kind]
     names = channel_names(channels, checked)
-    if signs == law.violated and law.kind != RelationKind.LOOP:
+    if signs == law.violated and law.kind != FindingKind.LOOP:
         return (
             f"{exchange} gives the wrong sign in {law.violated} of {law.relations} cases "
             f"({names}): the table of the protocol has two electrodes of a pair exchanged there, "
             "or the board leaves signs out"
         )
-    if law.kind == RelationKind.LOOP:
+    if law.kind == FindingKind.LOOP:
         seen = (
             f"voltages do not add up {exchange} in {law.violated} of {law.relations} cases, by up "
             f"to {100.0 * law.largest:.0f} % of their largest"

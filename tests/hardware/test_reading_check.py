@@ -12,7 +12,7 @@ from eitskin.datasets import Dataset, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.hardware.diagnosis.checked_frames import FindingKind
 from eitskin.hardware.diagnosis.reading_check import (
-    RelationKind,
+    LAWS,
     check_frames,
     check_readings,
     linear_relations,
@@ -60,7 +60,7 @@ def kinds(result):
 )
 def test_the_table_says_which_relations_there_are_and_every_sensor_obeys_them(protocol, counts):
     relations = linear_relations(protocol)
-    assert tuple(sum(r.kind == kind for r in relations) for kind in RelationKind) == counts
+    assert tuple(sum(r.kind == kind for r in relations) for kind in LAWS) == counts
     n = protocol.n_electrodes
     readings = protocol.measure(SKINS[:, :n, :n])
     for each in relations:
