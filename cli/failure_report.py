@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 
 from eitskin import __version__
-from eitskin.input_files import printable
+from eitskin.files import printable
 
 _PACKAGES = ("h5py", "msgspec", "numpy", "safetensors", "scikit-fem", "scipy", "torch")
 _LONGEST_LINE = 300  # characters; the message of an exception may quote a file

@@ -29,7 +29,7 @@ from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
 from eitskin.cli.options import ended_by_signals
 from eitskin.errors import EitskinError
-from eitskin.input_files import printable
+from eitskin.files import printable
 
 EXIT_USAGE = 2
 

@@ -11,7 +11,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from eitskin.input_files import visible
+from eitskin.files import visible
 
 
 class Terminal(Console):

@@ -4,6 +4,6 @@ A `recipe` describes a dataset, `generation` simulates its shards on all cores o
 `store` holds the format, writes and reads; `recordings` imports what other boards measured.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -5,7 +5,7 @@ extras, and the two types that every room uses, `Frame` and `Protocol`. Data pas
 rooms in one direction: geometry -> simulator -> datasets -> training -> hardware -> cli.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __version__ = "0.2.0"
 

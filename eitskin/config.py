@@ -25,8 +25,7 @@ from typing import Any, Final, TypeGuard, TypeVar
 import msgspec
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file
-from eitskin.input_files import quoted, read_text, shortened
+from eitskin.files import atomic_file, quoted, read_text, shortened
 
 MOST_TOML: Final = 16 << 20
 """Largest size of a TOML file [bytes]: a recipe with a table of 16,384 channels has 0.5 MB."""

@@ -10,6 +10,7 @@ who gains control of a reader.
 """
 
 import contextlib
+import importlib
 import io
 import json
 import os
@@ -20,13 +21,14 @@ import sys
 import threading
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.input_files import parse_json
+from eitskin.files import parse_json, printable
 
 HEAD: Final = struct.Struct("<QI")
 """Begin of a message: size of its JSON text [bytes], and number of its arrays."""
@@ -34,8 +36,12 @@ HEAD: Final = struct.Struct("<QI")
 SIZE: Final = struct.Struct("<Q")
 """Begin of an array: its size [bytes]."""
 
-_CHILD: Final = "from eitskin.contained_child import main; main()"
-_ERRORS: Final = {"ConfigurationError": ConfigurationError, "ImportError": ImportError}
+_CHILD: Final = "from eitskin.contained import answer_tasks; answer_tasks()"
+_ERRORS: Final = {
+    "ConfigurationError": ConfigurationError,
+    "DataError": DataError,
+    "ImportError": ImportError,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +195,7 @@ class _Child:
                     return
                 kind, data = answer.data
                 if kind != "answer":
-                    raise _ERRORS.get(kind, DataError)(data)
+                    raise _ERRORS[kind](data)
                 yield Answer(data, answer.arrays)
         except (EOFError, OSError) as error:
             raise DataError(_ending(self._process.wait(), limits)) from error
@@ -207,3 +213,78 @@ def _ending(code: int, limits: Limits) -> str:
         f"the process that read it ended {how}; it is damaged, or not the file that it seems to "
         "be: copy it again"
     )
+
+
+# In the child
+
+
+def answer_tasks() -> None:
+    """Call readers within limits, and answer on this process's output, until the input ends."""
+    tasks = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in (0, 1):  # what a library prints is no answer
+        os.dup2(nothing, number)
+    while True:
+        try:
+            task = read_message(tasks)
+        except EOFError:
+            return
+        _perform(task, answers)
+
+
+def _perform(task: Answer, answers: IO[bytes]) -> None:
+    """Call one reader and write its answers, or its error."""
+    reader, argument, seconds, memory = task.data
+    module, _, function = reader.partition(":")
+    outcome: Any = None
+    try:
+        made = getattr(importlib.import_module(module), function)
+        _limit_memory(memory)
+        _limit_time(seconds)
+        for answer in made(argument, task.arrays["content"].tobytes()):
+            write_message(answers, ["answer", answer.data], answer.arrays)
+            _limit_time(seconds)
+    except MemoryError:
+        _unlimit()
+        outcome = "DataError", f"it takes more than {memory // (1 << 20)} MB of memory to read"
+    except BaseException as error:
+        _unlimit()
+        outcome = "DataError", f"it cannot be read: {type(error).__name__}: {str(error)[:1000]}"
+        for name, kind in _ERRORS.items():
+            if isinstance(error, kind):
+                outcome = name, printable(error)
+    _unlimit()
+    write_message(answers, outcome, {})
+
+
+def _limit_time(seconds: int) -> None:
+    """End this process after more `seconds` of processor time."""
+    with contextlib.suppress(ImportError):  # Windows
+        import resource
+
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        most = int(used.ru_utime + used.ru_stime) + seconds + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
+
+
+def _limit_memory(size: int) -> None:
+    """Let this process have `size` more bytes of memory of its own."""
+    if sys.platform == "linux":
+        import resource
+
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        used = next(line for line in status.splitlines() if line.startswith("VmData"))
+        most = int(used.split()[1]) * 1024 + size
+        resource.setrlimit(resource.RLIMIT_DATA, (most, resource.RLIM_INFINITY))
+
+
+def _unlimit() -> None:
+    """Lift the limits until the next task."""
+    with contextlib.suppress(ImportError):
+        import resource
+
+        unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+        resource.setrlimit(resource.RLIMIT_CPU, unlimited)
+        if sys.platform == "linux":
+            resource.setrlimit(resource.RLIMIT_DATA, unlimited)

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin import bounds
 from eitskin.bounds import require_count
 from eitskin.errors import ConfigurationError, FrameError
-from eitskin.files import atomic_file
-from eitskin.input_files import read_text, shortened
+from eitskin.files import atomic_file, read_text, shortened
 
 Row: TypeAlias = tuple[int, int, int, int]
 

@@ -4,6 +4,6 @@ A `SensorDesign` says outline, thickness and electrodes; `meshing` turns a desig
 `deformation` maps points of the flat sensor to the bent one, with the deformation gradient.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -4,6 +4,6 @@ Data pass `protocol` (bytes to messages), `boards` (messages to frames), `openin
 URI), `live` (frames to estimates), `export` (files); `virtual` simulates what stands behind a port.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

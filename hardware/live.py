@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from eitskin.closeable import Closeable
 from eitskin.datasets.store.schema import State
 from eitskin.errors import FrameError, UnusableFrameError
+from eitskin.files import printable
 from eitskin.frame import Frame
 from eitskin.hardware.boards.board import Board, Connection, longest_silence
 from eitskin.hardware.boards.port import UnrecoverableError
-from eitskin.input_files import printable
 from eitskin.latest import Latest
 
 DRIFT = 1e-4  # of two clocks, at most; crystals are off by some 5e-5

@@ -5,6 +5,6 @@ conductivity back to the flat mesh, `electrical` solves the complete electrode m
 `instrument` adds the errors of a board; `simulator` joins these steps and `view` draws them.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -6,6 +6,6 @@ a session into estimates with it, `evaluation` scores these.
 pictures without training; `twin` finds the physical numbers behind one sensor.
 """
 
-from eitskin.lazy import lazy_exports
+from eitskin.extras import lazy_exports
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -10,8 +10,7 @@ import msgspec
 from eitskin.benchmarks.results import Results
 from eitskin.benchmarks.skinbench.tracks import NAME, SEED, TRACKS, VERSION, Track, track_of
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import atomic_file
-from eitskin.input_files import read_bytes
+from eitskin.files import atomic_file, read_bytes
 from eitskin.provenance import Provenance
 
 _MOST_BYTES = 1 << 24

@@ -26,8 +26,7 @@ from eitskin.datasets.store.shard import shard_name, unsealed, write_entry
 from eitskin.datasets.store.shard_reader import shard_of
 from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
-from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
-from eitskin.input_files import read_bytes
+from eitskin.files import TEMPORARY, read_bytes, remove_file, remove_leftovers, write_file
 
 RECIPE = "recipe.toml"
 # Lower bound for any frame: noise does not compress, and each channel is stored twice.

@@ -19,7 +19,7 @@ from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.datasets.store.values import SpecimenReferences
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import DataError
-from eitskin.input_files import read_bytes
+from eitskin.files import read_bytes
 
 SHARDS = "shard-*.h5"
 _REPAIR = "copy it again, or delete it and generate with --resume"

@@ -13,7 +13,7 @@ from eitskin.datasets.recordings.reader import Tables
 from eitskin.datasets.recordings.source import Source
 from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.input_files import quoted
+from eitskin.files import quoted
 
 _TOUCHES: Final = {
     "x": "touch_x",

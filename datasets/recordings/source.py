@@ -21,7 +21,7 @@ from eitskin.datasets.recordings.tables import (
     is_number,
 )
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.input_files import require_regular
+from eitskin.files import require_regular
 
 MOST_BYTES: Final = 1 << 36
 """Largest size of a file of a recording [bytes]."""

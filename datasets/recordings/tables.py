@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
-from eitskin.input_files import shortened
+from eitskin.files import shortened
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,9 +22,9 @@ from eitskin.datasets.store.schema import (
 )
 from eitskin.datasets.store.values import SpecimenReferences, check_values
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.files import quoted
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.input_files import quoted
 from eitskin.protocol import Protocol
 
 # Attributes that all parts of a dataset share.

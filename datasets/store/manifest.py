@@ -10,8 +10,7 @@ import msgspec
 
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
 from eitskin.errors import DataError
-from eitskin.files import write_file
-from eitskin.input_files import parse_json, quoted, read_bytes
+from eitskin.files import parse_json, quoted, read_bytes, write_file
 from eitskin.simulator.mechanics import solved_files
 
 MANIFEST = "manifest.json"

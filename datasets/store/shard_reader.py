@@ -34,8 +34,8 @@ from eitskin.datasets.store.shard import unsealed
 from eitskin.datasets.store.stored_arrays import all_arrays, one_array
 from eitskin.datasets.store.values import check_values
 from eitskin.errors import DataError
+from eitskin.files import MOST_TEXT, quoted, read_bytes
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.input_files import MOST_TEXT, quoted, read_bytes
 from eitskin.protocol import Protocol
 
 Columns = dict[str, NDArray[Any]]

@@ -17,7 +17,7 @@ from eitskin.bounds import require_length, require_positive
 from eitskin.contained import Answer, Limits, contained
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
-from eitskin.input_files import read_bytes
+from eitskin.files import read_bytes
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

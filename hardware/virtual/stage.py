@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from eitskin.config import read_toml, toml_table
 from eitskin.errors import ConfigurationError
+from eitskin.files import read_text
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.fault_table import read_faults
-from eitskin.input_files import read_text
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.instrument.instrument import Instrument

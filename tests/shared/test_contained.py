@@ -10,7 +10,6 @@ from eitskin.contained import Answer, Limits, contained
 from eitskin.errors import ConfigurationError, DataError
 
 LIMITS = Limits(seconds=1, memory=100 << 20)
-HERE = "eitskin.contained_child:"
 
 
 def answers(code, content=b"", limits=LIMITS):

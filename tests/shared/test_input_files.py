@@ -7,8 +7,8 @@ import pytest
 from eitskin.config import parse_toml, read_toml
 from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.files import parse_json, printable, quoted, read_bytes, read_text
 from eitskin.geometry import SensorDesign
-from eitskin.input_files import parse_json, printable, quoted, read_bytes, read_text
 
 
 def test_a_regular_file_is_read(tmp_path):

@@ -19,7 +19,7 @@ def package(tmp_path, monkeypatch):
     folder = tmp_path / "lazy_package"
     folder.mkdir()
     (folder / "__init__.py").write_text(
-        "from eitskin.lazy import lazy_exports\n"
+        "from eitskin.extras import lazy_exports\n"
         "__all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)\n"
     )
     (folder / "__init__.pyi").write_text(STUB)

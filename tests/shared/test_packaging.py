@@ -70,7 +70,7 @@ def test_imports_load_only_the_packages_that_they_need() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()
     loaded = {step: set(line.split()) for step, line in zip(STEPS, lines, strict=True)}
-    assert {name for name in loaded["eitskin"] if name.startswith("eitskin.")} == {"eitskin.lazy"}
+    assert {name for name in loaded["eitskin"] if name.startswith("eitskin.")} == {"eitskin.extras"}
     heavy = HEAVY | {"numpy", "scipy", "skfem", "msgspec", "typer"}
     assert not loaded["rooms"] & heavy
     assert loaded["frames"] & {"scipy", "skfem", "numpy"} == {"numpy"}

@@ -134,10 +134,11 @@ def _tables() -> Mapping[str, tuple[bytes, ...]]:
 
 def _table(path: Path) -> list[Answer]:
     """Answers of a child that reads a recording, read here."""
-    ask: dict[str, Any] = {"path": str(path), "sheet": None, "columns": {}}
+    ask: dict[str, Any] = {"path": str(path), "sheet": None}
     (head,) = read_source(ask | {"wanted": None}, b"")
-    values, *labels = head.data["names"]
-    wanted = {"values": (values,), "labels": tuple(labels)}
+    values, *labels = names = head.data["header"] or head.data["names"]
+    columns = {name: [column] for column, name in enumerate(names)}
+    wanted = {"values": (values,), "labels": tuple(labels), "columns": columns}
     return [head, *read_source(ask | {"wanted": wanted}, b"")]
 
 

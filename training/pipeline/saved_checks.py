@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import DataError
-from eitskin.input_files import quoted
+from eitskin.files import quoted
 
 DAMAGE: Final = (
     ArithmeticError,

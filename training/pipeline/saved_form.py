@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.extras import require
-from eitskin.files import atomic_folder
-from eitskin.input_files import parse_json, quoted, read_bytes, read_text
+from eitskin.files import atomic_folder, parse_json, quoted, read_bytes, read_text
 
 FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import atomic_file
+from eitskin.files import atomic_file, parse_json, quoted, read_bytes
 from eitskin.frame import Frame
-from eitskin.input_files import parse_json, quoted, read_bytes
 from eitskin.protocol import Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import RunningMean

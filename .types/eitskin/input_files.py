@@ -1,1 +1,0 @@
-../../eitskin/input_files.py

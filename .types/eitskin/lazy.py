@@ -1,1 +1,0 @@
-../../eitskin/lazy.py
