@@ -7,8 +7,7 @@ import numpy as np
 from rich.table import Table
 
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 if TYPE_CHECKING:
     from eitskin.hardware.live import FramePipeline, Reading

@@ -11,7 +11,7 @@ from eitskin.hardware.opening import open_board as open_board
 from eitskin.protocol import Protocol as Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
 from eitskin.simulator.scene.scene import Scene as Scene
-from eitskin.simulator.scene.touch import Touch as Touch
+from eitskin.simulator.scene.scene import Touch as Touch
 from eitskin.simulator.simulator import Simulator as Simulator
 from eitskin.training.pipeline.pipeline import Pipeline as Pipeline
 from eitskin.training.reconstruction.reconstructor import Reconstructor as Reconstructor

@@ -33,10 +33,10 @@ from eitskin.geometry.deformation.fixtures import (
 from eitskin.geometry.deformation.fixtures import (
     Hinge as Hinge,
 )
-from eitskin.geometry.deformation.twist import (
+from eitskin.geometry.deformation.flexure import (
     Roll as Roll,
 )
-from eitskin.geometry.deformation.twist import (
+from eitskin.geometry.deformation.flexure import (
     Twist as Twist,
 )
 from eitskin.geometry.design.electrode import Electrode as Electrode
@@ -57,26 +57,26 @@ from eitskin.geometry.design.outline import (
 )
 from eitskin.geometry.design.patches import Contacts as Contacts
 from eitskin.geometry.design.sensor import (
+    Free as Free,
+)
+from eitskin.geometry.design.sensor import (
     Layer as Layer,
+)
+from eitskin.geometry.design.sensor import (
+    Plates as Plates,
+)
+from eitskin.geometry.design.sensor import (
+    Rigid as Rigid,
 )
 from eitskin.geometry.design.sensor import (
     SensorDesign as SensorDesign,
 )
-from eitskin.geometry.design.support import (
-    Free as Free,
-)
-from eitskin.geometry.design.support import (
-    Plates as Plates,
-)
-from eitskin.geometry.design.support import (
-    Rigid as Rigid,
-)
-from eitskin.geometry.design.support import (
+from eitskin.geometry.design.sensor import (
     Substrate as Substrate,
 )
-from eitskin.geometry.design.support import (
+from eitskin.geometry.design.sensor import (
     Support as Support,
 )
 from eitskin.geometry.design.surface import Surface as Surface
-from eitskin.geometry.meshing.hexahedra import structured_mesh as structured_mesh
 from eitskin.geometry.meshing.mesh import Mesh as Mesh
+from eitskin.geometry.meshing.mesh_design import structured_mesh as structured_mesh

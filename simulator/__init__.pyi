@@ -35,5 +35,5 @@ from eitskin.simulator.scene.indenters import (
     Sphere as Sphere,
 )
 from eitskin.simulator.scene.scene import Scene as Scene
-from eitskin.simulator.scene.touch import Touch as Touch
+from eitskin.simulator.scene.scene import Touch as Touch
 from eitskin.simulator.simulator import Simulator as Simulator

@@ -13,8 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Plates, Support, require_fit
+from eitskin.geometry.design.sensor import Plates, SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_store
@@ -44,8 +43,7 @@ from eitskin.simulator.layer.pressed_touches import (
     way_of,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.support_check import require_bendable
+from eitskin.simulator.scene.scene import Scene, require_bendable
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]

@@ -15,8 +15,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]

@@ -21,8 +21,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, Steps, scene_derivatives
 

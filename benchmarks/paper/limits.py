@@ -10,8 +10,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, scene_derivatives
 from eitskin.training.evaluation.scores import root_mean_square

@@ -26,8 +26,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.threads import one_thread
 

@@ -19,14 +19,13 @@ from eitskin.benchmarks.stability.closed_forms import sector
 from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.layer.dents import closed_form_dents
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]

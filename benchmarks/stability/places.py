@@ -13,8 +13,8 @@ from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh import check_quality, quality
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
-from eitskin.geometry.meshing.quality import check_quality, quality
 
 Spans = Sequence[tuple[float, float]]
 

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Composed
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.electrode import Electrode, On, Shape
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
 from eitskin.geometry.design.sensor import Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.layer.dents import closed_form_dents
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]

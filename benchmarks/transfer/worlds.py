@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.datasets.store.schema import State
-from eitskin.geometry.design.support import Plates
+from eitskin.geometry.design.sensor import Plates
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 

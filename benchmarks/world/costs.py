@@ -14,8 +14,7 @@ from eitskin.simulator.bends import bend_store
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.layer.dents import Dents
 from eitskin.simulator.presses import correction_store, press_store
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Free, Plates, Rigid, Substrate, Support
+from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 KINDS = ("press", "supported press", "bent press", "bend")
 """Kinds of cases: flat on a rigid base, flat on another support, pressed and bent, bent only."""

@@ -80,7 +80,7 @@ def _numbers(
     """Numbers of the mesh as plain data."""
     import numpy as np
 
-    from eitskin.geometry.meshing.quality import quality
+    from eitskin.geometry.meshing.mesh import quality
 
     asked = np.array([patch.area for patch in design.patches()])
     found = np.bincount(mesh.contacts.electrode, mesh.contacts.areas, len(asked))

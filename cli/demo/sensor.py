@@ -11,8 +11,7 @@ from eitskin.cli.demo.results import WEBP, Picture, StageResult
 from eitskin.extras import require
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.report.drawing import EXTRA
 

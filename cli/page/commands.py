@@ -16,8 +16,7 @@ from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.bodies.upper_side import require_above
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Board

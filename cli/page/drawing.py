@@ -14,19 +14,18 @@ from eitskin.cli.page.plan import arc_of, pieces_of
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.flat_contacts import Pad
+from eitskin.geometry.design.contact_areas import Pad, Strip
 from eitskin.geometry.design.outline import PlaneOutline, Rectangle
 from eitskin.geometry.design.patches import area_vectors, on_boundary
 from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.side_contacts import Strip
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.layer.dents import closed_form_dents
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.presses.closed_form_dent import LARGEST_FORCE
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]

@@ -11,14 +11,13 @@ from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen, free_length
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Support
+from eitskin.geometry.design.sensor import SensorDesign, Support
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.presses.correction_store import corrections, tabulable
 from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.touch import AnyIndenter
+from eitskin.simulator.scene.scene import AnyIndenter
 
 Progress = Callable[[int, int], None]
 

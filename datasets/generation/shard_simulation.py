@@ -30,8 +30,7 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.layer.pressed_touches import TouchModel
 from eitskin.simulator.presses.correction_store import tabulable
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Impedance = NDArray[np.complex128]

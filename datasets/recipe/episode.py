@@ -14,8 +14,7 @@ from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.simulator.mechanics.viscoelasticity import Prony, elastic_force
 from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 PERIOD = 0.297
 """Time from one frame to the next [s]: 28 measurements of 10.6 ms."""

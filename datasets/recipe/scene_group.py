@@ -11,12 +11,11 @@ from eitskin.bounds import drawn
 from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.schema import State
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.geometry.deformation.twist import Roll
+from eitskin.geometry.deformation.flexure import Roll
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.geometry.design.support import Support
+from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 _TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats", "indenter")
 

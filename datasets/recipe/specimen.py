@@ -14,8 +14,7 @@ from eitskin.datasets.store.schema import LIMITS
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Plates, Support
+from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution

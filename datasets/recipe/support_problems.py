@@ -5,9 +5,8 @@ from collections.abc import Iterator
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Fixture
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Support, require_fit
-from eitskin.simulator.scene.support_check import require_bendable
+from eitskin.geometry.design.sensor import SensorDesign, Support, require_fit
+from eitskin.simulator.scene.scene import require_bendable
 
 
 def support_problems(

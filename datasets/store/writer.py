@@ -16,7 +16,7 @@ from eitskin.datasets.store.shard import write_entry
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 
 class ShardWriter(Closeable):

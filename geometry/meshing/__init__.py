@@ -1,5 +1,5 @@
 """Meshes of the conductive layer, refined at the electrode edges.
 
-`mesh_design` chooses between `hexahedra`, `prisms` (by way of `delaunay`) and `tetrahedra` (with
-`snapping`); `grading` says the cell sizes, and `quality` refuses bad cells.
+`mesh_design` makes hexahedra, prisms (by way of `delaunay`) or `tetrahedra`; `grading` says the
+cell sizes, and `mesh` refuses bad cells.
 """

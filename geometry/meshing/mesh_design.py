@@ -1,17 +1,115 @@
-"""Mesh of a design, by the kind of cells."""
+"""Mesh of a design: graded hexahedra, triangular prisms, or tetrahedra."""
 
 from collections.abc import Sequence
 from typing import Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.contact_areas import Strip
 from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.patches import electrode_contacts
+from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.hexahedra import structured_mesh
-from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.prisms import triangulated_mesh
-from eitskin.geometry.meshing.quality import check_quality
+from eitskin.geometry.meshing.delaunay import triangulated
+from eitskin.geometry.meshing.grading import Grading, graded_lines, layer_heights, require_possible
+from eitskin.geometry.meshing.mesh import Mesh, check_quality
+
+Array = NDArray[np.float64]
+Lines = NDArray[np.float64]
+
+
+def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
+    """Mesh a plane outline by triangular prisms whose faces fit the ends of electrodes on the side.
+
+    Electrodes on top, at the bottom and inside are refined around their rims, not fitted.
+    Points are numbered upwards first, then by rising x.
+
+    Args:
+        design: the sensor; its outline must be plane.
+        grading: longest edges of the triangles, and layers.
+
+    Raises ConfigurationError for a surface, and for more than half a million points in the plane.
+    """
+    outline = design.outline
+    if isinstance(outline, Surface):
+        raise ConfigurationError(
+            "prisms need a plane outline, got a Surface; use tetrahedra for bodies of any shape"
+        )
+    contacts = placed(design.electrodes, outline, design.thickness)
+    strips = [contact for contact in contacts if isinstance(contact, Strip)]
+    ends = np.array([end for strip in strips for end in (strip.start, strip.end)])
+    rims = [c.edges(np.inf if _full(c) else grading.finest) for c in contacts]
+    edges = cKDTree(np.unique(np.concatenate(rims)[:, :2].round(12), axis=0))
+
+    def size(points: Array) -> Array:
+        distance, _ = edges.query(points)
+        return grading.size(distance)
+
+    plane, triangles = triangulated(outline, ends, size)
+    heights = layer_heights(design, grading)
+    count = len(heights)
+    points = np.column_stack([np.repeat(plane, count, axis=0), np.tile(heights, len(plane))])
+    lower = (triangles[:, None] * count + np.arange(count - 1)[:, None]).reshape(-1, 3)
+    cells = np.hstack([lower, lower + 1])
+    return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), heights)
+
+
+def _full(contact: ContactArea) -> bool:
+    """Whether a contact covers the full thickness, so that only its ends are edges in the plane."""
+    return isinstance(contact, Strip) and contact.high - contact.low >= contact.thickness
+
+
+def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[float] = ()) -> Mesh:
+    """Mesh a rectangular design by boxes whose faces fit the electrode edges.
+
+    Points are numbered along z, then y, then x, so that matrices are block tridiagonal in x.
+
+    Args:
+        design: the sensor; its outline must be a Rectangle.
+        grading: cell sizes.
+        breaks: further x at which the mesh must have a face, as where F jumps [m].
+
+    Raises ConfigurationError for another outline, and for too many points.
+    """
+    if not isinstance(design.outline, Rectangle):
+        raise ConfigurationError(
+            "structured hexahedra need a rectangular outline, got "
+            f"{type(design.outline).__name__}; use prisms or tetrahedra"
+        )
+    along, across = electrode_lines(design)
+    lines = (
+        graded_lines(design.outline.length, along, breaks, grading),
+        graded_lines(design.outline.width, across, (), grading),
+        layer_heights(design, grading),
+    )
+    shape = tuple(len(line) for line in lines)
+    require_possible(float(np.prod(shape, dtype=float)), grading)
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(points)).reshape(shape)
+    lower, upper = number[:, :, :-1], number[:, :, 1:]
+    corners = [
+        corner
+        for plane in (lower, upper)
+        for corner in (plane[:-1, :-1], plane[1:, :-1], plane[1:, 1:], plane[:-1, 1:])
+    ]
+    cells = np.stack(corners, axis=-1).reshape(-1, 8)
+    return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), lines[2])
+
+
+def electrode_lines(design: SensorDesign) -> tuple[set[float], set[float]]:
+    """Positions along x and y [m] of lines through both ends of the electrodes' bounding boxes.
+
+    The edges of the electrodes lie on these lines.
+    """
+    contacts = placed(design.electrodes, design.outline, design.thickness)
+    boxes = [contact.edges(np.inf) for contact in contacts]
+    ends = np.concatenate([[box.min(axis=0), box.max(axis=0)] for box in boxes]).round(12)
+    return set(ends[:, 0].tolist()), set(ends[:, 1].tolist())
+
 
 CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
 

@@ -17,7 +17,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.bends.elastic_bond import ElasticBond
-from eitskin.simulator.mechanics.corner_field import CornerField
+from eitskin.simulator.mechanics.box_fields import CornerField, QuadraticField
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
     ForceTerm,
@@ -27,7 +27,6 @@ from eitskin.simulator.mechanics.load_stepping import (
     newton,
 )
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Plates, Support
+from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.simulator.bends import bend_table as tables
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
 from eitskin.simulator.bends.bend_table import BendTable

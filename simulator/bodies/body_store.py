@@ -17,7 +17,7 @@ from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.bodies.tetrahedral_solid import surface_of
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 Solved = TypeVar("Solved", BentBody, PressedBody)

@@ -12,7 +12,7 @@ from eitskin.simulator.bodies.upper_side import require_above
 from eitskin.simulator.layer.pressed_touches import PressedTouch
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 
 def pressed_by(

@@ -21,7 +21,7 @@ from eitskin.simulator.bodies.upper_side import heights, require_above
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

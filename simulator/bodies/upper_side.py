@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.simulator.electrical.function_space import FunctionSpace, Rule
-from eitskin.simulator.electrical.memory import require_memory
+from eitskin.simulator.electrical.function_space import FunctionSpace, Rule, require_memory
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,25 @@ Numbers = NDArray[np.inexact]
 Field = Callable[[Array], ArrayLike]
 Conductivity: TypeAlias = float | Array | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
+
+
+class Fields(NamedTuple):
+    """Potentials and current densities per unit current into each electrode.
+
+    The current leaves through all electrodes in equal parts, so that the difference of two
+    electrodes' entries belongs to a drive pair. Potentials are relative to the mean of the
+    electrode potentials.
+
+    Attributes:
+        potentials: at the points of the mesh, (points, electrodes) [V/A].
+        electrode_potentials: impedance matrix, (electrodes, electrodes): potential of the first
+            electrode per current into the second [V/A].
+        current_densities: mean in each cell of the flat body, (cells, 3, electrodes) [1/m2].
+    """
+
+    potentials: Numbers
+    electrode_potentials: Numbers
+    current_densities: Numbers
 
 
 class ForwardModel:
@@ -210,38 +229,8 @@ class ForwardModel:
     def potentials(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
     ) -> Numbers:
-        """Potentials at the mesh's points per unit current into each electrode [V/A].
-
-        Shape (points, electrodes). The current leaves through all electrodes in equal parts, so
-        that the difference of two columns is the potential of a drive pair. Potentials are relative
-        to the mean of the electrode potentials, as in `impedance`.
-        """
-        u, U = self.element_potentials(conductivity, area_ratio)
-        relative: Numbers = self.at_points(u) - U.mean(axis=0)
-        return relative
-
-    def element_potentials(
-        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
-    ) -> tuple[Numbers, Numbers]:
-        """Potentials in the elements and of the electrodes, per unit electrode current [V/A].
-
-        Returns coefficients of the shape functions, (elements, functions, electrodes), and
-        potentials of the first electrode per current into the second, (electrodes, electrodes);
-        the currents leave through all electrodes in equal parts. Potentials are relative to the
-        grounded unknown, so that gradients keep all digits for any contact impedance.
-        """
-        stiffness, system, w, U = self._solve(conductivity, area_ratio)
-        return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner), U
-
-    def at_points(self, u: Numbers) -> Numbers:
-        """Values at the mesh's points, (points, k), from coefficients (elements, functions, k)."""
-        space, cells = self.assembly.space, self.mesh.cells
-        elements = np.arange(len(cells)) // space.element.cells
-        X = space.reference(elements, self.mesh.points[cells])
-        values = np.einsum("ick,cie->cke", space.element.values(X), u[elements], optimize=True)
-        at_points = np.empty((len(self.mesh.points), u.shape[-1]), dtype=u.dtype)
-        at_points[cells] = values
-        return at_points
+        """Potentials of `fields` at the points of the mesh, (points, electrodes) [V/A]."""
+        return self.fields(conductivity, area_ratio).potentials
 
     def current_density(
         self,
@@ -256,14 +245,43 @@ class ForwardModel:
             conductivity, area_ratio: as in `impedance`.
         """
         plus, minus = drive
-        u, _ = self.element_potentials(conductivity, area_ratio)
-        assembly = self.assembly
-        gradients = assembly.cell_gradients(u[..., [plus]] - u[..., [minus]])[..., 0]
-        sigma = _symmetric(self._conductivity(conductivity))
+        each = self.fields(conductivity, area_ratio).current_densities
+        difference: Numbers = each[..., plus] - each[..., minus]
+        return difference
+
+    def fields(
+        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
+    ) -> Fields:
+        """Potentials and current densities of all electrodes, from one factorisation.
+
+        Arguments as for `impedance`.
+        """
+        u, U = self.element_potentials(conductivity, area_ratio)
+        assembly, cells = self.assembly, self.mesh.cells
         weights = assembly.cell_weights
-        flux = -np.einsum("cqab,cqb->cqa", np.broadcast_to(sigma, (*gradients.shape, 3)), gradients)
-        mean: Numbers = np.einsum("cq,cqa->ca", weights, flux) / weights.sum(axis=1)[:, None]
-        return mean
+        flux = -(_symmetric(self._conductivity(conductivity)) @ assembly.cell_gradients(u))
+        mean = np.einsum("cq,cqae->cae", weights, flux) / weights.sum(axis=1)[:, None, None]
+        elements = np.arange(len(cells)) // assembly.space.element.cells
+        X = assembly.space.reference(elements, self.mesh.points[cells])
+        at_points = np.empty((len(self.mesh.points), u.shape[-1]), dtype=u.dtype)
+        at_points[cells] = np.einsum(
+            "ick,cie->cke", assembly.space.element.values(X), u[elements], optimize=True
+        )
+        ground = U.mean(axis=0)
+        return Fields(at_points - ground, U - ground, mean)
+
+    def element_potentials(
+        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
+    ) -> tuple[Numbers, Numbers]:
+        """Potentials in the elements and of the electrodes, per unit electrode current [V/A].
+
+        Returns coefficients of the shape functions, (elements, functions, electrodes), and
+        potentials of the first electrode per current into the second, (electrodes, electrodes);
+        the currents leave through all electrodes in equal parts. Potentials are relative to the
+        grounded unknown, so that gradients keep all digits for any contact impedance.
+        """
+        stiffness, system, w, U = self._solve(conductivity, area_ratio)
+        return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner), U
 
     @cached_property
     def _own_conductivity(self) -> Conductivity:

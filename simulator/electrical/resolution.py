@@ -9,8 +9,7 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.hexahedra import electrode_lines
-from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
+from eitskin.geometry.meshing.mesh_design import CellKind, electrode_lines, natural_cells
 from eitskin.simulator.scene.indenters import Cylinder, Indenter
 
 Resolution = Literal["coarse", "fast", "standard", "fine"]

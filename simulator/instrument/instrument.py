@@ -15,9 +15,8 @@ from eitskin.config import Location, read_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
-from eitskin.simulator.instrument.drift import RandomWalk
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
-from eitskin.simulator.instrument.session import Session
+from eitskin.simulator.instrument.session import RandomWalk, Session
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -11,7 +11,7 @@ from eitskin.compiled import compiled
 from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 

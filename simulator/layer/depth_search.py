@@ -5,10 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Free, Plates
+from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 

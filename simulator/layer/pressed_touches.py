@@ -38,7 +38,7 @@ from eitskin.simulator.presses.solved_press import (
     solved_presses,
 )
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
 TouchModel = Literal["tabulated", "solved"]

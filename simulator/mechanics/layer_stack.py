@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import LONGEST
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Substrate
+from eitskin.geometry.design.sensor import SensorDesign, Substrate
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Rigid, Substrate, Support
+from eitskin.geometry.design.sensor import Rigid, SensorDesign, Substrate, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
@@ -44,7 +43,7 @@ from eitskin.simulator.presses.press_store import (
 )
 from eitskin.simulator.presses.table_files import file_name, found_file, kept
 from eitskin.simulator.scene.indenters import Indenter
-from eitskin.simulator.scene.touch import AnyIndenter
+from eitskin.simulator.scene.scene import AnyIndenter
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.support import Support
+from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines, spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
-from eitskin.simulator.mechanics.quadratic_field import shape_functions
+from eitskin.simulator.mechanics.box_fields import shape_functions
 from eitskin.simulator.presses.contact_frame import ContactFrame
 from eitskin.simulator.scene.indenters import Indenter
 

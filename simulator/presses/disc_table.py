@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc
-from eitskin.geometry.design.support import Support
+from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.mechanics.processes import solved_places

@@ -27,8 +27,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
+from eitskin.simulator.mechanics.box_fields import QuadraticField
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
-from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.presses.contact_frame import BentState
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.dented_solid import DentedSolid

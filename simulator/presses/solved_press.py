@@ -15,7 +15,7 @@ from eitskin.simulator.presses.contact_frame import BentState, ContactFrame
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.stack_mesh import Contact, stack_mesh
-from eitskin.simulator.scene.touch import AnyIndenter
+from eitskin.simulator.scene.scene import AnyIndenter
 
 Array = NDArray[np.float64]
 

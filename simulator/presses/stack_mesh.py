@@ -11,7 +11,7 @@ import skfem
 from numpy.typing import NDArray
 
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
-from eitskin.geometry.design.support import Free, Plates, Support
+from eitskin.geometry.design.sensor import Free, Plates, Support
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.mechanics.materials import Law

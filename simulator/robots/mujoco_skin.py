@@ -13,11 +13,9 @@ from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.robots.touch_rules import TouchRules
-from eitskin.simulator.robots.touch_table import TouchTable
+from eitskin.simulator.robots.touch_table import TouchRules, TouchTable
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import AnyIndenter, Touch
+from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 PERIOD = 0.3  # s, of a frame of the AD5940

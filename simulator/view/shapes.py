@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.extras import require
+from eitskin.geometry.design.patches import area_vectors
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.view.render import DIRECTION, MATT
@@ -82,22 +83,28 @@ def diagonal(mesh: Mesh) -> float:
 def electrode_corners(mesh: Mesh, electrode: int) -> tuple[Array, Array]:
     """Corners of an electrode's pieces, (n, 3 or 4, 3) [m], and mean outward normal, (3,)."""
     corners = mesh.contacts.corners[mesh.contacts.electrode == electrode]
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
-    normal = areas.sum(axis=0)
-    return corners, normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
+    return corners, _unit(area_vectors(corners).sum(axis=0))
 
 
 def electrode_plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
     """Contact surface of an electrode, lifted off the body by a part `lift` of its diagonal."""
-    pv = require("pyvista", "view")
     corners, _ = electrode_corners(mesh, electrode)
-    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
-    lengths = np.maximum(np.linalg.norm(areas, axis=1), np.finfo(float).tiny)
-    corners = corners + lift * diagonal(mesh) * (areas / lengths[:, None])[:, None]
+    return polygons(corners + lift * diagonal(mesh) * _unit(area_vectors(corners))[:, None])
+
+
+def polygons(corners: Array) -> Any:
+    """Surface of polygons (n, k, 3) [m]."""
     count, sides = corners.shape[:2]
     numbers = np.arange(count * sides).reshape(count, sides)
     faces = np.column_stack([np.full(count, sides), numbers])
-    return pv.PolyData(corners.reshape(-1, 3), faces.ravel())
+    return require("pyvista", "view").PolyData(corners.reshape(-1, 3), faces.ravel())
+
+
+def _unit(vectors: Array) -> Array:
+    """Vectors (..., 3) of length one."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: Array = vectors / np.maximum(lengths, np.finfo(float).tiny)
+    return unit
 
 
 def height_inside(mesh: Mesh, electrode: int) -> float | None:

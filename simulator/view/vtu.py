@@ -13,9 +13,8 @@ from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import natural_cells
-from eitskin.simulator.electrical.fields import Fields, fields_in
+from eitskin.simulator.electrical.forward_model import Fields
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.scene.scene import Scene
@@ -83,11 +82,12 @@ def scene_grids(
     require("pyvista", "view")
     pairs = _pairs(sim, drives)
     setting, mesh = sim.deformed_layer(scene), sim.model.mesh
-    deformation, fields = setting.deformation, fields_in(sim.model, setting)
+    deformation = setting.deformation
+    fields = sim.model.fields(sim.conductivity(scene), sim.area_ratio(scene))
     body = shapes.volume(dataclasses.replace(mesh, points=_placed(deformation, mesh.points)))
     body.point_data.update(_point_fields(sim, deformation, fields, pairs))
     body.cell_data.update(_cell_fields(sim, setting, fields, pairs))
-    electrodes = _plates(mesh, deformation)
+    electrodes = shapes.polygons(_placed(deformation, mesh.contacts.corners))
     electrodes.cell_data.update(_electrode_fields(sim, fields, pairs))
     return {BODY: body, ELECTRODES: electrodes}
 
@@ -161,16 +161,6 @@ def _cell_fields(
             for a, b in drives
         },
     }
-
-
-def _plates(mesh: Mesh, deformation: Deformation | None) -> Any:
-    """Pieces of cell faces that electrodes cover, at their deformed positions."""
-    pv = require("pyvista", "view")
-    corners = _placed(deformation, mesh.contacts.corners)
-    count, sides = corners.shape[:2]
-    numbers = np.arange(count * sides).reshape(count, sides)
-    faces = np.column_stack([np.full(count, sides), numbers])
-    return pv.PolyData(corners.reshape(-1, 3), faces.ravel())
 
 
 def _electrode_fields(sim: Simulator, fields: Fields, drives: Sequence[Drive]) -> Arrays:

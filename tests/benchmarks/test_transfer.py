@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
-from eitskin.geometry.design.support import Plates
+from eitskin.geometry.design.sensor import Plates
 from eitskin.training.method.predictions import FoundTouches
 
 

@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.design.placement import uniform
 from eitskin.simulator import Scene, Simulator
 
 IDLE = SceneGroup("idle", count=30)

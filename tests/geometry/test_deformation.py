@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import (
     Composed,
     Displaced,
@@ -16,7 +17,6 @@ from eitskin.geometry.deformation.kinematics import (
     pulled_back,
     pulled_back_entries,
 )
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.simulator import Cylinder, Sphere
 from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.presses.closed_form_dent import ClosedFormDent

@@ -5,10 +5,10 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign, Surface
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.design.placement import uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.prisms import triangulated_mesh
-from eitskin.geometry.meshing.quality import volumes
+from eitskin.geometry.meshing.mesh import volumes
+from eitskin.geometry.meshing.mesh_design import triangulated_mesh
 
 from cut_blocks import covered
 

@@ -8,7 +8,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Contacts, Mesh, SensorDesign, structured_mesh
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.quality import check_quality, quality, scaled_jacobians, volumes
+from eitskin.geometry.meshing.mesh import check_quality, quality, scaled_jacobians, volumes
 
 CUBE = np.array(
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float

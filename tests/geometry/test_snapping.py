@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.geometry.meshing.quality import volumes
-from eitskin.geometry.meshing.snapping import TriangleSurface, snapped
+from eitskin.geometry.meshing.mesh import volumes
+from eitskin.geometry.meshing.tetrahedra import TriangleSurface, snapped
 
 from cut_blocks import block
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from eitskin.compiled import kernels
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     adapted_curve,

@@ -17,7 +17,7 @@ from eitskin.datasets.store.folder import new_folder
 from eitskin.files import atomic_folder
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.support import Free
+from eitskin.geometry.design.sensor import Free
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter_fit import decibels
 from eitskin.simulator.presses.correction_store import tabulable

@@ -16,8 +16,7 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.meter import Quantity
 from eitskin.simulator.instrument.meter_fit import white_noise
 from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -24,8 +24,7 @@ from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_meter
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.training.twin.fit import Laplace, Problem, TwinForward
 from eitskin.training.twin.labelled_frames import FLAT, KINDS, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (

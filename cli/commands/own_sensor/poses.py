@@ -72,8 +72,7 @@ def staged(force: float) -> Hand:
     def moved(board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
         from eitskin.errors import ConfigurationError
         from eitskin.geometry.deformation.fixtures import Bend
-        from eitskin.simulator.scene.scene import Scene
-        from eitskin.simulator.scene.touch import Touch
+        from eitskin.simulator.scene.scene import Scene, Touch
 
         if board.stage is None:
             raise ConfigurationError(

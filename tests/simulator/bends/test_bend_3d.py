@@ -8,13 +8,13 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Disc, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.design.placement import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
+from eitskin.simulator.mechanics.box_fields import QuadraticField
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
 COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)
 

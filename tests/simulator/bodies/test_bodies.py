@@ -7,7 +7,7 @@ import skfem
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign, Surface
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge
-from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
@@ -20,7 +20,7 @@ from eitskin.simulator.bodies.upper_side import heights
 from eitskin.simulator.mechanics.load_stepping import Load, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
-from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.scene.scene import Touch
 
 from on_demand import OnDemand
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import SensorDesign
-from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel
 from eitskin.simulator.electrical.elements import ExtrudedElement
 

@@ -6,7 +6,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
-from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, tensor_map
 

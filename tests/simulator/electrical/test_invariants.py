@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
 
 few = settings(max_examples=8, derandomize=True, deadline=None)

@@ -11,7 +11,7 @@ from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Instrument, Protocol, Scene, Status
 from eitskin.simulator.instrument.ad5940 import EXCITATIONS
-from eitskin.simulator.instrument.drift import DRIFT_TIME, RandomWalk
+from eitskin.simulator.instrument.session import DRIFT_TIME, RandomWalk
 
 PAIRS = Protocol.pairwise(8)
 FLAT = np.linspace(480.0, 850.0, 28).astype(complex)

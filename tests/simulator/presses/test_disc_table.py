@@ -8,8 +8,8 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.support import Rigid
+from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import correction_store as store

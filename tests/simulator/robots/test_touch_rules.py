@@ -9,7 +9,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Scene, Simulator, Sphere, Touch
-from eitskin.simulator.robots.touch_rules import TouchRules, merged
+from eitskin.simulator.robots.touch_table import TouchRules, merged
 
 REFERENCE = SensorDesign.reference()
 OUTLINE = REFERENCE.outline

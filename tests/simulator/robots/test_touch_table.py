@@ -8,8 +8,7 @@ import pytest
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator import Cylinder, Scene, Simulator, Touch
-from eitskin.simulator.robots.touch_rules import TouchRules
-from eitskin.simulator.robots.touch_table import TouchTable
+from eitskin.simulator.robots.touch_table import TouchRules, TouchTable
 
 OUTLINE, RULES = Rectangle(0.1, 0.05), TouchRules()
 FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])

@@ -21,13 +21,13 @@ from eitskin.geometry import (
     SensorDesign,
     Twist,
 )
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.design.placement import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
 from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.viscoelasticity import Prony
-from eitskin.simulator.scene.scanned_indenter import ScannedIndenter
+from eitskin.simulator.scene.indenters import ScannedIndenter
 
 DESIGN = SensorDesign.reference()
 X, Y = 0.060, 0.030

@@ -9,8 +9,8 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Displaced, pulled_back
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.view import scene_pictures as view

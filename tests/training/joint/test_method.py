@@ -9,7 +9,7 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.place_errors import ErrorScale
 from eitskin.training.joint.specimen_features import FARTHEST

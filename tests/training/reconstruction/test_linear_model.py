@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import SensorDesign
-from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import Protocol, Scene, Simulator
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.reconstruction.linear_model import linear_model

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.angles.estimate import estimate_angle
 from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.angles.usual import usual_curves
