@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.touch_sampling import draw_positions
+from eitskin.datasets.recipe.scene_group import draw_positions
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign

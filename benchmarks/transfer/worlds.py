@@ -8,10 +8,9 @@ import numpy as np
 
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, Progress
 from eitskin.datasets.generation.generate import generate
-from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.specimen import Mounts, Specimens
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.datasets.store.schema import State

@@ -10,7 +10,7 @@ import typer
 from rich.filesize import decimal
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
-from eitskin.datasets.recipe.shipped_recipes import shipped_names
+from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:

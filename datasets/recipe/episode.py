@@ -8,7 +8,12 @@ from itertools import pairwise
 import numpy as np
 
 from eitskin.bounds import drawn
-from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
+from eitskin.datasets.recipe.scene_group import (
+    draw_positions,
+    position_problems,
+    range_problem,
+    touch_problems,
+)
 from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
@@ -226,13 +231,10 @@ class RandomEpisodes:
         yield from _count_problems(self.count, self.period)
         if not 1 <= self.frames <= LIMITS["frame"]:
             yield f"frames must be from 1 to {LIMITS['frame']}, got {self.frames}"
-        low, high = self.angle_deg
-        if not low <= high:
-            yield f"angle_deg must be [lowest, highest], got [{low}, {high}]"
-        for name in ("speed_deg_s", "rest_s", "pause_s", "hold_s"):
-            low, high = getattr(self, name)
-            if not 0.0 < low <= high:
-                yield f"{name} must be a rising range above 0, got [{low}, {high}]"
+        for name in ("angle_deg", "speed_deg_s", "rest_s", "pause_s", "hold_s"):
+            above = -math.inf if name == "angle_deg" else 0.0
+            if problem := range_problem(name, getattr(self, name), above):
+                yield problem
         yield from touch_problems(
             self.force, self.touches, self.margin, self.spacing, outline, Cylinder()
         )

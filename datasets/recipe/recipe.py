@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from eitskin.config import Location, read, read_toml, to_toml
+from eitskin.datasets.recipe import SHIPPED, shipped_names
 from eitskin.datasets.recipe.episode import Episodes
-from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
-from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Specimen, Specimens
-from eitskin.datasets.recipe.support_problems import support_problems
+from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Mounts, Specimen, Specimens
 from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_store
@@ -28,6 +26,7 @@ from eitskin.simulator.bends.bend_table import ANGLES_DEG
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.scene import require_bendable
 
 MOST_FRAMES = 10**9
 MOST_SHARDS = 10**6
@@ -212,17 +211,26 @@ class Recipe:
             problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
             if group.rolls and isinstance(self.fixture, Clamp):
                 problems.append(_ROLLED)
-            problems += support_problems(group.support, self.sensor, self.fixture, group.bends)
+            problems += self._support_problems(group.support, group.bends)
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
         for number, each in enumerate(self.episodes):
             problems = list(each.problems(outline))
             problems = problems or [*self._bend_problems(each.angles_deg)]
             problems += self._skew_problems(each.period)
-            bent = each.angles_deg != (0.0, 0.0)
-            problems += support_problems(None, self.sensor, self.fixture, bent)
+            problems += self._support_problems(None, each.angles_deg != (0.0, 0.0))
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
+
+    def _support_problems(self, support: Support | None, bent: bool) -> Iterator[str]:
+        """Reason why a support, or the sensor's, does not allow the bends of a group."""
+        support = support or self.sensor.support
+        try:
+            if bent:
+                require_bendable(support, self.fixture)
+            require_fit(support, self.sensor.outline)
+        except ConfigurationError as error:
+            yield str(error)
 
     def _size_problems(self) -> Iterator[str]:
         if self.frames > MOST_FRAMES:

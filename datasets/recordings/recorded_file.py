@@ -10,8 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.recordings.blocks import Block, Complex, pair_rows, without_bad_values
 from eitskin.datasets.recordings.form import LENGTHS, RecordingForm, RecordingNames
-from eitskin.datasets.recordings.labels import NAMES, find_labels, names_of_origin, read_labels
-from eitskin.datasets.recordings.plausibility import origin_on, require_plausible
+from eitskin.datasets.recordings.labels import (
+    NAMES,
+    find_labels,
+    names_of_origin,
+    origin_on,
+    read_labels,
+    require_plausible,
+)
 from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
 from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError

@@ -10,9 +10,8 @@ from eitskin.datasets.generation.shard_simulation import simulate_shard, without
 from eitskin.datasets.recipe.episode import RandomEpisodes
 from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen_numbers
 from eitskin.datasets.recipe.recipe import with_seed
-from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
 from eitskin.geometry.design.placement import uniform

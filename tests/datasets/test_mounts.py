@@ -10,9 +10,8 @@ from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import deciding_specimens, missing_bend_tables
 from eitskin.datasets.generation.shard_simulation import simulate_frames
 from eitskin.datasets.recipe.frame_sampling import specimen
-from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.specimen import Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Hinge, Plates
 from eitskin.simulator import Mechanics

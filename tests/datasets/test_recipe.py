@@ -9,10 +9,10 @@ import pytest
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import missing_press_tables
+from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import (
@@ -183,7 +183,7 @@ def test_all_contradictions_are_listed_at_once():
         "scenes[0] (idle): an idle sensor is flat",
         "scenes[1] (bend): count must be at least 1",
         "scenes[1] (bend): state 'bend' needs a range",
-        "scenes[2] (touch): force must be a rising range above 0 N",
+        "scenes[2] (touch): force must be a rising range [lowest, highest], above 0",
         "scenes[2] (touch): touches must be from 1 to 4",
         "scenes[3] (touch): 4 touches 0.1 m apart",
         "scenes[4] (touch): count follows from positions",
@@ -197,8 +197,8 @@ def test_all_contradictions_are_listed_at_once():
         "episodes[2]: count must be at least 1",
         "episodes[2]: period must be a time above 0 s",
         "episodes[3]: frames must be from 1",
-        "episodes[3]: angle_deg must be [lowest, highest]",
-        "episodes[3]: hold_s must be a rising range above 0",
+        "episodes[3]: angle_deg must be a rising range [lowest, highest]",
+        "episodes[3]: hold_s must be a rising range [lowest, highest], above 0",
         "episodes[3]: touches must be from 1 to 4",
         "episodes[4]: a bend of 300 deg is beyond the clamp",
         "episodes[4]: period must be at least the 0.2862 s",

@@ -14,8 +14,8 @@ import numpy as np
 
 from eitskin.config import read_toml, to_toml
 from eitskin.contained import Answer
+from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recordings.source import read_source
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import save_dataset
