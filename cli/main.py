@@ -17,6 +17,7 @@ from eitskin.cli.commands import (
     import_recording,
     instrument,
     mesh,
+    reconstruct,
     simulate,
     tare,
     train,
@@ -25,7 +26,6 @@ from eitskin.cli.commands import (
 from eitskin.cli.commands.bench import group as bench
 from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
-from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
 from eitskin.cli.options import ended_by_signals
 from eitskin.errors import EitskinError

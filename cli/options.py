@@ -1,6 +1,8 @@
 """Options and output that commands share."""
 
 import contextlib
+import functools
+import inspect
 import json
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,6 +18,7 @@ from eitskin.cli.terminal import Terminal
 from eitskin.errors import ConfigurationError, cut
 
 if TYPE_CHECKING:
+    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.training.method.interface import Method
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
@@ -83,6 +86,59 @@ def own_method(code: str | None) -> "type[Method] | None":
     from eitskin.training.pipeline.own_methods import named_method
 
     return None if code is None else named_method(code)
+
+
+def with_output(function: Callable[..., None]) -> Callable[..., None]:
+    """Command of a function, with the options --seed, --json, --quiet and --verbose.
+
+    The function takes an `Output`, and `seed`, an int, where it draws random numbers.
+    """
+    signature = inspect.signature(function)
+    own = [each for each in signature.parameters.values() if each.name != "output"]
+    draws = any(each.name == "seed" and each.annotation is int for each in own)
+    own = [each for each in own if each.name != "seed" or not draws]
+    shared = {"seed": Seed, "as_json": Json, "quiet": Quiet, "verbose": Verbose}
+    parameters = {each.name: each for each in own} | {
+        name: inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=0 if name == "seed" else False,
+            annotation=kind,
+        )
+        for name, kind in shared.items()
+        if name not in {each.name for each in own}
+    }
+
+    @functools.wraps(function)
+    def command(
+        *arguments: Any,
+        as_json: bool = False,
+        quiet: bool = False,
+        verbose: bool = False,
+        **options: Any,
+    ) -> None:
+        if not draws and "seed" not in signature.parameters:
+            options.pop("seed", None)  # every command takes it
+        function(*arguments, output=Output(as_json, quiet, verbose), **options)
+
+    command.__signature__ = signature.replace(parameters=tuple(parameters.values()))  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters.values()}
+    return command
+
+
+def read_design(sensor: Path | None) -> "SensorDesign":
+    """Design of a file, or the reference sensor where none is named."""
+    from eitskin.geometry.design.sensor import SensorDesign
+
+    return SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+
+
+def require_parent(out: Path) -> None:
+    """Raise ConfigurationError for a file whose folder is missing, before anything is computed."""
+    if not out.absolute().parent.is_dir():
+        raise ConfigurationError(
+            f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
+        )
 
 
 def one_of(option: str, text: str, kind: Any) -> str:
@@ -178,6 +234,13 @@ class Output:
         """Print a note on stderr with --verbose."""
         if self.verbose and not self.quiet:
             self.notes.print(text, style="dim", highlight=False, markup=False)
+
+    @contextlib.contextmanager
+    def counting(self, text: str) -> Iterator[Callable[[int, int | None], None]]:
+        """Progress bar, as a function that is told how many are done, and of how many."""
+        with self.progress() as bar:
+            task = bar.add_task(text, total=None, rate="")
+            yield lambda done, total: bar.update(task, completed=done, total=total)
 
     def progress(self) -> Progress:
         """Progress bar on stderr with count and time left; silent when quiet."""

@@ -10,15 +10,12 @@ from rich.table import Table
 
 from eitskin.cli.options import (
     FixtureFile,
-    Json,
     MechanicsFile,
     Output,
     Pairs,
-    Quiet,
-    Seed,
     SensorFile,
-    Verbose,
     ended_by_signals,
+    with_output,
 )
 
 SceneFile = Annotated[
@@ -46,6 +43,7 @@ ListFaults = Annotated[bool, typer.Option("--list-faults", help="List all faults
 Speed = Annotated[str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")]
 
 
+@with_output
 def command(
     *,
     scene: SceneFile = None,
@@ -60,15 +58,12 @@ def command(
     faults: Faults = "",
     link: Link = None,
     list_faults: ListFaults = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Serve a virtual board on a pseudo-terminal until Ctrl-C; hosts can come and go."""
     from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
-    output = Output(as_json, quiet, verbose)
     if list_faults:
         output.result(_meanings(), _fault_table())
         return

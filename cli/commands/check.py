@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from eitskin.cli.commands.recorded_frames import Values
-from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
+from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     BoardOption,
-    Json,
     MeasuredPairs,
     MethodCode,
     Output,
-    Quiet,
-    Seed,
-    Verbose,
     named_board,
     own_method,
     seeded,
+    with_output,
 )
 from eitskin.errors import ConfigurationError, FrameError
 
@@ -63,6 +60,7 @@ NO_EXPECTED = (
 SHIPPED = Path("reference.eitmodel")
 
 
+@with_output
 def command(
     model: ReferenceModel = None,
     *,
@@ -75,10 +73,8 @@ def command(
     method: MethodCode = None,
     calibrate: Calibrate = False,
     list_ports: List = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Diagnose the flat, untouched sensor on a board, or any recording; exit code 4 for findings.
 
@@ -88,7 +84,6 @@ def command(
     """
     from eitskin.training.adaptation.opening import open_pipeline
 
-    output = Output(as_json, quiet, verbose)
     if list_ports:
         _list(output)
     elif recording is not None:

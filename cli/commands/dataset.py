@@ -10,7 +10,7 @@ from rich.filesize import decimal
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli.options import FramesPath, Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import FramesPath, Output, with_output
 from eitskin.errors import DataError
 
 if TYPE_CHECKING:
@@ -24,26 +24,20 @@ EXIT_DAMAGED = DataError.exit_code
 
 
 @app.command("info")
+@with_output
 def info(
     dataset: FramesPath,
     *,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Show the contents of a dataset: frames, channels, states, angles, touches, origin."""
     from eitskin.datasets.store.folder import read_shards
     from eitskin.datasets.store.manifest import read_manifest
     from eitskin.datasets.store.summary import DatasetSummary
 
-    output = Output(as_json, quiet, verbose)
     summary = DatasetSummary()
-    with output.progress() as bar:
-        task = bar.add_task("shards", total=None, rate="")
-        for part in read_shards(
-            dataset, lambda n, total: bar.update(task, completed=n, total=total)
-        ):
+    with output.counting("shards") as show:
+        for part in read_shards(dataset, show):
             summary.add(part)
     files = [dataset] if dataset.is_file() else list(dataset.glob("shard-*.h5"))
     megabytes = sum(path.stat().st_size for path in files) / 1e6
@@ -63,24 +57,18 @@ def info(
 
 
 @app.command("verify")
+@with_output
 def check(
     dataset: Folder,
     *,
     workers: Workers = 2,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Check every file of a dataset and list all damage; exit code 3 where there is any."""
     from eitskin.datasets.generation.verification import verify
 
-    output = Output(as_json, quiet, verbose)
-    with output.progress() as bar:
-        task = bar.add_task("shards", total=None, rate="")
-        verdict = verify(
-            dataset, lambda done, total: bar.update(task, completed=done, total=total), workers
-        )
+    with output.counting("shards") as show:
+        verdict = verify(dataset, show, workers)
     output.result(
         {
             "dataset": str(dataset),
@@ -99,6 +87,7 @@ def check(
 
 
 @app.command("compact")
+@with_output
 def compaction(
     dataset: Folder,
     *,
@@ -107,22 +96,17 @@ def compaction(
         int, typer.Option(min=0, help="Frames in a file; 0 keeps the files as they are cut.")
     ] = 65536,
     workers: Workers = 2,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Write a dataset anew in few large files, in the newest version of the format."""
     from eitskin.datasets.store.compaction import compact
 
-    output = Output(as_json, quiet, verbose)
-    with output.progress() as bar:
-        task = bar.add_task("shards", total=None, rate="")
+    with output.counting("shards") as show:
         manifest = compact(
             dataset,
             out,
             frames_per_shard or None,
-            lambda done, total: bar.update(task, completed=done, total=total),
+            show,
             workers,
         )
     size = sum((out / entry.name).stat().st_size for entry in manifest.shards)
@@ -140,6 +124,7 @@ def compaction(
 
 
 @app.command("combine")
+@with_output
 def combination(
     datasets: Annotated[list[Path], typer.Argument(help="Folders of two or more datasets.")],
     *,
@@ -147,10 +132,7 @@ def combination(
     magnitudes: Annotated[
         bool, typer.Option(help="Combine magnitudes, where some recordings have no sign.")
     ] = False,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Write the frames of different datasets, such as own presses and simulated ones, as one.
 
@@ -158,14 +140,12 @@ def combination(
     """
     from eitskin.datasets.store.combination import combine
 
-    output = Output(as_json, quiet, verbose)
-    with output.progress() as bar:
-        task = bar.add_task("shards", total=None, rate="")
+    with output.counting("shards") as show:
         manifest = combine(
             datasets,
             out,
             magnitudes,
-            lambda done, total: bar.update(task, completed=done, total=total),
+            show,
         )
     output.result(
         {"out": str(out), "frames": manifest.frames, "source": manifest.source},
@@ -174,6 +154,7 @@ def combination(
 
 
 @app.command("export")
+@with_output
 def export(
     dataset: Folder,
     *,
@@ -184,10 +165,7 @@ def export(
     license_name: Annotated[
         str, typer.Option("--license", help="Licence of the frames, such as cc-by-4.0.")
     ] = "unknown",
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Write a dataset for pandas, torch, Hugging Face or LeRobot, split by specimen.
 
@@ -195,15 +173,13 @@ def export(
     """
     from eitskin.datasets.export.export import export_dataset
 
-    output = Output(as_json, quiet, verbose)
-    with output.progress() as bar:
-        task = bar.add_task("shards", total=None, rate="")
+    with output.counting("shards") as show:
         done = export_dataset(
             dataset,
             out,
             form,
             license_name,
-            lambda n, total: bar.update(task, completed=n, total=total),
+            show,
         )
     found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
     splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())

@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, MethodCode, Output, Quiet, Seed, Verbose, own_method
+from eitskin.cli.options import (
+    MethodCode,
+    Output,
+    own_method,
+    with_output,
+)
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
@@ -14,6 +19,7 @@ if TYPE_CHECKING:
     from eitskin.training.evaluation.evaluate import Evaluation, Report
 
 
+@with_output
 def command(
     pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
     dataset: Annotated[Path, typer.Argument(help="Dataset to evaluate the pipeline on.")],
@@ -23,10 +29,7 @@ def command(
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
     ] = None,
     method: MethodCode = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
@@ -36,8 +39,6 @@ def command(
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report.folder import require_report_folder
 
-    output = Output(as_json, quiet, verbose)
-    output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
     data = open_dataset(dataset)
     trained = open_pipeline(pipeline, own_method(method))
     if out is not None:

@@ -10,22 +10,20 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
+from eitskin.cli.commands.simulate import announce_unsolved, simulator
 from eitskin.cli.options import (
     FixtureFile,
     FramesPath,
-    Json,
     MechanicsFile,
     MethodCode,
     Output,
     Pairs,
     PressModel,
-    Quiet,
     SceneFile,
-    Seed,
     SensorFile,
-    Verbose,
     own_method,
+    read_design,
+    with_output,
 )
 from eitskin.errors import ConfigurationError
 
@@ -39,6 +37,7 @@ NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new 
 
 
 @app.command("mcap")
+@with_output
 def export_mcap(
     recording: FramesPath,
     *,
@@ -47,10 +46,7 @@ def export_mcap(
         Path | None, typer.Option(help="Also write this pipeline's estimate of every frame.")
     ] = None,
     method: MethodCode = None,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Write the frames of a recording, and a pipeline's estimates, as standard ROS 2 messages.
 
@@ -59,18 +55,16 @@ def export_mcap(
     from eitskin.hardware.boards.replay_board import ReplayBoard
     from eitskin.hardware.ros2.mcap import McapWriter, require_new
 
-    output = Output(as_json, quiet, verbose)
     require_new(out)
     board, start = ReplayBoard(str(recording)), time.perf_counter()
     readings, frames, estimates = _readings(board, model, method), 0, 0
     writer = McapWriter(out)
     try:
-        with output.progress() as bar:
-            task = bar.add_task("frames", total=None, rate="")
+        with output.counting("frames") as show:
             for reading in readings:
                 writer.write(reading)
                 frames, estimates = frames + 1, estimates + (reading.estimate is not None)
-                bar.update(task, completed=frames)
+                show(frames, None)
     except BaseException:
         writer.discard()  # the recording is still there
         raise
@@ -99,6 +93,7 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
 
 
 @app.command("vtu")
+@with_output
 def export_vtu(
     scene: SceneFile,
     *,
@@ -115,21 +110,16 @@ def export_vtu(
     cell: Annotated[
         float | None, typer.Option(help="Largest cell [m]; a sixtieth of the length when omitted.")
     ] = None,
-    seed: Seed = 0,  # noqa: ARG001 - every command takes it
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
     from eitskin.datasets.store.folder import make_folder
-    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
 
-    output = Output(as_json, quiet, verbose)
     what = Scene.from_toml(scene)
     _require_empty(out)
-    design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    design = read_design(sensor)
     resolution = field_resolution(design, cell)
     sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
     announce_unsolved(sim, what, output)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.filesize import decimal
 
-from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.cli.options import Output, with_output
 from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from eitskin.datasets.recipe.recipe import Recipe
 
 
+@with_output
 def command(
     recipe: Annotated[
         str, typer.Argument(help=f"Recipe: a .toml file, or one of {', '.join(shipped_names())}.")
@@ -42,15 +43,12 @@ def command(
     seed: Annotated[
         int | None, typer.Option(help="Seed of everything random, instead of the recipe's.")
     ] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
     from eitskin.datasets.generation.cost_estimate import estimate_cost
     from eitskin.datasets.recipe.recipe import with_seed
 
-    output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
         _solve_missing(chosen, workers, output, shard)
@@ -169,13 +167,8 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output, shard: int | 
             f"files of {recipe.frames_per_shard} frames; a smaller frames_per_shard shows it sooner"
         )
     if bends or missing:
-        with output.progress() as bar:
-            task = bar.add_task("tables", total=None, rate="")
-
-            def report(done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total)
-
-            prepare(recipe, report, workers, specimens)
+        with output.counting("tables") as show:
+            prepare(recipe, show, workers, specimens)
 
 
 def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import MeasuredPairs, Output, with_output
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from eitskin.datasets.store.summary import DatasetSummary
 
 
+@with_output
 def command(
     files: Annotated[
         list[Path],
@@ -76,10 +77,7 @@ def command(
         typer.Option(help="DRIVE,SENSE: matrices of patterns in the file, instead of a protocol."),
     ] = None,
     sheet: Annotated[str | None, typer.Option(help="Sheet of an Excel file; the first.")] = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
     from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
@@ -89,7 +87,6 @@ def command(
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
 
-    output = Output(as_json, quiet, verbose)
     design = SensorDesign.from_toml(sensor) if sensor else None
     recording = Recording(
         files,
@@ -110,7 +107,6 @@ def command(
             bad_values,  # type: ignore[arg-type]
         ),
     )
-    output.detail(f"nothing is random in an import, seed {seed} is not used")
     if recording.unused:
         output.note(
             f"not read: {', '.join(recording.unused)}; a label among them is named with "

@@ -10,7 +10,13 @@ from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.commands.recorded_frames import Recorded, Values, read_recorded, required_protocol
-from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose, one_of
+from eitskin.cli.options import (
+    MeasuredPairs,
+    Output,
+    one_of,
+    require_parent,
+    with_output,
+)
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -50,6 +56,7 @@ Detail = Annotated[str, typer.Option(help="Resolution of the sensor: coarse, fas
 
 
 @app.command("fit")
+@with_output
 def fit(
     design: Design,
     recording: Recorded,
@@ -62,10 +69,8 @@ def fit(
     first: First = None,
     reads: Reads = None,
     resolution: Detail = "coarse",
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Fit a four-terminal meter with loads and leaks to frames of the flat, untouched sensor.
 
@@ -80,14 +85,10 @@ def fit(
     from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter, snr_db
 
-    output = Output(as_json, quiet, verbose)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     quantity = cast("Quantity", one_of("--reads", reads, Quantity)) if reads else None
     sensor = SensorDesign.from_toml(design)
-    if not out.absolute().parent.is_dir():
-        raise ConfigurationError(
-            f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
-        )
+    require_parent(out)
     data = read_recorded(recording, values, protocol)
     table = required_protocol(data)
     if table.n_electrodes != len(sensor.electrodes):

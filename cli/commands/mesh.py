@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, SensorFile, Verbose, one_of
+from eitskin.cli.options import Output, SensorFile, one_of, read_design, with_output
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from eitskin.simulator.electrical.resolution import Resolution
 
 
+@with_output
 def command(
     *,
     sensor: SensorFile = None,
@@ -31,18 +32,14 @@ def command(
     drive: Annotated[
         str | None, typer.Option(help="With --view: draw what a current from A to B does, as A,B.")
     ] = None,
-    json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Mesh a sensor: number of cells, their quality, and a picture."""
-    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
     from eitskin.simulator.view.render import require_picture
 
-    output = Output(json, quiet, verbose)
-    design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    design = read_design(sensor)
     named = cast("Resolution", resolution)
     suited = suited_cells(named, design)
     kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else suited

@@ -1,4 +1,4 @@
-"""`eitskin tare`: a stored reference of one sensor, the zero of its estimates."""
+"""`eitskin tare` stores the zero of a sensor; other commands use the stored reference."""
 
 from itertools import islice
 from pathlib import Path
@@ -6,25 +6,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.commands.stored_references import board_number, tell_unjudged
 from eitskin.cli.options import (
     BoardOption,
-    Json,
     MethodCode,
     Model,
     Output,
-    Quiet,
-    Seed,
     Specimen,
-    Verbose,
     own_method,
+    require_parent,
     seeded,
+    with_output,
 )
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from eitskin.cli.options import Output
     from eitskin.frame import Frame
     from eitskin.hardware.boards.board import Board
+    from eitskin.hardware.protocol.messages import Info
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import StoredReference, Zero
@@ -44,6 +43,7 @@ Mounted = Annotated[
 FRAMES = 32  # that are averaged
 
 
+@with_output
 def command(
     model: Model,
     *,
@@ -54,10 +54,8 @@ def command(
     frames: FrameCount = FRAMES,
     mounted: Mounted = False,
     method: MethodCode = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Store the still, untouched sensor as the zero of later sessions (live, check, calibrate).
 
@@ -67,13 +65,9 @@ def command(
     from eitskin.training.adaptation.opening import open_pipeline
     from eitskin.training.pipeline.stored_reference import Zero
 
-    output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
-    if not out.absolute().parent.is_dir():
-        raise ConfigurationError(
-            f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
-        )
+    require_parent(out)
     pipeline = open_pipeline(model, own_method(method))
     zero = Zero.MOUNTED if mounted else Zero.FLAT
     if zero is Zero.FLAT:
@@ -131,3 +125,51 @@ def reference_frame(folder: Path, specimen: int) -> "Frame":
         )
     reference = data.reference[rows[0]].astype(np.complex128)
     return Frame(reference, data.protocol, frequency=data.frequency)
+
+
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--reference",
+        help="Stored reference of this sensor, from eitskin tare: the session need not begin flat.",
+    ),
+]
+
+
+def board_number(info: "Info") -> str:
+    """Unique number of a board in hexadecimal digits; empty where it has none."""
+    return info.uid.hex() if any(info.uid) else ""
+
+
+def use_reference(
+    pipeline: "Pipeline | RecordedTouches", path: Path, info: "Info | None", output: "Output"
+) -> None:
+    """Use the reference in a file; note its zero, and another board than this one.
+
+    Raises the errors of `StoredReference.read` and of the pipeline's `use`.
+    """
+    from eitskin.training.pipeline.stored_reference import StoredReference
+
+    reference = StoredReference.read(path)
+    pipeline.use(reference)
+    output.note(f"zero: the sensor {reference.zero}, as stored in {path} at {reference.taken}")
+    number = "" if info is None else board_number(info)
+    if number and reference.board and number != reference.board:
+        output.note(
+            f"the reference was taken with board {reference.board}, this is board {number}, whose "
+            "channels differ by some tenths of a percent: take it again with this board"
+        )
+
+
+def tell_unjudged(pipeline: "Pipeline | RecordedTouches", output: "Output") -> None:
+    """Note where a pipeline cannot judge whether a session begins flat and untouched."""
+    from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
+
+    if pipeline.stored is None and getattr(pipeline, "flat_sensors", None) is None:
+        count = f"one of {pipeline.trained_on.get('specimens', 'an unknown number')}"
+        known = "one of touch positions only" if pipeline.targets.positions_only else count
+        output.note(
+            "whether the sensor starts flat and untouched is not checked: expected a pipeline "
+            f"trained on {FEWEST_SPECIMENS} specimens or more, got {known}; make sure that it lies "
+            "flat and untouched, or give a reference that was taken so (eitskin tare, --reference)"
+        )

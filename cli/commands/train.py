@@ -14,14 +14,11 @@ from rich.table import Table
 from eitskin.cli.commands.evaluate import save_position_report, save_report
 from eitskin.cli.options import (
     TRAINING,
-    Json,
     MethodCode,
     Output,
-    Quiet,
     Replace,
-    Seed,
-    Verbose,
     own_method,
+    with_output,
 )
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
@@ -47,6 +44,7 @@ MethodOptions = Annotated[
 ]
 
 
+@with_output
 def command(
     dataset: Annotated[Path, typer.Argument(help="Dataset, from eitskin generate or import.")],
     *,
@@ -69,10 +67,8 @@ def command(
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
     ] = None,
     replace: Replace = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Train on a part of a dataset and evaluate on specimens that were held out.
 
@@ -86,7 +82,6 @@ def command(
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
 
-    output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
     require_writable(out, replace)
     data = open_dataset(dataset)

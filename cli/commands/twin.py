@@ -10,14 +10,11 @@ from rich.table import Column, Table
 from eitskin.cli.commands.recorded_frames import Recorded, Values, of_specimen, read_recorded
 from eitskin.cli.options import (
     FixtureFile,
-    Json,
     MeasuredPairs,
     MechanicsFile,
     Output,
-    Quiet,
-    Seed,
-    Verbose,
     one_of,
+    with_output,
 )
 from eitskin.errors import ConfigurationError
 
@@ -35,6 +32,7 @@ def _group() -> None:
 
 
 @app.command("fit")
+@with_output
 def fit(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor as it was meant.")],
     recording: Recorded,
@@ -63,10 +61,8 @@ def fit(
     resolution: Annotated[
         str, typer.Option(help="Resolution of the sensor: coarse, fast, standard ...")
     ] = "coarse",
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Fit a twin to flat frames, known angles and known touches of one sensor.
 
@@ -82,7 +78,6 @@ def fit(
     from eitskin.training.twin.parameters import TwinPrior
     from eitskin.training.twin.twin import Twin
 
-    output = Output(as_json, quiet, verbose)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     new_folder(out)
     sensor = SensorDesign.from_toml(design)

@@ -1,18 +1,38 @@
 """`eitskin demo`: everything once, from the bare sensor to a pipeline on a live board."""
 
+import json
+import os
 import shlex
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.options import (
+    TRAINING,
+    Output,
+    ended_by_signals,
+    with_output,
+)
 from eitskin.errors import PartialError
 from eitskin.extras import require_all
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+    from eitskin.cli.demo.stages import Demo, Stage
+
 FOLDER, WORKERS = Path("build/demo"), 2
+GRID = "one touch at 27 positions, flat: error"
+REMEDY = "make room or give write permission, then give the same command again to go on from here"
+
+Document = dict[str, Any]
 
 
+@with_output
 def command(
     *,
     out: Annotated[
@@ -22,39 +42,146 @@ def command(
         Path | None, typer.Option(help="Folder with real recordings; left out when absent.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = WORKERS,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Draw the sensor, make training sets, train, compare with the paper, run live, report.
 
-    Every finished stage is kept in --out, so a demo that was interrupted goes on from there. The
-    report is one file, report.html, that needs nothing else.
+    Datasets and the trained pipeline are kept in --out, so a demo that was interrupted goes on from
+    there. The report is one file, report.html, that needs nothing else.
     """
-    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib", demo="jinja2")
+    again = ["eitskin", "demo", "--out", str(out)]
+    again += [] if data is None else ["--data", str(data)]
     try:
         with ended_by_signals():
-            _run(out, data, workers, seed, output)
+            # Imports of the stages take seconds, and Ctrl-C shall be answered meanwhile.
+            from eitskin.cli.demo.stages import Demo, Plan
+
+            document = run_demo(Demo(Plan.standard(seed), out, data, workers, output), again)
     except (KeyboardInterrupt, PartialError):
-        again = ["eitskin", "demo", "--out", str(out)]
-        again += [] if data is None else ["--data", str(data)]
         again += [] if workers == WORKERS else ["--workers", str(workers)]
         again += [] if seed == 0 else ["--seed", str(seed)]
         # Not through a console, which would break the line.
         typer.echo(f"finished stages are kept; continue with: {shlex.join(again)}", err=True)
         raise
-
-
-def _run(out: Path, data: Path | None, workers: int, seed: int, output: Output) -> None:
-    require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib", demo="jinja2")
-    # Imports of the stages take seconds, and Ctrl-C shall be answered meanwhile.
-    from eitskin.cli.demo.report import write_demo_report
-    from eitskin.cli.demo.stages import run_stages
-    from eitskin.cli.demo.workspace import Plan, Workspace
-
-    demo = Workspace(Plan.standard(seed), out, data, workers, output)
-    document = write_demo_report(run_stages(demo), demo)
     seconds = sum(document["seconds"].values())
     sentence = f"\nreport, made in {seconds:.0f} s: {(out / 'report.html').resolve().as_uri()}"
     output.result(document, sentence)
+
+
+def run_demo(demo: "Demo", words: list[str]) -> Document:
+    """Run all stages, and write report.html and report.json; returns the document.
+
+    Args:
+        demo: plan and folder.
+        words: command line that makes the same demo, without its seed.
+
+    Raises PartialError where the folder cannot be written to; the same demo goes on then.
+    """
+    from eitskin.cli.demo.stages import STAGES, versions
+    from eitskin.files import atomic_file
+    from eitskin.provenance import Provenance
+    from eitskin.training.evaluation.report.drawing import style
+
+    stages, seconds = {}, {}
+    for number, (name, (heading, work)) in enumerate(STAGES.items(), 1):
+        demo.output.heading(f"{number}. {heading}")
+        start = time.perf_counter()
+        with style():
+            stage = stages[name] = work(demo)
+        seconds[name] = round(time.perf_counter() - start, 2)
+        for shown in (stage.table, *stage.remarks):
+            if shown is not None:
+                demo.output.show(shown)
+    made = asdict(Provenance.now(demo.plan.seed))
+    numbers = {
+        "provenance": {
+            "command": shlex.join([*words, "--seed", str(demo.plan.seed)]),
+            "versions": versions(),
+            "cores": os.cpu_count(),
+            **{key: made[key] for key in ("machine", "python", "seed", "date")},
+        },
+        "seconds": seconds,
+        **{name: stage.numbers for name, stage in stages.items()},
+    }
+    document: Document = json.loads(json.dumps(numbers, allow_nan=False))
+    for file, text in (
+        ("report.json", json.dumps(document, indent=1) + "\n"),
+        ("report.html", page(stages, document)),
+    ):
+        with atomic_file(demo.out / file, PartialError, REMEDY) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return document
+
+
+def page(stages: Mapping[str, "Stage"], document: Document) -> str:
+    """The report as one HTML page without references to anything outside."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    from eitskin.cli.demo.live_episode import COLUMNS, episode_cells
+    from eitskin.cli.demo.stages import SETS, SHIPPED, STAGES, TRAINED
+    from eitskin.training.evaluation.scores import SSIM_DEFINITION
+
+    environment = Environment(
+        loader=PackageLoader("eitskin.cli.demo", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        document=document,
+        results=stages,
+        number=lambda path, form="": marked_number(document, path, form),
+        headings={name: heading for name, (heading, _) in STAGES.items()},
+        sets=SETS,
+        pipelines=(TRAINED, SHIPPED),
+        paper_rows=_paper_rows(document),
+        episode_columns=COLUMNS,
+        episode_rows=[episode_cells(row) for row in document["live"]["steps"]],
+        ssim=SSIM_DEFINITION,
+    )
+
+
+def marked_number(document: Document, path: str, form: str) -> "Markup":
+    """Formatted number of the document, marked with its path "stage.key.key" in report.json."""
+    from markupsafe import Markup
+
+    value: Any = document
+    for key in path.split("."):
+        value = value[int(key)] if isinstance(value, list) else value[key]
+    shown = "none" if value is None else format(value, form)
+    mark = Markup('<data value="{}" data-from="{}">{}</data>')
+    return mark.format(str(value), path, shown)
+
+
+def _paper_rows(document: Document) -> list[tuple[str, str, str, str]]:
+    """Rows of the paper's table: experiment, published, trained here, shipped."""
+    trained = _figures(document, "indentation", "test")
+    shipped = _figures(document, "shipped_indentation", "shipped")
+    rows = []
+    for key in trained | shipped:
+        published = (trained.get(key) or shipped[key])[0]
+        here, other = (figures.get(key, ("", "-"))[1] for figures in (trained, shipped))
+        rows.append((key[1], published, here, other))
+    return rows
+
+
+def _figures(document: Document, grid: str, test: str) -> dict[tuple[str, str], tuple[str, str]]:
+    """Published and measured figure by experiment and row: touches on the grid, then all frames."""
+    import msgspec
+
+    from eitskin.training.evaluation.evaluate import Report
+    from eitskin.training.evaluation.report.table import table_rows
+
+    figures, experiment = {}, ""
+    for stage in (grid, test):
+        for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
+            experiment = experiment if name.startswith(" ") else name
+            row = published.replace("+-", "±"), here.replace("+-", "±")
+            if stage == test:
+                figures[experiment, name] = row
+            elif experiment == "one touch: error":
+                figures[GRID, name if name.startswith(" ") else GRID] = row
+    return figures

@@ -7,10 +7,15 @@ import re
 import secrets
 import socket
 import stat
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
+from typing import Annotated
 
+import typer
+
+from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.files import atomic_file
 
@@ -18,6 +23,25 @@ LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 18
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{16,128}")
 _LARGEST_FILE = 4096  # bytes
+
+
+ShowPage = Annotated[bool, typer.Option("--page", help="Also serve a page to browsers.")]
+PagePort = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
+]
+PageHost = Annotated[
+    str,
+    typer.Option(
+        help="Address to serve the page at; 0.0.0.0 for every network, which then needs a token."
+    ),
+]
+PageTokenFile = Annotated[
+    Path | None,
+    typer.Option(help="File of the page's two tokens, made where it is not there; asks for them."),
+]
+PageFolder = Annotated[
+    Path, typer.Option(help="Folder of recordings and pipelines that are made from the page.")
+]
 
 
 class Role(IntEnum):
@@ -184,3 +208,15 @@ def plain_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 def _bracketed(host: str) -> str:
     """Host as it stands in an address: IPv6 in brackets."""
     return f"[{host}]" if ":" in host else host
+
+
+def tell_invitations(invitations: Sequence[tuple[str, str]], output: Output) -> None:
+    """Note the addresses of a page.
+
+    Those with tokens are told nowhere else, and therefore when a command is quiet, too.
+    """
+    for what, address in invitations:
+        if output.quiet and "#" in address:
+            typer.echo(f"{what}: {address}", err=True)
+        else:
+            output.note(f"{what}: {address}", whole=True)

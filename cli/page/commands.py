@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import msgspec
 import numpy as np
 
-from eitskin.cli.episode import STEPS
 from eitskin.cli.page.plan import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
@@ -25,6 +24,19 @@ Kind = TypeVar("Kind")
 
 MOST_TOUCHES = 4
 STEP = 3.0  # duration of each step of the episode [s]
+_SPREAD = (Touch(0.025, 0.018), Touch(0.050, 0.042), Touch(0.100, 0.042), Touch(0.125, 0.018))
+_OTHERS = (Touch(0.025, 0.042), Touch(0.060, 0.018), Touch(0.090, 0.042), Touch(0.125, 0.018))
+STEPS = (  # the paper's real-time episode: touches at four bends
+    Scene(),
+    Scene(Bend(-10.0)),
+    Scene(Bend(-10.0), (Touch(0.040, 0.020), Touch(0.110, 0.040))),
+    Scene(Bend(20.0)),
+    Scene(Bend(20.0), (Touch(0.030, 0.040), Touch(0.075, 0.018), Touch(0.120, 0.040))),
+    Scene(Bend(40.0)),
+    Scene(Bend(40.0), _SPREAD),
+    Scene(),
+    Scene(touches=_OTHERS),
+)
 
 
 @dataclass(frozen=True, slots=True)

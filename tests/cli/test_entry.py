@@ -10,7 +10,6 @@ import click
 import pytest
 
 from eitskin.cli import entry, main
-from eitskin.cli.failure_report import report
 from eitskin.cli.options import ended_by_signals
 from eitskin.errors import DataError, PartialError
 
@@ -80,7 +79,7 @@ def test_messages_neither_control_the_terminal_nor_fill_it(monkeypatch, tmp_path
 
 
 def test_lines_of_reports_hold_no_control_characters():
-    assert "\x1b" not in report(ValueError("\x1b[2J"))
+    assert "\x1b" not in entry.failure_report(ValueError("\x1b[2J"))
 
 
 def struck(cause):

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from eitskin import files as files_module
 from eitskin.cli.commands.live import session as cli
-from eitskin.cli.commands.live.recordings import FrameRecording
+from eitskin.cli.commands.live.session import FrameRecording
 from eitskin.cli.live_view import touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset

@@ -10,7 +10,7 @@ from rich.console import Console
 from rosbags.rosbag2 import Writer
 
 from eitskin.cli.commands.live import session as live
-from eitskin.cli.commands.live.recordings import MessageRecording
+from eitskin.cli.commands.live.session import MessageRecording
 from eitskin.cli.options import Output
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError

@@ -9,33 +9,35 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from eitskin.cli.commands.live.page_options import (
-    PageFolder,
-    PageHost,
-    PagePort,
-    PageTokenFile,
-    ShowPage,
-    page_access,
-    tell_page,
+from eitskin.cli.commands.live.session import (
+    FrameRecording,
+    LiveSession,
+    MessageRecording,
+    Recording,
+    SessionPipeline,
+    expected_magnitudes,
 )
-from eitskin.cli.commands.live.recordings import FrameRecording, MessageRecording, Recording
-from eitskin.cli.commands.live.ros2_options import Ros2, Ros2Domain, Ros2Namespace
-from eitskin.cli.commands.live.session import LiveSession, SessionPipeline, expected_magnitudes
-from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
+from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     BoardOption,
-    Json,
     MethodCode,
     Model,
     Output,
-    Quiet,
-    Seed,
-    Verbose,
     ended_by_signals,
     named_board,
     one_of,
     own_method,
     seeded,
+    with_output,
+)
+from eitskin.cli.page.access import (
+    Access,
+    PageFolder,
+    PageHost,
+    PagePort,
+    PageTokenFile,
+    ShowPage,
+    tell_invitations,
 )
 from eitskin.errors import ConfigurationError, PartialError
 
@@ -47,6 +49,17 @@ if TYPE_CHECKING:
     from eitskin.hardware.live import FramePipeline
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
+
+Ros2 = Annotated[
+    bool, typer.Option("--ros2", help="Also publish frames and estimates as ROS 2 topics.")
+]
+Ros2Domain = Annotated[
+    int, typer.Option(envvar="ROS_DOMAIN_ID", help="Number of the DDS domain, 0 to 232.")
+]
+Ros2Namespace = Annotated[
+    str, typer.Option(help="Name of this skin, which its topics and its frame have.")
+]
+
 
 FrameCount = Annotated[
     int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
@@ -82,6 +95,7 @@ PictureMethod = Annotated[
 MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 
 
+@with_output
 def command(
     model: Model,
     *,
@@ -103,10 +117,8 @@ def command(
     ros2: Ros2 = False,
     ros2_domain: Ros2Domain = 0,
     ros2_namespace: Ros2Namespace = "eitskin",
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
 
@@ -120,9 +132,8 @@ def command(
     from eitskin.hardware.streams.publisher import open_publisher
     from eitskin.training.adaptation.opening import open_pipeline
 
-    output = Output(as_json, quiet, verbose)
     board = named_board(board, output)
-    access = page_access(page_host, page_token_file) if page else None
+    access = Access.of(page_host, page_token_file) if page else None
     own = own_method(method)
     pipeline = open_pipeline(model, own)
     tell_missing(pipeline, output)
@@ -153,7 +164,7 @@ def command(
             session.page = stack.enter_context(
                 LivePage(session.connection, sheet_of(pipeline), page_port, access, tasks)
             )
-            tell_page(session.page, output)
+            tell_invitations(session.page.invitations, output)
         if ros2:
             from eitskin.hardware.ros2.skin_node import SkinNode
 

@@ -10,15 +10,12 @@ from rich.table import Table
 from eitskin.cli.commands.recorded_frames import Recorded, Values, of_one_sensor, read_recorded
 from eitskin.cli.options import (
     TRAINING,
-    Json,
     MeasuredPairs,
     MethodCode,
     Output,
-    Quiet,
     Replace,
-    Seed,
-    Verbose,
     own_method,
+    with_output,
 )
 from eitskin.extras import require_all
 
@@ -43,6 +40,7 @@ StartModel = Annotated[
 ]
 
 
+@with_output
 def command(
     model: StartModel,
     recording: Recorded,
@@ -62,10 +60,7 @@ def command(
         bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
     ] = False,
     replace: Replace = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Adapt a pipeline to one sensor, from frames of which it is known what they show.
 
@@ -75,8 +70,6 @@ def command(
     """
     from eitskin.training.pipeline.saved_form import require_writable
 
-    output = Output(as_json, quiet, verbose)
-    output.detail(f"nothing is drawn at random here, seed {seed} is not used")
     require_all(training=TRAINING)
     require_writable(out, replace)
     before = open_start(model, own_method(method))
@@ -152,12 +145,7 @@ def curve_of(
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
 
-    with output.progress() as bar:
-        task = bar.add_task("errors by frames", total=None, rate="")
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
+    with output.counting("errors by frames") as show:
         try:
             if before is None or isinstance(before, RecordedTouches):
                 known = data if before is None else before.described(data)

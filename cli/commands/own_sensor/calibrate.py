@@ -7,21 +7,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eitskin.cli.commands.own_sensor.adapt import calibration_table
-from eitskin.cli.commands.own_sensor.dialogue import TerminalDialogue
-from eitskin.cli.commands.own_sensor.poses import asked, bent, frames_in_poses, left_alone, staged
-from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
+from eitskin.cli.commands.own_sensor.poses import (
+    TerminalDialogue,
+    asked,
+    bent,
+    frames_in_poses,
+    left_alone,
+    staged,
+)
+from eitskin.cli.commands.tare import ReferenceFile, use_reference
 from eitskin.cli.options import (
     BoardUri,
-    Json,
     MethodCode,
     Model,
     Output,
-    Quiet,
     Replace,
-    Seed,
-    Verbose,
     own_method,
     seeded,
+    with_output,
 )
 from eitskin.errors import ConfigurationError
 
@@ -46,6 +49,7 @@ NoPrompt = Annotated[
 ]
 
 
+@with_output
 def command(
     model: Model,
     *,
@@ -57,10 +61,8 @@ def command(
     no_prompt: NoPrompt = False,
     method: MethodCode = None,
     replace: Replace = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
 
@@ -72,7 +74,6 @@ def command(
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
 
-    output = Output(as_json, quiet, verbose)
     require_writable(out, replace)
     purpose = "a calibration needs a pipeline that estimates the bend angle"
     pipeline = open_perception(model, purpose, own_method(method))

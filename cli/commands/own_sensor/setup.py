@@ -12,8 +12,9 @@ import typer
 from eitskin.cli.commands import check, tare
 from eitskin.cli.commands.own_sensor.adapt import StartModel, adapt, in_words, open_start, said
 from eitskin.cli.commands.own_sensor.calibrate import Angles, angles_of
-from eitskin.cli.commands.own_sensor.dialogue import Dialogue, TerminalDialogue
 from eitskin.cli.commands.own_sensor.poses import (
+    Dialogue,
+    TerminalDialogue,
     as_dataset,
     asked,
     bent,
@@ -25,14 +26,11 @@ from eitskin.cli.commands.own_sensor.poses import (
 )
 from eitskin.cli.options import (
     BoardOption,
-    Json,
     Output,
-    Quiet,
     Replace,
-    Seed,
     SensorFile,
-    Verbose,
     seeded,
+    with_output,
 )
 from eitskin.errors import ConfigurationError, DataError, DeviceError, PartialError
 
@@ -49,6 +47,7 @@ FORCE = 8.0  # N, of the presses on a virtual board
 REPEAT, SKIP = "r", "s"
 
 
+@with_output
 def command(
     model: StartModel,
     *,
@@ -63,10 +62,8 @@ def command(
         typer.Option("--no-prompt", help="Ask nothing: for a virtual: board, which moves itself."),
     ] = False,
     replace: Replace = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Set up a new sensor: port, check, zero, known angles, presses, and its own pipeline.
 
@@ -76,7 +73,6 @@ def command(
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.training.pipeline.saved_form import require_writable
 
-    output = Output(as_json, quiet, verbose)
     require_writable(out, replace)
     start = open_start(model, None)
     design = SensorDesign.from_toml(sensor) if sensor else design_of(start)

@@ -5,7 +5,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
+from eitskin.cli.commands.simulate import announce_unsolved, simulator
 from eitskin.cli.options import Output, seeded
 from eitskin.errors import ConfigurationError, DataError
 

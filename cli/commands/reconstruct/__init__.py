@@ -1,1 +1,0 @@
-"""The command `eitskin reconstruct`: sources of frames, pictures, and what becomes of them."""
