@@ -17,7 +17,7 @@ from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.targets import STATE_NAMES, Targets
 from eitskin.training.method.training_frames import TrainingFrames
-from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.paper.stages import find_touches
 from eitskin.training.reconstruction.reconstructor import Reconstructor
 
 Array = NDArray[np.float64]

@@ -34,8 +34,7 @@ from eitskin.training.paper.reconstruction import (
     bend_free_projection,
     signal_to_noise,
 )
-from eitskin.training.paper.stages import Classifier, PostProcessor
-from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
 from eitskin.training.reconstruction.linear_model import linear_model
 
 Arrays = dict[str, NDArray[np.generic]]

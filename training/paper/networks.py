@@ -5,7 +5,6 @@ The stages import this module inside the functions that need it, so that torch s
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch  # noqa: TID253  see above
@@ -20,7 +19,7 @@ from eitskin.training.method.network_training import (
     seeded_network,
     train_network,
 )
-from eitskin.training.method.settings import NetworkSettings, Progress
+from eitskin.training.method.settings import NetworkSettings
 from eitskin.training.paper.layers import Layer
 
 Flips = Sequence[tuple[bool, bool]]
@@ -74,83 +73,63 @@ def _weights(layer: Layer) -> nn.Module:
     return nn.Conv2d(*ends, layer.size, stride=s, padding=d, dilation=d, bias=layer.bias)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StageTraining:
-    """Training of one stage: from dV to maps, through a network, to targets.
+def train_layers(
+    layers: Sequence[Layer],
+    frames: tuple[ArrayLike, NDArray[np.generic]],
+    embedding: ArrayLike,
+    shape: tuple[int, int],
+    loss: Loss,
+    settings: NetworkSettings,
+    noise: ArrayLike,
+    seed: int,
+    progress: Callable[[int, int], None],
+    validation: tuple[ArrayLike, NDArray[np.generic]] | None,
+    *,
+    compress: bool = False,
+    placed: bool = False,
+    flips: Flips = ((False, False),),
+) -> tuple[dict[str, NDArray[np.generic]], LearningCurve]:
+    """Weights and batch statistics, by name, of a network that is fitted to maps, and its losses.
 
-    Attributes:
-        name: of the stage, in the progress.
+    Args:
         layers: of the network.
+        frames: dV (n, measurements) and targets (n, ...).
         embedding: linear, from dV to maps (maps, pixels, measurements).
         shape: rows and columns of a map.
         loss: of logits and targets.
-        transform: of the maps before the network.
-        place: whether the coordinates of the pixels are channels beside the maps.
+        settings: of the training.
+        noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
+        seed: of initial weights, order and added noise.
+        progress: called after every epoch.
+        validation: dV and targets of other frames, whose loss is recorded after every epoch.
+        compress: whether asinh is taken of the maps.
+        placed: whether the coordinates of the pixels are channels beside the maps.
         flips: mirror images of each frame, of which one is drawn whenever it is used: whether x
             and whether y is reversed.
     """
 
-    name: str
-    layers: Sequence[Layer]
-    embedding: NDArray[np.float64]
-    shape: tuple[int, int]
-    loss: Loss
-    transform: Callable[[Tensor], Tensor]
-    place: bool = False
-    flips: Flips = ((False, False),)
-
-    def run(
-        self,
-        frames: tuple[ArrayLike, NDArray[np.generic]],
-        validation: tuple[ArrayLike, NDArray[np.generic]] | None,
-        settings: NetworkSettings,
-        noise: ArrayLike,
-        seed: int,
-        progress: Progress,
-    ) -> tuple[dict[str, NDArray[np.generic]], LearningCurve]:
-        """Weights and batch statistics by name, and losses.
-
-        Args:
-            frames: dV (n, measurements) and targets (n, ...) to fit.
-            validation: those of other frames, whose loss is recorded after every epoch.
-            settings: of the training.
-            noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
-            seed: of initial weights, order and added noise.
-            progress: called after every epoch.
-        """
-        placed = self.shape if self.place else None
-        network = seeded_network(lambda: LayerNetwork(self.layers, placed), seed)
-        fitted = self._samples(*frames, settings.noise * np.asarray(noise))
-        history = train_network(
-            network,
-            mirrored(fitted.batch, self.flips),
-            self.loss,
-            fitted.count,
-            settings,
-            seed,
-            lambda done, total: progress(self.name, done, total),
-            None if validation is None else self._samples(*validation, 0.0),
-        )
-        return weights_of(network), history
-
-    def _samples(
-        self, difference: ArrayLike, truth: NDArray[np.generic], noise: ArrayLike
-    ) -> Samples:
-        """Maps of dV, with new noise of an rms at every call, and their targets."""
-        dV, layers, rms = (
+    def samples(difference: ArrayLike, truth: NDArray[np.generic], rms: ArrayLike) -> Samples:
+        dV, matrix, deviation = (
             torch.as_tensor(np.asarray(values, dtype=np.float32))
-            for values in (difference, self.embedding, noise)
+            for values in (difference, embedding, rms)
         )
         targets = torch.as_tensor(truth)
 
         def batch(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
             rows = dV[chosen]
-            if rms.any():
-                rows = rows + rms * torch.randn(rows.shape, generator=generator)
-            maps = torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *self.shape)
-            return self.transform(maps), targets[chosen]
+            if deviation.any():  # new noise whenever a frame is used
+                rows = rows + deviation * torch.randn(rows.shape, generator=generator)
+            maps = torch.einsum("nm,kpm->nkp", rows, matrix).reshape(len(rows), -1, *shape)
+            return torch.asinh(maps) if compress else maps, targets[chosen]
 
         return Samples(batch, len(targets))
+
+    network = seeded_network(lambda: LayerNetwork(layers, shape if placed else None), seed)
+    fitted = samples(*frames, settings.noise * np.asarray(noise))
+    unseen = None if validation is None else samples(*validation, 0.0)
+    batch, count = mirrored(fitted.batch, flips), fitted.count
+    history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
+    return weights_of(network), history
 
 
 def mirrored(batch: Batch, flips: Flips) -> Batch:

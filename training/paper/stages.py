@@ -1,10 +1,12 @@
-"""Trained networks of the paper's method: classifier of the state, and post-processor."""
+"""Trained networks of the paper's method, and touches in the maps of the post-processor."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
@@ -22,6 +24,9 @@ from eitskin.training.paper.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
+
+THRESHOLD = 0.4  # of the map, whose values are probabilities of being under an indenter
+SMALLEST = 4  # pixels; a smaller component is no indenter
 
 
 class Classifier:
@@ -76,25 +81,20 @@ class Classifier:
         *,
         compress: bool = True,
     ) -> "Classifier":
-        """Training with cross-entropy and Adam; other arguments as for `StageTraining.run`.
+        """Training with cross-entropy and Adam; further arguments as for `networks.train_layers`.
 
         Args:
             difference: dV from the static reference (n, measurements), dimensionless.
             state: `State` values (n,).
             embedding: linear map from dV to maps (maps, pixels, measurements) in any units; not
                 trained.
-            shape: rows and columns of a map.
-            settings: of the training.
-            noise: rms noise of dV, of all or of each channel.
-            seed: of initial weights, order and added noise.
-            progress: called after every epoch.
+            shape, settings, noise, seed, progress, compress: see there.
             validation: dV and states of other frames.
-            compress: whether asinh is taken of the maps.
         """
         require("torch", "training")
         import torch
 
-        from eitskin.training.paper.networks import StageTraining
+        from eitskin.training.paper.networks import train_layers
 
         states = np.asarray(state, dtype=np.int64)
         scaled = _scaled(
@@ -102,17 +102,18 @@ class Classifier:
             np.asarray(difference),
             states == State.IDLE if compress else None,
         )
-        training = StageTraining(
-            "state classifier",
+        weights, history = train_layers(
             state_layers(shape, len(scaled)),
+            (difference, states),
             scaled,
             shape,
             torch.nn.functional.cross_entropy,
-            torch.asinh if compress else torch.nn.Identity(),
-        )
-        unseen = validation and (validation[0], np.asarray(validation[1], dtype=np.int64))
-        weights, history = training.run(
-            (difference, states), unseen, settings, noise, seed, progress
+            settings,
+            noise,
+            seed,
+            partial(progress, "state classifier"),
+            validation and (validation[0], np.asarray(validation[1], dtype=np.int64)),
+            compress=compress,
         )
         present = [state for state in State if np.any(states == state)]
         return cls(weights, scaled, shape, compress, history, present)
@@ -188,41 +189,38 @@ class PostProcessor:
         validation: tuple[ArrayLike, ArrayLike] | None = None,
         flips: Sequence[tuple[bool, bool]] = ((False, False),),
     ) -> "PostProcessor":
-        """Training with binary cross-entropy per pixel and Adam; see also `Classifier.fit`.
+        """Training with binary cross-entropy per pixel and Adam.
 
         Args:
             difference: dV from the dynamic reference (n, measurements), dimensionless.
             touch_map: true maps (n, rows, columns), 1 under an indenter and 0 elsewhere.
             reconstruction: linear layer before the network; not trained.
-            settings: of the training.
-            noise: rms noise of dV, of all or of each channel.
-            seed: of initial weights, order and added noise.
-            progress: called after every epoch.
+            settings, noise, seed, progress, flips: as for `networks.train_layers`.
             validation: dV and touch maps of other frames.
-            flips: mirror images of each frame; see `StageTraining`.
         """
         require("torch", "training")
         import torch
 
-        from eitskin.training.paper.networks import StageTraining
+        from eitskin.training.paper.networks import train_layers
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
-        training = StageTraining(
-            "touch map",
-            touch_map_layers(),
-            reconstruction.matrix[None] / scale,
-            reconstruction.shape,
-            torch.nn.functional.binary_cross_entropy_with_logits,
-            torch.nn.Identity(),
-            place=True,
-            flips=flips,
-        )
         frames, *unseen = (
             (dV, np.asarray(maps, dtype=np.float32)[:, None])
             for dV, maps in ((difference, touch_map), *([validation] if validation else []))
         )
-        weights, history = training.run(
-            frames, unseen[0] if unseen else None, settings, noise, seed, progress
+        weights, history = train_layers(
+            touch_map_layers(),
+            frames,
+            reconstruction.matrix[None] / scale,
+            reconstruction.shape,
+            torch.nn.functional.binary_cross_entropy_with_logits,
+            settings,
+            noise,
+            seed,
+            partial(progress, "touch map"),
+            unseen[0] if unseen else None,
+            placed=True,
+            flips=flips,
         )
         return cls(weights, scale, history)
 
@@ -265,3 +263,36 @@ def _scaled(
         noise = 0.0 if idle is None or not idle.any() else 2.0 * float(np.std(maps[idle]))
         scaled[i] = layer / (noise or float(np.std(maps)) or 1.0)
     return scaled
+
+
+def find_touches(
+    touch_map: ArrayLike,
+    outline: tuple[float, float],
+    threshold: float = THRESHOLD,
+    smallest: int = SMALLEST,
+) -> tuple[tuple[float, float, float], ...]:
+    """Touches (x [m], y [m], strength) in a touch map, strongest first.
+
+    A touch is a connected component (8-neighbourhood) above a threshold. Its position is the
+    centroid of the pixels weighted by their values, the paper's equation (3); its strength is its
+    largest value.
+
+    Args:
+        touch_map: probabilities (rows along y, columns along x).
+        outline: length and width that the map covers [m].
+        threshold: of the probabilities.
+        smallest: least number of pixels of a touch.
+    """
+    values = np.asarray(touch_map, dtype=float)
+    rows, columns = values.shape
+    labels, count = ndimage.label(values > threshold, structure=np.ones((3, 3)))
+    touches = []
+    for component in range(1, count + 1):
+        iy, ix = np.nonzero(labels == component)
+        if len(iy) < smallest:
+            continue
+        weights = values[iy, ix]
+        x = float(np.average(ix + 0.5, weights=weights)) * outline[0] / columns
+        y = float(np.average(iy + 0.5, weights=weights)) * outline[1] / rows
+        touches.append((x, y, float(weights.max())))
+    return tuple(sorted(touches, key=lambda touch: -touch[2]))

@@ -14,8 +14,7 @@ from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import LayerNetwork, mirrored, weights_of
 from eitskin.training.paper.reconstruction import Reconstruction, bend_free_projection
-from eitskin.training.paper.stages import Classifier, PostProcessor
-from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
 
 SHAPE = (8, 16)
 OUTLINE = (0.16, 0.08)
