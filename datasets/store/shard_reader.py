@@ -8,9 +8,9 @@ import hashlib
 import math
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
 from eitskin.contained import Answer, Limits, contained
-from eitskin.datasets.store.dataset import ORIGIN, Dataset, known_quantity
+from eitskin.datasets.store.dataset import Dataset, known_quantity
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
@@ -45,8 +45,8 @@ SECONDS = 5
 
 _BYTES_PER_SECOND = 2 << 20
 _MEMORY, _MEMORY_PER_BYTE = 400 << 20, 24  # [bytes]
-_TRIAL = f"{__name__}:try_shard"
 
+_NAMES = [field.name for field in FIELDS]
 _TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in FIELDS}
 
 
@@ -89,7 +89,10 @@ def opened_shard(
     with _named_errors(path):
         image, _ = unsealed(content)
         if not known:
-            for _ in contained(_TRIAL, None, image, _limits(len(image))):
+            limits = Limits(  # ten times of what most take
+                SECONDS + len(image) // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * len(image)
+            )
+            for _ in contained(f"{__name__}:try_shard", None, image, limits):
                 pass
         file = _opened(image)
         try:
@@ -118,25 +121,6 @@ def _opened(image: bytes) -> h5py.h5f.FileID:
         ) from error
 
 
-def _limits(size: int) -> Limits:
-    """Limits of a child that reads a shard of `size` bytes, ten times of what most take."""
-    return Limits(SECONDS + size // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """Data that all shards of a dataset share; attributes as of `Dataset`."""
-
-    protocol: Protocol | None
-    frequency: float
-    source: str
-    recipe: str
-    seed: int
-    design: SensorDesign | None
-    quantity: str
-    channels: int
-
-
 class OpenShard:
     """Shard whose file is open: its arrays are checked when they are read."""
 
@@ -144,7 +128,7 @@ class OpenShard:
         """Check format, version and number of the first frame; raises DataError."""
         self._file = file
         self._version = _checked_version(file)
-        self._first, self._count = _integer(file, "first_index"), _integer(file, "count")
+        self._first, self._count = (int(_attribute(file, n)) for n in ("first_index", "count"))
         if not 0 <= self._count <= LIMITS["frame"]:
             raise DataError(f"expected at most {LIMITS['frame']} frames, got {self._count}")
         if first_index is not None and self._first != first_index:
@@ -155,15 +139,14 @@ class OpenShard:
         stored = dict(all_arrays(self._root))
         if sum(array.get_storage_size() for array in stored.values()) > self._file.get_filesize():
             raise DataError("its arrays claim more than the file holds; it is damaged")
-        origin = self._origin(stored["impedance"].shape[-1], stored.get("protocol"))
-        known: dict[str, Any] = {name: getattr(origin, name) for name in ORIGIN}
-        names = [field.name for field in FIELDS]
-        return Dataset(**(known | self._columns(stored, origin.channels, names)))
+        columns = self._columns(stored, stored["impedance"].shape[-1], _NAMES)
+        return Dataset(**(self._origin(stored.get("protocol")) | columns))
 
-    def origin(self) -> Origin:
-        """Data that the shard must share with the others of its dataset."""
+    def origin(self) -> SimpleNamespace:
+        """What the shard must share with the others of its dataset, as attributes of `Dataset`."""
         channels = one_array(self._root, "impedance").shape[-1]
-        return self._origin(channels, one_array(self._root, "protocol", required=False))
+        protocol = one_array(self._root, "protocol", required=False)
+        return SimpleNamespace(channels=channels, **self._origin(protocol))
 
     def columns(self, frames: int, channels: int, names: Collection[str]) -> Columns:
         """Some columns; arrays of the file that these do not need are not looked at.
@@ -196,35 +179,33 @@ class OpenShard:
     def _root(self) -> h5py.h5g.GroupID:
         return h5py.h5g.open(self._file, b"/")
 
-    def _origin(self, channels: int, protocol: h5py.h5d.DatasetID | None) -> Origin:
-        recipe, design = _text(self._file, "recipe"), _text(self._file, "design")
-        if hashlib.sha256(recipe.encode()).hexdigest() != _text(self._file, "recipe_sha256"):
-            raise DataError("the recipe and its checksum disagree; make or copy the file again")
-        source = _text(self._file, "source")
-        stated = _text(self._file, "quantity") if h5py.h5a.exists(self._file, b"quantity") else ""
-        return Origin(
-            protocol=None if protocol is None else _read_protocol(protocol),
-            frequency=float(_attribute(self._file, "frequency")),
-            source=source,
-            recipe=recipe,
-            seed=_integer(self._file, "seed"),
-            design=_read_design(design) if design else None,
-            quantity=known_quantity(stated, source),
-            channels=channels,
+    def _origin(self, protocol: h5py.h5d.DatasetID | None) -> dict[str, Any]:
+        recipe, design, digest, source = (
+            str(_attribute(self._file, name))
+            for name in ("recipe", "design", "recipe_sha256", "source")
         )
+        if hashlib.sha256(recipe.encode()).hexdigest() != digest:
+            raise DataError("the recipe and its checksum disagree; make or copy the file again")
+        return {
+            "protocol": None if protocol is None else _read_protocol(protocol),
+            "frequency": float(_attribute(self._file, "frequency")),
+            "source": source,
+            "recipe": recipe,
+            "seed": int(_attribute(self._file, "seed")),
+            "design": _read_design(design) if design else None,
+            "quantity": known_quantity(str(_attribute(self._file, "quantity", "")), source),
+        }
 
     def _columns(self, stored: Mapping[str, Any], channels: int, names: Collection[str]) -> Columns:
         """Columns of the arrays `stored`, with the values that older files leave out."""
         sizes = {"frame": self._count, "touch": MAX_TOUCHES, "channel": channels}
         if "reference" in stored:
             sizes["specimen"] = stored["reference"].shape[0]
-        arrays = {
-            field.name: _values(stored[field.path], field, sizes)
-            for field in FIELDS
-            if field.name in names and (field.path in stored or self._holds(field))
-        }
-        for field in FIELDS:
-            if field.name in names and field.since is None and field.name not in arrays:
+        arrays: Columns = {}
+        for field in (field for field in FIELDS if field.name in names):
+            if field.path in stored or self._holds(field):
+                arrays[field.name] = _values(stored[field.path], field, sizes)
+            elif field.since is None:
                 shape = tuple(sizes[axis] for axis in field.axes)
                 arrays[field.name] = np.full(shape, field.missing, field.dtype)
         # Older files have no numbers of frames, and all specimens of the dataset: counts within the
@@ -262,12 +243,12 @@ def _as_data_errors() -> Iterator[None]:
 
 def _checked_version(file: h5py.h5f.FileID) -> int:
     """Format version of a file; raises DataError for other formats and newer versions."""
-    found = _attribute(file, "format") if h5py.h5a.exists(file, b"format") else None
+    found = _attribute(file, "format", "")
     if found != FORMAT:
         raise DataError(
             f"expected format '{FORMAT}', got {quoted(found)}; this is another kind of file"
         )
-    version = _integer(file, "format_version")
+    version = int(_attribute(file, "format_version"))
     if version > FORMAT_VERSION:
         raise DataError(
             f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
@@ -281,8 +262,10 @@ def _checked_version(file: h5py.h5f.FileID) -> int:
     return version
 
 
-def _attribute(place: Any, name: str) -> Any:
+def _attribute(place: Any, name: str, default: Any = None) -> Any:
     """Attribute of a file or array: one number, or text; errors where it is missing or longer."""
+    if default is not None and not h5py.h5a.exists(place, name.encode()):
+        return default
     stored = h5py.h5a.open(place, name.encode())
     if math.prod(stored.shape) != 1 or stored.dtype.itemsize > MOST_TEXT:
         raise DataError(f"attribute '{name}' must be one number or text; it is damaged")
@@ -290,14 +273,6 @@ def _attribute(place: Any, name: str) -> Any:
     stored.read(values)
     value = values.item()
     return value.decode() if isinstance(value, bytes) else value
-
-
-def _integer(place: Any, name: str) -> int:
-    return int(_attribute(place, name))
-
-
-def _text(place: Any, name: str) -> str:
-    return str(_attribute(place, name))
 
 
 def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
@@ -333,7 +308,7 @@ def _read_protocol(stored: h5py.h5d.DatasetID) -> Protocol:
         raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
     rows = np.empty(shape, "<i2")
     stored.read(h5py.h5s.ALL, h5py.h5s.ALL, rows)
-    return _protocol(rows.tobytes(), _integer(stored, "n_electrodes"))
+    return _protocol(rows.tobytes(), int(_attribute(stored, "n_electrodes")))
 
 
 @lru_cache(maxsize=8)

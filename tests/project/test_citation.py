@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 import eitskin
-from eitskin.datasets.export.card import PAPER, Card
+from eitskin.datasets.export.export import PAPER, Card
 
 ROOT = Path(__file__).resolve().parents[2]
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
