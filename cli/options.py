@@ -83,7 +83,7 @@ TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that 
 
 def own_method(code: str | None) -> "type[Method] | None":
     """Class of the method of the user's own whose code is named; None where none is."""
-    from eitskin.training.pipeline.own_methods import named_method
+    from eitskin.training.pipeline.methods import named_method
 
     return None if code is None else named_method(code)
 

@@ -1,25 +1,25 @@
 """Public names of eitskin.training, and where each is defined."""
 
-from eitskin.training.adaptation.opening import (
-    open_pipeline as open_pipeline,
-)
-from eitskin.training.adaptation.recorded_touches import (
-    PositionScore as PositionScore,
-)
-from eitskin.training.adaptation.recorded_touches import (
-    RecordedTouches as RecordedTouches,
-)
 from eitskin.training.evaluation.evaluate import (
     Report as Report,
 )
 from eitskin.training.evaluation.evaluate import (
     evaluate as evaluate,
 )
+from eitskin.training.evaluation.position_score import (
+    PositionScore as PositionScore,
+)
+from eitskin.training.evaluation.position_score import (
+    RecordedTouches as RecordedTouches,
+)
 from eitskin.training.method.input_spec import InputSpec as InputSpec
 from eitskin.training.method.interface import Method as Method
 from eitskin.training.method.known_frames import FrameLabel as FrameLabel
 from eitskin.training.method.known_frames import TouchLabel as TouchLabel
 from eitskin.training.method.observations import Observations as Observations
+from eitskin.training.method.predictions import (
+    Estimate as Estimate,
+)
 from eitskin.training.method.predictions import (
     FoundTouches as FoundTouches,
 )
@@ -32,6 +32,9 @@ from eitskin.training.method.predictions import (
 from eitskin.training.method.predictions import (
     TouchEstimate as TouchEstimate,
 )
+from eitskin.training.method.predictions import (
+    Zero as Zero,
+)
 from eitskin.training.method.settings import (
     NetworkSettings as NetworkSettings,
 )
@@ -41,20 +44,17 @@ from eitskin.training.method.settings import (
 from eitskin.training.method.targets import (
     Targets as Targets,
 )
-from eitskin.training.method.training_frames import (
+from eitskin.training.method.targets import (
     TrainingFrames as TrainingFrames,
-)
-from eitskin.training.pipeline.estimate import (
-    Estimate as Estimate,
 )
 from eitskin.training.pipeline.pipeline import (
     Pipeline as Pipeline,
 )
-from eitskin.training.pipeline.stored_reference import (
-    StoredReference as StoredReference,
+from eitskin.training.pipeline.pipeline import (
+    open_pipeline as open_pipeline,
 )
-from eitskin.training.pipeline.stored_reference import (
-    Zero as Zero,
+from eitskin.training.pipeline.references import (
+    StoredReference as StoredReference,
 )
 from eitskin.training.reconstruction.figures_of_merit import (
     FiguresOfMerit as FiguresOfMerit,

@@ -19,7 +19,7 @@ from eitskin.training.evaluation.scores import (
     percentiles,
     root_mean_square,
 )
-from eitskin.training.pipeline.estimate import Estimate
+from eitskin.training.method.predictions import Estimate
 from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]

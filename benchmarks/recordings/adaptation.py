@@ -28,8 +28,7 @@ from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
-from eitskin.training.adaptation.labelled_presses import LabelledPresses
-from eitskin.training.adaptation.press_fit import learn_places
+from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 
 Array = NDArray[np.float64]
 Method = Callable[[LabelledPresses, NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]

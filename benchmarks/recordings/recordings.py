@@ -17,7 +17,8 @@ from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import FrameError
 from eitskin.provenance import Provenance
-from eitskin.training.adaptation.recorded_touches import RecordedTouches
+from eitskin.training.evaluation.position_score import PositionScore
+from eitskin.training.method.settings import TrainingSettings
 from eitskin.training.pipeline.pipeline import Pipeline
 
 PRESSES, BOARD_FRAME = "ohmc8.mat", "openeit_background_8.txt"
@@ -31,7 +32,8 @@ def main() -> None:
     print(f"{Provenance.now(0)}\n")
     names = RecordingNames("responsedowns", "responseups", "positions")
     recording = read_recording(folder / PRESSES, names)
-    score = RecordedTouches.fit(recording).evaluate(recording)
+    learned = Pipeline.fit(recording, TrainingSettings("touch position"))
+    score = PositionScore.of(learned, recording)
     print(f"- presses, and those that places are tested on: {len(recording)}, {score.frames}")
     print(f"- mean error of a place [mm]: {score.mean_error_mm:.2f}")
     print(f"- the same of always saying the middle [mm]: {score.guess_error_mm:.1f}")

@@ -36,7 +36,7 @@ from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
 from eitskin.training.method.interface import Method
 from eitskin.training.method.settings import BASELINES, TrainingSettings
-from eitskin.training.pipeline.own_methods import named_method
+from eitskin.training.pipeline.methods import named_method
 from eitskin.training.pipeline.pipeline import Pipeline
 
 MODULE = "eitskin.benchmarks.skinbench.methods"

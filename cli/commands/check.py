@@ -23,15 +23,11 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError, FrameError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.checked_frames import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
     from eitskin.hardware.live import Estimate
     from eitskin.protocol import Protocol
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
 
 ReferenceModel = Annotated[
@@ -82,7 +78,7 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
-    from eitskin.training.adaptation.opening import open_pipeline
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     if list_ports:
         _list(output)
@@ -110,7 +106,7 @@ def command(
 
 
 def check_board(
-    pipeline: "Pipeline | RecordedTouches",
+    pipeline: "Pipeline",
     board: str,
     frames: int,
     output: Output,
@@ -122,17 +118,16 @@ def check_board(
 ) -> None:
     """Check a board by a pipeline, which was `named`, or is the shipped one."""
     from eitskin.hardware.opening import open_board
-    from eitskin.training.pipeline.pipeline import Pipeline
 
-    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
+    spec = pipeline.layout
     with open_board(board, **seeded(board, seed)) as opened:
-        suits = named or opened.protocol == spec.protocol
+        suits = named or opened.protocol == spec.known_protocol
         if suits:
             spec.require_same_measurements(opened.protocol, opened.info.frequency)
         else:
             output.note(
-                f"{SHIPPED} is for {spec.protocol}, the board measures {opened.protocol}: checking "
-                "without a model; name a pipeline for this sensor to check its values, too"
+                f"{SHIPPED} is for {spec.known_protocol}, the board measures {opened.protocol}: "
+                "checking without a model; name a pipeline for this sensor to check its values, too"
             )
         if reference is not None:
             use_reference(pipeline, reference, opened.info, output)
@@ -140,9 +135,9 @@ def check_board(
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
         taken = list(islice(opened.frames(), frames))
-    if suits and _expected(pipeline) is None:
+    if suits and pipeline.expected is None:
         output.note(NO_EXPECTED)
-    if suits and isinstance(pipeline, Pipeline):
+    elif suits:
         tell_unjudged(pipeline, output)
     found = sensor_findings(
         pipeline if suits else None, taken, lambda: [pipeline.process(each) for each in taken][-1]
@@ -172,7 +167,7 @@ class SensorFindings(NamedTuple):
 
 
 def sensor_findings(
-    pipeline: "Pipeline | RecordedTouches | None",
+    pipeline: "Pipeline | None",
     taken: "Sequence[Frame]",
     estimate: "Callable[[], Estimate]",
 ) -> SensorFindings:
@@ -185,33 +180,16 @@ def sensor_findings(
     """
     from eitskin.hardware.diagnosis.reading_check import LAWS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
-    from eitskin.training.pipeline.pipeline import Pipeline
 
     readings = check_frames(taken)
     findings = readings.findings
-    expected = None if pipeline is None else _expected(pipeline)
-    if expected is not None:
+    if pipeline is not None and (expected := pipeline.expected) is not None:
         known = check_sensor(taken, expected).findings
         findings = (*known, *(each for each in findings if each.what in LAWS))
         # Other faults make a sensor look bent or pressed.
-        if isinstance(pipeline, Pipeline):
+        if pipeline.targets.states or pipeline.targets.angle:
             findings = findings or _not_flat(pipeline, estimate)
     return SensorFindings(findings, readings.laws)
-
-
-def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | None":
-    """Expected magnitudes (measurements,) [ohm], as stored or as trained; None where unknown."""
-    import numpy as np
-
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    stored = pipeline.stored
-    if isinstance(pipeline, Pipeline):
-        usual = pipeline.layout.reference
-        return usual if stored is None else stored.magnitudes(usual)
-    if stored is None or not np.isfinite(stored.impedance).all():
-        return None
-    return np.abs(stored.impedance)
 
 
 def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tuple[Finding, ...]":

@@ -15,8 +15,9 @@ from eitskin.cli.options import (
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.training.adaptation.recorded_touches import PositionScore, RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation, Report
+    from eitskin.training.evaluation.position_score import PositionScore
+    from eitskin.training.pipeline.pipeline import Pipeline
 
 
 @with_output
@@ -34,17 +35,18 @@ def command(
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.datasets.store.summary import specimens_in_words
-    from eitskin.training.adaptation.opening import open_pipeline
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation
+    from eitskin.training.evaluation.position_score import PositionScore
     from eitskin.training.evaluation.report.folder import require_report_folder
+    from eitskin.training.method.settings import POSITIONS
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     data = open_dataset(dataset)
     trained = open_pipeline(pipeline, own_method(method))
     if out is not None:
         require_report_folder(out)
-    if isinstance(trained, RecordedTouches):
-        score = trained.evaluate(data)
+    if trained.settings.method == POSITIONS:
+        score = PositionScore.of(trained, data)
         if out is not None:
             save_position_report(trained, data, out, output)
         output.result(score.as_dict(), position_table(score))
@@ -68,7 +70,7 @@ def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
 
 
 def save_position_report(
-    touches: "RecordedTouches", data: "Dataset", folder: Path, output: Output
+    touches: "Pipeline", data: "Dataset", folder: Path, output: Output
 ) -> None:
     """Write the report folder of touch positions, with machine, versions and date."""
     from eitskin.training.evaluation.report.folder import write_position_report

@@ -146,7 +146,7 @@ def _readings(board: "ReplayBoard", model: Path | None, method: str | None) -> "
 
     if model is None:
         return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
-    from eitskin.training.adaptation.opening import open_pipeline
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     pipeline = open_pipeline(model, own_method(method))
     return run_live(board, pipeline, newest=False, clock=lambda: math.nan)

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.protocol.messages import Info
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.method.predictions import Zero
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.pipeline.stored_reference import StoredReference, Zero
+    from eitskin.training.pipeline.references import StoredReference
 
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
@@ -62,8 +62,8 @@ def command(
     The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
     replay:DIRECTORY gives its first frames.
     """
-    from eitskin.training.adaptation.opening import open_pipeline
-    from eitskin.training.pipeline.stored_reference import Zero
+    from eitskin.training.method.predictions import Zero
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
@@ -88,7 +88,7 @@ def command(
 
 
 def taken_from_board(
-    pipeline: "Pipeline | RecordedTouches", board: "Board", frames: int, zero: "Zero"
+    pipeline: "Pipeline", board: "Board", frames: int, zero: "Zero"
 ) -> "StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""
     require_same_measurements(pipeline, board)
@@ -96,12 +96,9 @@ def taken_from_board(
     return pipeline.tare(taken, zero, board_number(board.info), board.uri)
 
 
-def require_same_measurements(pipeline: "Pipeline | RecordedTouches", board: "Board") -> None:
+def require_same_measurements(pipeline: "Pipeline", board: "Board") -> None:
     """Raise DataError where a board measures otherwise than a pipeline was trained."""
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
-    spec.require_same_measurements(board.protocol, board.info.frequency)
+    pipeline.layout.require_same_measurements(board.protocol, board.info.frequency)
 
 
 def reference_frame(folder: Path, specimen: int) -> "Frame":
@@ -141,14 +138,12 @@ def board_number(info: "Info") -> str:
     return info.uid.hex() if any(info.uid) else ""
 
 
-def use_reference(
-    pipeline: "Pipeline | RecordedTouches", path: Path, info: "Info | None", output: "Output"
-) -> None:
+def use_reference(pipeline: "Pipeline", path: Path, info: "Info | None", output: "Output") -> None:
     """Use the reference in a file; note its zero, and another board than this one.
 
     Raises the errors of `StoredReference.read` and of the pipeline's `use`.
     """
-    from eitskin.training.pipeline.stored_reference import StoredReference
+    from eitskin.training.pipeline.references import StoredReference
 
     reference = StoredReference.read(path)
     pipeline.use(reference)
@@ -161,11 +156,11 @@ def use_reference(
         )
 
 
-def tell_unjudged(pipeline: "Pipeline | RecordedTouches", output: "Output") -> None:
+def tell_unjudged(pipeline: "Pipeline", output: "Output") -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
     from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
 
-    if pipeline.stored is None and getattr(pipeline, "flat_sensors", None) is None:
+    if pipeline.stored is None and pipeline.flat_sensors is None:
         count = f"one of {pipeline.trained_on.get('specimens', 'an unknown number')}"
         known = "one of touch positions only" if pipeline.targets.positions_only else count
         output.note(

@@ -25,7 +25,6 @@ from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation, Report
     from eitskin.training.evaluation.selection import Selection
     from eitskin.training.method.interface import Method
@@ -77,7 +76,6 @@ def command(
     time.
     """
     from eitskin.datasets.store.folder import open_dataset
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.report.folder import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
@@ -94,7 +92,6 @@ def command(
             f"{alone}: touch positions are learned as docs/pipeline.md says; leave out --method"
         )
     start = time.perf_counter()
-    trained: Pipeline | RecordedTouches
     evaluation: Evaluation | None = None
     warnings: tuple[str, ...] = ()
     if alone:
@@ -109,7 +106,7 @@ def command(
     saved = trained.save(out)
     if report is not None and evaluation is not None:
         save_report(evaluation, report, output)
-    elif report is not None and isinstance(trained, RecordedTouches):
+    elif report is not None:
         save_position_report(trained, data, report, output)
     for warning in warnings:
         output.note(f"warning: {warning}")
@@ -289,10 +286,12 @@ def _comparison(selection: "Selection") -> Group:
     return Group(table, *remarks, f"chosen: {selection.preset}")
 
 
-def train_positions(data: "Dataset") -> "RecordedTouches":
+def train_positions(data: "Dataset") -> "Pipeline":
     """Regression of touch positions from a recording without geometry, with its metrics."""
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.evaluation.position_score import PositionScore
+    from eitskin.training.method.settings import POSITIONS, TrainingSettings
+    from eitskin.training.pipeline.pipeline import Pipeline
 
-    learned = RecordedTouches.fit(data)
-    learned.metrics.update(learned.evaluate(data).as_dict())
+    learned = Pipeline.fit(data, TrainingSettings(POSITIONS))
+    learned.metrics.update(PositionScore.of(learned, data).as_dict())
     return learned

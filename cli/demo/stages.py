@@ -37,6 +37,7 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.position_score import held_out_positions
 from eitskin.training.evaluation.report.drawing import CaptionedFigure
 from eitskin.training.evaluation.report.figures import draw_error_vectors, loss_curves
 from eitskin.training.evaluation.report.folder import PICTURES
@@ -323,7 +324,7 @@ def _presses(demo: Demo, path: Path, joined: Stage) -> None:
         f"{score['mean_error_mm']:.1f} mm on the last {score['frames']} (published beside the "
         f"data: 4.5 mm; always the middle: {score['guess_error_mm']:.0f} mm)",
     )
-    true, found = learned.found(recording)
+    true, found = held_out_positions(learned, recording)
     figure = draw_error_vectors(None, true, true, found, true[:0]).figure
     caption = (
         f"{path.name}: the last {len(true)} presses of a robot on a real, round hydrogel skin, "

@@ -27,9 +27,8 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
-from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Method
+from eitskin.training.method.interface import Adaptation, Calibration, Method
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.targets import Targets
 

@@ -16,11 +16,11 @@ from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Status
 from eitskin.simulator import Protocol
-from eitskin.training import Pipeline, RecordedTouches
-from eitskin.training.adaptation.labelled_presses import LabelledPresses
+from eitskin.training import Pipeline, TrainingSettings, open_pipeline
+from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
 from eitskin.training.evaluation.adaptation_curve import CurvePoint, pipeline_curve, press_curve
-from eitskin.training.method.calibration import TwinTrial
+from eitskin.training.method.interface import TwinTrial
 
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
 
@@ -132,7 +132,7 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     said = printed_json("adapt", "none", tmp_path / "presses", "--out", first)
     assert said["adaptation"]["mean_error_mm"] < 3.0
     assert {each["method"] for each in said["errors"]} == {"adapted", "ExtraTrees"}
-    assert RecordedTouches.load(first).trained_on["frames"] == 25
+    assert open_pipeline(first).trained_on["frames"] == 25
     words = ("adapt", first, tmp_path / "presses", "--out", second, "--no-table")
     assert "touch positions from 25 frames" in run(*words).stdout
     with pytest.raises(ConfigurationError, match="--replace"):
@@ -183,11 +183,11 @@ def test_the_sentence_tells_whether_the_twin_was_taken():
 
 @pytest.mark.slow
 def test_recordings_of_other_measurements_are_refused():
-    known = RecordedTouches.fit(toy_recording(), share=1.0)
-    assert known.described(toy_recording(5)).protocol is None
+    known = Pipeline.fit(toy_recording(), TrainingSettings("touch position"))
+    assert known.layout.described(toy_recording(5)).protocol is None
     other = Dataset.from_arrays(np.ones((2, 6)), np.ones(6), protocol=Protocol.pairwise(4))
     with pytest.raises(FrameError, match="8 channels, got 6"):
-        known.described(other)
+        known.layout.described(other)
 
 
 def test_a_channel_that_dies_or_drifts_after_the_adaptation_is_left_out(bends, pipeline):

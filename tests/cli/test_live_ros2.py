@@ -9,7 +9,7 @@ from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection
 from eitskin.hardware.ros2 import skin_node
-from eitskin.training.pipeline.stored_reference import Zero
+from eitskin.training.method.predictions import Zero
 
 from live_fakes import FakePipeline, frame, run_command
 

@@ -36,7 +36,7 @@ from eitskin.hardware.boards.port import remedy
 from eitskin.simulator import ForwardModel, Frame, Protocol, Scene
 from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
-from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.interface import Calibration
 from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline, require_writable
 

@@ -72,7 +72,7 @@ def test_pipelines_run_with_the_extra_live_alone(tmp_path) -> None:
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({[*blocked, "h5py"]!r}))
-from eitskin.training.adaptation.opening import open_pipeline
+from eitskin.training.pipeline.pipeline import open_pipeline
 for name in ("paper", "positions"):
     print(sorted(open_pipeline(f"{{name}}.eitmodel").targets.states))
 open_pipeline("reference.eitmodel")

@@ -31,9 +31,10 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
-from eitskin.training.adaptation.opening import open_pipeline
+from eitskin.training.method.predictions import Zero
+from eitskin.training.pipeline.pipeline import open_pipeline
+from eitskin.training.pipeline.references import StoredReference
 from eitskin.training.pipeline.saved_form import DOCUMENT, SHIPPED, SUMS
-from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 from eitskin.training.twin.parameters import TwinPrior
 
 

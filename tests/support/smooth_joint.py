@@ -6,8 +6,7 @@ from eitskin.geometry import SensorDesign
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.symmetry import mirrors
+from eitskin.training.method.input_spec import InputSpec, mirrors
 
 from smooth_sensor import FLAT, MEASUREMENTS, PROTOCOL, SIZE, TOUCH_PRIOR, curves, places, response
 

@@ -1,17 +1,142 @@
 """Gaussian-process maps of all channels over the sheet, with one covariance between channels."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh
-
-from eitskin.training.adaptation.place_kernel import KernelFeatures, PlaceKernel
+from scipy.linalg import eigh, solve_triangular
 
 Array = NDArray[np.float64]
+Rows = TypeVar("Rows", bound=Any)  # a dataclass of arrays
 
+MOST_PLACES = 400  # of a kernel's features; smooth maps over a sheet need no more
+DROPPED = 1e-6  # share of the prior variance that features may leave out
 ITERATIONS = 20
 BLOCK = 1000  # presses whose features are held at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignSpan:
+    """Span of the sensitivity maps that a design allows, whatever the instrument does.
+
+    To first order the response of every channel to a small change of conductivity at p is
+    sum_jk w_jk grad u_j . grad u_k (p), where u_j is the potential for a current into electrode j
+    (Geselowitz 1971): a linear network of loads and leaks at the electrodes changes the weights w
+    alone. Independent weights of equal variance give the covariance
+    sum_jk (grad u_j . grad u_k)(p) (grad u_j . grad u_k)(p').
+
+    Attributes:
+        maps: of pairs of electrodes, (pairs, rows, columns), rows along y; rms one over the sheet.
+        size: of the bounding box, along x and y (2,) [m].
+    """
+
+    maps: Array
+    size: Array
+
+    def features(self, places: ArrayLike) -> Array:
+        """Maps at places (n, 2) [m], linear between the pixels, (n, pairs)."""
+        _, rows, columns = self.maps.shape
+        flat = self.maps.reshape(len(self.maps), -1)
+        at = np.asarray(places, dtype=float) / self.size * [columns, rows] - 0.5
+        at = np.clip(at, 0.0, [columns - 1.0, rows - 1.0])
+        corner = np.minimum(np.floor(at).astype(int), [columns - 2, rows - 2])
+        (u, v), first = (at - corner).T, corner[:, 1] * columns + corner[:, 0]
+        features: Array = (
+            flat[:, first] * (1.0 - u) * (1.0 - v)
+            + flat[:, first + 1] * u * (1.0 - v)
+            + flat[:, first + columns] * (1.0 - u) * v
+            + flat[:, first + columns + 1] * u * v
+        ).T
+        return features
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceKernel:
+    """Matern 5/2 covariance of two places, mixed with the covariance of a design's span.
+
+    Attributes:
+        length: length scale [m].
+        span: of the design; None for the plain kernel.
+        share: of the span in the variance, 0 to 1.
+    """
+
+    length: float
+    span: DesignSpan | None = None
+    share: float = 0.0
+
+    def __call__(self, first: ArrayLike, second: ArrayLike) -> Array:
+        """Covariances (n, m) of places (n, 2) and (m, 2) [m]."""
+        covariance: Array = self.of_features(self.described(first), self.described(second))
+        return covariance
+
+    def described(self, places: ArrayLike) -> tuple[Array, Array]:
+        """Places (n, 2) [m], and the span's maps there (n, pairs); none without a share."""
+        points = np.asarray(places, dtype=float)
+        if self.span is None or self.share == 0.0:
+            return points, np.zeros((len(points), 0))
+        return points, self.span.features(points)
+
+    def of_features(self, first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+        """Covariances (n, m) of places that `described` told of."""
+        (a, span_a), (b, span_b) = first, second
+        square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
+        d = np.sqrt(5.0 * np.maximum(square, 0.0)) / self.length
+        covariance: Array = (1.0 - self.share) * (1.0 + d + d**2 / 3.0) * np.exp(-d)
+        return covariance + self.share * span_a @ span_b.T
+
+    def variance(self, places: ArrayLike) -> Array:
+        """Variances (n,) at places (n, 2) [m]."""
+        _, span = self.described(places)
+        variance: Array = 1.0 - self.share + self.share * np.sum(span**2, axis=1)
+        return variance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelFeatures:
+    """Features phi with phi(p) . phi(p') = k(p, p'), exact at the chosen places.
+
+    Attributes:
+        kernel: the covariance.
+        chosen: places that carry the features (m, 2) [m].
+        factor: lower Cholesky factor of their covariance (m, m).
+    """
+
+    kernel: PlaceKernel
+    chosen: Array
+    factor: Array
+
+    @classmethod
+    def of(
+        cls, kernel: PlaceKernel, places: ArrayLike, most: int = MOST_PLACES
+    ) -> "KernelFeatures":
+        """Choose places by a pivoted Cholesky factorisation (Harbrecht et al. 2012).
+
+        Each step takes the place whose variance is explained worst, until `DROPPED` of the sum is
+        left or `most` places are chosen: memory is bounded however many places there are.
+        """
+        points = np.asarray(places, dtype=float)
+        left, described = kernel.variance(points), kernel.described(points)
+        total, rows = float(left.sum()), np.zeros((min(most, len(points)), len(points)))
+        chosen: list[int] = []
+        for step in range(len(rows)):
+            best = int(np.argmax(left))
+            if left.sum() <= DROPPED * total or left[best] <= 1e-9 * total / len(points):
+                break
+            own = (described[0][best : best + 1], described[1][best : best + 1])
+            row = kernel.of_features(own, described)[0] - rows[:step, best] @ rows[:step]
+            rows[step] = row / np.sqrt(left[best])
+            left = np.maximum(left - rows[step] ** 2, 0.0)
+            left[best] = 0.0
+            chosen.append(best)
+        return cls(kernel, points[chosen], np.tril(rows[: len(chosen), chosen].T))
+
+    def __call__(self, places: ArrayLike) -> Array:
+        """Features (n, m) of places (n, 2) [m]."""
+        covariance = self.kernel(self.chosen, places)
+        features: Array = solve_triangular(self.factor, covariance, lower=True).T
+        return features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,19 +176,26 @@ class Presses:
         )
 
     @property
+    def unit_scale(self) -> Array:
+        """Root mean square answer of each channel at strength one (C,); one where it has none."""
+        scale = np.sqrt(np.mean((self.answers / self.strength[:, None]) ** 2, axis=0))
+        return np.where(scale > 0.0, scale, 1.0)
+
+    @property
     def owners(self) -> NDArray[np.int64]:
         """Numbers of the recorded presses, each once."""
         return np.unique(self.owner)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Presses":
         """Some of the presses, which keep their owners' numbers."""
-        return Presses(
-            self.places[which],
-            self.strength[which],
-            self.answers[which],
-            self.weight[which],
-            self.owner[which],
-        )
+        return Presses(*(getattr(self, each.name)[which] for each in fields(self)))
+
+
+def concatenate(parts: Sequence[Rows]) -> Rows:
+    """Rows of all parts, dataclasses of arrays (n, ...) each."""
+    names = [each.name for each in fields(parts[0])]
+    joined = type(parts[0])(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+    return cast("Rows", joined)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

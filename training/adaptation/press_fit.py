@@ -1,27 +1,36 @@
 """Learning of touch places from few labelled presses of one sensor."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
-from eitskin.training.adaptation.channel_maps import ChannelMaps, Presses
-from eitskin.training.adaptation.labelled_presses import LabelledPresses
-from eitskin.training.adaptation.map_choice import MapChoice, SheetKnowledge
-from eitskin.training.adaptation.map_grid import MapGrid, Places, mixture_places
-from eitskin.training.adaptation.place_kernel import DesignSpan
-from eitskin.training.adaptation.position_regressor import log_ratio
-from eitskin.training.adaptation.press_locator import PressLocator
-from eitskin.training.adaptation.press_strength import StrengthLaw, learned_strength, unit_scale
-from eitskin.training.adaptation.sectors import Sectors
+from eitskin.training.adaptation.channel_maps import (
+    ChannelMaps,
+    DesignSpan,
+    PlaceKernel,
+    Presses,
+    concatenate,
+)
+from eitskin.training.adaptation.locator import (
+    MapGrid,
+    Places,
+    PressLocator,
+    log_ratio,
+    mixture_places,
+)
+from eitskin.training.adaptation.sheet import MapChoice, Sectors, SheetKnowledge, design_span
+from eitskin.training.method.known_frames import held_numbers
+from eitskin.training.method.settings import single_touches
 
 Array = NDArray[np.float64]
-
+Rows = NDArray[np.int64]
 FEWEST = 5  # labelled presses
 GRID_POINTS = 44  # along the longer side of the sheet
 FOLDS = 5
@@ -31,6 +40,159 @@ MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
 PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
 # Presses at which learned covariances double the error variance, without the design and with it.
 COVARIANCE_PRESSES, WITH_DESIGN = 10.0, 4.0
+EXPONENTS = np.arange(0.0, 2.1, 0.4)
+USUAL_EXPONENT, EXPONENT_SPREAD = 1.25, 0.4  # 1 of a force, 1.5 of a depth by Hertz's contact
+NOISE = 0.05
+ROUNDS = 4
+SPREAD = 0.5  # prior standard deviation of the logarithm of an unknown strength
+_MOST = 150  # presses that an exponent is learned from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledPresses:
+    """n frames of presses of one sensor, in the order of time, and what is known of the sensor.
+
+    Attributes:
+        ratios: |V / ref| (n, C), ref being untouched.
+        places: of the touches (n, 2) [m].
+        label: depth [m] or else force [N] of each (n,); None where not all are known.
+        design: of the sensor; None where unknown.
+        protocol: of the channels; None where unknown.
+    """
+
+    ratios: Array
+    places: Array
+    label: Array | None = None
+    design: SensorDesign | None = None
+    protocol: Protocol | None = None
+
+    @classmethod
+    def of(cls, dataset: Dataset, frames: Rows | None = None) -> "LabelledPresses":
+        """Presses of a dataset: all of them, or those of `frames` (n,), of one touch each."""
+        rows = single_touches(dataset) if frames is None else frames
+        return cls(
+            _ratios(dataset, rows),
+            touch_places(dataset, rows),
+            _label(dataset, rows),
+            dataset.design,
+            dataset.protocol,
+        )
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.ratios)
+
+    @property
+    def held(self) -> Rows:
+        """Number of the press of each frame (n,): frames in succession may see one held touch."""
+        known = [self.places] if self.label is None else [self.places, self.label]
+        return held_numbers(np.column_stack(known))
+
+    def select(self, rows: Rows) -> "LabelledPresses":
+        """Presses at `rows` (k,)."""
+        label = None if self.label is None else self.label[rows]
+        return replace(self, ratios=self.ratios[rows], places=self.places[rows], label=label)
+
+
+def touch_places(dataset: Dataset, frames: Rows | slice = slice(None)) -> Array:
+    """Positions (k, 2) [m] of the one touch in each of `frames` (k,)."""
+    x, y = (np.nansum(values[frames], axis=1) for values in (dataset.touch_x, dataset.touch_y))
+    return np.stack([x, y], axis=1).astype(float)
+
+
+def _label(dataset: Dataset, frames: Rows) -> Array | None:
+    """Depth [m] or else force [N] of the one touch in each of `frames` (k,); None where unknown."""
+    touched = np.isfinite(dataset.touch_x[frames])
+    for values in (dataset.touch_depth, dataset.touch_force):
+        label: Array = np.where(touched, values[frames], 0.0).sum(axis=1, dtype=float)
+        if len(label) and np.isfinite(label).all() and (label > 0).all():
+            return label
+    return None
+
+
+def _ratios(dataset: Dataset, frames: Rows) -> Array:
+    """|V / ref| (k, C) of `frames`; ref is flat where the untouched sensor was not recorded."""
+    free = dataset.touch_reference[frames]
+    known = np.isfinite(free).all(axis=1, keepdims=True)
+    reference = np.where(known, free, dataset.reference[dataset.specimen[frames]])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(dataset.impedance[frames] / reference).astype(float)
+
+
+@dataclass(frozen=True, slots=True)
+class StrengthLaw:
+    """Strength s = (label / middle)^exponent of a press of known depth or force.
+
+    Attributes:
+        middle: label of a press of strength one, in its own unit.
+        exponent: dimensionless; zero where strength does not depend on the label.
+    """
+
+    middle: float
+    exponent: float
+
+    @classmethod
+    def fit(
+        cls, density: Callable[[Presses], Array], presses: Presses, label: ArrayLike
+    ) -> "StrengthLaw":
+        """Exponent of the largest posterior density.
+
+        Args:
+            density: log predictive density of each press when it is left out (n,).
+            presses: of any strength.
+            label: depth or force of each, positive (n,).
+        """
+        values = np.asarray(label, dtype=float)
+        middle = float(np.median(values))
+        if np.ptp(values) < 0.01 * middle:
+            return cls(middle, 1.0)
+        some = np.arange(0, len(values), -(-len(values) // _MOST))
+        part = presses.select(some)
+        found = []
+        for exponent in EXPONENTS:
+            strength = (values[some] / middle) ** exponent
+            off = (exponent - USUAL_EXPONENT) / EXPONENT_SPREAD
+            found.append(np.sum(density(replace(part, strength=strength))) - 0.5 * off**2)
+        best = int(np.clip(np.argmax(found), 1, len(EXPONENTS) - 2))
+        a, b, c = found[best - 1 : best + 2]
+        bend = a - 2.0 * b + c
+        shift = 0.5 * (a - c) / bend if bend < 0.0 else 0.0
+        step = float(EXPONENTS[1] - EXPONENTS[0])
+        return cls(middle, float(EXPONENTS[best]) + step * float(np.clip(shift, -1.0, 1.0)))
+
+    def strength(self, label: ArrayLike) -> Array:
+        """Strength (n,) of depths or forces (n,)."""
+        strength: Array = (np.asarray(label, dtype=float) / self.middle) ** self.exponent
+        return strength
+
+    def label(self, strength: ArrayLike) -> Array:
+        """Depths or forces (n,) of strengths (n,); NaN where the exponent tells nothing."""
+        s = np.asarray(strength, dtype=float)
+        if self.exponent < 0.25:
+            return np.full(s.shape, np.nan)
+        label: Array = self.middle * s ** (1.0 / self.exponent)
+        return label
+
+
+def learned_strength(kernel: PlaceKernel, presses: Presses) -> Array:
+    """Strengths (n,) of presses of unknown depth and force, of geometric mean one.
+
+    Each in turn is the factor by which the maps of the other presses explain its answers best.
+    """
+    strength = np.ones(len(presses.strength))
+    for _ in range(ROUNDS):
+        scaled = replace(presses, strength=strength)
+        scaled = replace(scaled, answers=scaled.answers / scaled.unit_scale)
+        maps = ChannelMaps.fit(kernel, scaled, NOISE)
+        mean, variance = maps.left_out(scaled)
+        seen = scaled.answers @ maps.covariance.whitening
+        map_mean, weight = mean / strength[:, None], 1.0 / variance
+        prior = 1.0 / SPREAD**2
+        best = np.sum(weight * seen * map_mean, axis=1) + prior
+        best /= np.sum(weight * map_mean**2, axis=1) + prior
+        strength = np.clip(best, 0.05, 20.0)
+        strength /= np.exp(np.mean(np.log(strength)))
+    return strength
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +262,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     locator = PressLocator(
         fitted[0].grid(region),
         fitted[0].gains,
-        unit_scale(recorded),
+        recorded.unit_scale,
         xy.mean(axis=0),
         float(np.sqrt(variance)),
         max(MISFIT, MISFIT_MARGIN * usual),
@@ -204,7 +366,7 @@ def _of_design(
     if design is None or not isinstance(design.outline, PlaneOutline):
         return None, None
     fits = protocol is not None and len(protocol) == channels
-    return DesignSpan.of(design), Sectors.of(design, protocol) if fits else None
+    return design_span(design), Sectors.of(design, protocol) if fits else None
 
 
 def _with_strength(
@@ -234,6 +396,4 @@ def _cross_validated(
         place = mixture_places([each.grid(region).locate(answers / each.gains) for each in fitted])
         found.append(place)
         errors.append(np.linalg.norm(place.place - presses.places[tested], axis=1))
-    names = ("place", "deviation", "strength", "misfit")
-    joined = Places(*(np.concatenate([getattr(each, name) for each in found]) for name in names))
-    return joined, np.concatenate(errors)
+    return concatenate(found), np.concatenate(errors)

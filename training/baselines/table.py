@@ -14,12 +14,10 @@ from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.errors import DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
-from eitskin.training.method.missing_channels import MissingChannels
-from eitskin.training.method.observations import Observations
+from eitskin.training.method.observations import MissingChannels, Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
-from eitskin.training.method.targets import STATE_NAMES, Targets, most_probable
-from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames, most_probable
 
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]

@@ -16,8 +16,12 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.errors import DataError
 from eitskin.extras import require
-from eitskin.training.adaptation.labelled_presses import LabelledPresses, places_of
-from eitskin.training.adaptation.press_fit import FEWEST, learn_places
+from eitskin.training.adaptation.press_fit import (
+    FEWEST,
+    LabelledPresses,
+    learn_places,
+    touch_places,
+)
 from eitskin.training.evaluation.matching import match_distances
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations
@@ -142,7 +146,7 @@ def _judge(errors: _Errors, pipeline: Pipeline, data: Dataset) -> None:
     if pipeline.targets.angle and (bent := _bent(data)).any():
         errors.add_angles(said.bend_angle_deg[bent] - data.bend_angle_deg[bent])
     if pipeline.targets.touches and (touched := np.flatnonzero(data.touch_count == 1)).size:
-        truth = places_of(data, touched)
+        truth = touch_places(data, touched)
         pairs = [(truth[[k]], said.touches[row].place[:1]) for k, row in enumerate(touched)]
         errors.add_places([d for pair in pairs for d in match_distances(*pair)], len(pairs))
 
@@ -158,7 +162,8 @@ def _judge_forests(errors: _Errors, shown: Dataset, data: Dataset) -> None:
     known, asked = shown.touch_count == 1, data.touch_count == 1
     if known.any() and asked.any():
         place, truth = (
-            places_of(each, np.flatnonzero(mask)) for each, mask in ((shown, known), (data, asked))
+            touch_places(each, np.flatnonzero(mask))
+            for each, mask in ((shown, known), (data, asked))
         )
         found = _forest(_good(learned.dynamic[known]), place, _good(tested.dynamic[asked]))
         errors.add_places(np.linalg.norm(found - truth, axis=1), len(truth))

@@ -14,7 +14,7 @@ from eitskin.training.joint.angles.estimate import angle_standard_error, estimat
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
-from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.interface import Calibration
 from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames
 from eitskin.training.method.observations import UNKNOWN_AGE
 

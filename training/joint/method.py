@@ -40,16 +40,13 @@ from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
-from eitskin.training.method.calibration import Adaptation
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Method
+from eitskin.training.method.interface import Adaptation, LearningCurve, Method
 from eitskin.training.method.known_frames import KnownFrames
-from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
-from eitskin.training.method.targets import Targets
-from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.method.targets import Targets, TrainingFrames
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import CLAMP_FIELDS, State
-from eitskin.training.method.symmetry import Mirror
+from eitskin.training.method.input_spec import Mirror
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eitskin.training.joint.combinations import Combinations, log_change
 from eitskin.training.joint.prior import MARGIN, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
-from eitskin.training.method.calibration import TwinTrial
+from eitskin.training.method.interface import TwinTrial
 from eitskin.training.method.known_frames import KnownFrames, TwinPresses
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
 from eitskin.training.joint.proposal_model import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import TouchResponse
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import dense_layers, seeded_network
 from eitskin.training.method.settings import NetworkSettings, Progress
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, InputRanges, TouchResponse
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import seeded_network, train_network
 from eitskin.training.method.settings import NetworkSettings, Progress
 

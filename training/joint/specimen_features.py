@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.training.method.symmetry import Mirror
+from eitskin.training.method.input_spec import Mirror
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 
 Arrays = dict[str, NDArray[np.generic]]
 

@@ -24,10 +24,9 @@ from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.input_spec import InputSpec, mirrors
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import JointSettings, Progress, silent
-from eitskin.training.method.symmetry import mirrors
 from eitskin.training.method.targets import NOMINAL_RADIUS
 
 if TYPE_CHECKING:

@@ -1,6 +1,9 @@
-"""Input specification of a pipeline: sensor, protocol and units; refusal of other frames."""
+"""Input of a pipeline: sensor, protocol, units and their symmetries; refusal of other frames."""
 
-from collections.abc import Mapping
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -10,11 +13,126 @@ from numpy.typing import NDArray
 from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import DataError, FrameError, UnusableFrameError
+from eitskin.errors import ConfigurationError, DataError, FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
-from eitskin.training.method.symmetry import electrode_orders
+
+Array = NDArray[np.float64]
+
+_GRID = 37  # points along x and along y at which an outline is compared with its image
+MOST_ORDERED = 64  # electrodes, of which wrong orders are tried
+_TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirror:
+    """One mirror symmetry, or the identity.
+
+    Attributes:
+        flips: whether x and whether y are reversed.
+        order: the mirrored sensor's measurement i has the magnitude of the sensor's order[i], (m,).
+        size: length and width of the sensor [m].
+    """
+
+    flips: tuple[bool, bool]
+    order: NDArray[np.int64]
+    size: tuple[float, float]
+
+    def places(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Mirror images of positions x and y (...) [m]."""
+        (length, width), (flip_x, flip_y) = self.size, self.flips
+        return (length - x if flip_x else x), (width - y if flip_y else y)
+
+
+def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
+    """All mirror symmetries of a sensor and its protocol, the identity first.
+
+    The hinge lies in the middle and bends about y, so it breaks none of the sensor's symmetries.
+    """
+    length, width = design.outline.length, design.outline.width
+    places = np.array([[e.x, e.y] for e in design.electrodes])
+    found = []
+    for flips in ((False, False), (True, False), (False, True), (True, True)):
+        image = np.where(flips, (length, width) - places, places)
+        distance = np.linalg.norm(image[:, None] - places[None], axis=2)
+        partner = distance.argmin(axis=1)
+        same = (
+            _same_outline(design, flips)
+            and distance.min(axis=1).max() < _TOLERANCE
+            and all(_alike(design, a, b) for a, b in enumerate(partner.tolist()))
+        )
+        order = _order(np.array(protocol.table), partner) if same else None
+        if order is not None:
+            found.append(Mirror(flips, order, (length, width)))
+    return tuple(found)
+
+
+def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Wrong orders of the electrodes, in words, and the measurements that these exchange.
+
+    Two electrodes are exchanged, or all are counted from another one, in either direction; none of
+    more than `MOST_ORDERED` electrodes, whose pairs are too many to try.
+
+    Yields:
+        name: of the order.
+        order: number of the measurement that is in each one's place (m,).
+    """
+    numbers = np.arange(protocol.n_electrodes)
+    if len(numbers) > MOST_ORDERED:
+        return
+    orders = []
+    for a, b in itertools.combinations(numbers.tolist(), 2):
+        exchanged = numbers.copy()
+        exchanged[[a, b]] = b, a
+        orders.append((f"electrodes {a} and {b} exchanged", exchanged))
+    for first, way in itertools.product(numbers.tolist(), ("", "backwards ")):
+        counted = (first + (-numbers if way else numbers)) % len(numbers)
+        orders.append((f"electrodes counted {way}from {first} on", counted))
+    table = np.array(protocol.table)
+    for name, partner in orders:
+        if (order := _order(table, partner)) is not None:
+            yield name, order
+
+
+def _alike(design: SensorDesign, a: int, b: int) -> bool:
+    """Whether two electrodes differ in nothing but their position."""
+    one, other = (dataclasses.replace(design.electrodes[i], x=0.0, y=0.0) for i in (a, b))
+    return one == other
+
+
+def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
+    """Whether the outline equals its mirror image, on a grid of points."""
+    if isinstance(design.outline, Surface):
+        return not any(flips)
+    length, width = design.outline.length, design.outline.width
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    x, y = (axis.ravel() for axis in np.meshgrid(steps * length, steps * width))
+    mirrored = np.stack([length - x if flips[0] else x, width - y if flips[1] else y], axis=1)
+    here, there = (design.outline.contains(p) for p in (np.stack([x, y], axis=1), mirrored))
+    return bool(np.array_equal(here, there))
+
+
+def _order(table: NDArray[np.int64], partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
+    """Number of each measurement's image (m,) under partners of the electrodes.
+
+    None where a protocol's table (m, 4) lacks one. Reversed polarities change the sign of a
+    measurement, not its magnitude.
+    """
+    codes, images = _codes(table, len(partner)), _codes(partner[table], len(partner))
+    sorter = np.argsort(codes, kind="stable")
+    order = sorter[np.searchsorted(codes[sorter], images, "right") - 1]
+    return order if np.array_equal(codes[order], images) else None
+
+
+def _codes(table: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Numbers (m,), the same for rows whose pairs of electrodes are the same in either order."""
+    low, high = np.moveaxis(np.sort(table.reshape(-1, 2, 2), axis=2), 2, 0)
+    drive, sense = (low * count + high).T
+    codes: NDArray[np.int64] = drive * count**2 + sense
+    return codes
+
 
 FREQUENCY_TOLERANCE = 0.01  # relative
 LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
@@ -34,20 +152,23 @@ class InputSpec:
     """Sensor, measurements and units that a pipeline was trained for.
 
     Attributes:
-        design: the nominal sensor.
-        protocol: the table of measurements.
-        frequency: of the excitation [Hz].
+        known_design: the nominal sensor; None where a recording of touches tells none.
+        known_protocol: the table of measurements; None as above.
+        frequency: of the excitation [Hz]; NaN where unknown.
         reference: magnitudes of the flat, untouched sensor (measurements,) [ohm]; median over the
-            specimens trained with.
+            specimens trained with; NaN where any sensor is taken.
         spread: largest root mean square of the logarithms of a sensor's magnitudes over
             `reference`, less a common factor, that is taken for a sensor of this design.
+        extent: smallest and largest x and y of the touches trained with (2, 2) [m]; None where no
+            method needs them.
     """
 
-    design: SensorDesign
-    protocol: Protocol
+    known_design: SensorDesign | None
+    known_protocol: Protocol | None
     frequency: float
     reference: NDArray[np.float64]
     spread: float = LARGEST_SPREAD
+    extent: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, dataset: Dataset, design: SensorDesign, protocol: Protocol) -> "InputSpec":
@@ -65,21 +186,36 @@ class InputSpec:
     def document(self) -> dict[str, Any]:
         """Plain data for JSON, without `reference`."""
         return {
-            "design": to_dict(self.design),
-            "protocol": asdict(self.protocol),
-            "frequency": self.frequency,
+            "design": self.known_design and to_dict(self.known_design),
+            "protocol": self.known_protocol and asdict(self.known_protocol),
+            "frequency": None if math.isnan(self.frequency) else self.frequency,
             "spread": self.spread,
+            "extent": None if self.extent is None else self.extent.tolist(),
+            "channels": len(self.reference),
             "units": {"impedance": "ohm", "frequency": "Hz", "length": "m", "angle": "degree"},
         }
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "InputSpec":
-        """Restore the specification.
+    def from_document(
+        cls, document: Mapping[str, Any], reference: NDArray[Any] | None
+    ) -> "InputSpec":
+        """Restore the specification; without a reference, that of touches on a recorded sensor.
 
         Raises ConfigurationError or DataError for values that no training gives.
         """
-        design = from_dict(SensorDesign, document["design"], "layout.design")
-        protocol = from_dict(Protocol, document["protocol"], "layout.protocol")
+        design, protocol = document["design"], document["protocol"]
+        design = design and from_dict(SensorDesign, design, "layout.design")
+        protocol = protocol and from_dict(Protocol, protocol, "layout.protocol")
+        extent = document.get("extent")
+        if reference is None:
+            frequency = document["frequency"]
+            return cls(
+                design,
+                protocol,
+                math.nan if frequency is None else float(frequency),
+                np.full(int(document["channels"]), np.nan),
+                extent=None if extent is None else np.array(extent, dtype=float),
+            )
         frequency, spread = float(document["frequency"]), document.get("spread", LARGEST_SPREAD)
         if reference.shape != (len(protocol),) or not np.all(reference >= 0) or not reference.any():
             raise DataError(
@@ -92,6 +228,33 @@ class InputSpec:
                 f"Hz and {float(spread):g}; train the pipeline again"
             )
         return cls(design, protocol, frequency, reference.astype(float), float(spread))
+
+    @property
+    def design(self) -> SensorDesign:
+        """The nominal sensor; raises ConfigurationError where none is known."""
+        if self.known_design is None:
+            raise ConfigurationError(
+                "expected a pipeline that knows its sensor's design, got one of touch positions "
+                "from a recording without; import the recording with --sensor and train again"
+            )
+        return self.known_design
+
+    @property
+    def protocol(self) -> Protocol:
+        """The table of measurements; raises ConfigurationError where none is known."""
+        if self.known_protocol is None:
+            raise ConfigurationError(
+                "expected a pipeline that knows its table of measurements, got one of touch "
+                "positions from a recording without; import it with --protocol and train again"
+            )
+        return self.known_protocol
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the measurements; their numbers where no table is known."""
+        if self.known_protocol is None:
+            return tuple(str(number) for number in range(len(self.reference)))
+        return self.known_protocol.labels
 
     @property
     def outline(self) -> tuple[float, float]:
@@ -118,17 +281,33 @@ class InputSpec:
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
         """Refuse a protocol or frequency [Hz] other than the trained one; raises FrameError."""
-        self.protocol.require_same(
-            protocol,
-            "this pipeline was trained for",
-            "the frames have",
-            "set the board to the first, or train a pipeline for the second",
-        )
+        if self.known_protocol is None and len(protocol) != len(self.reference):
+            raise FrameError(
+                f"this pipeline was trained for {len(self.reference)} channels, got "
+                f"{len(protocol)}; train on recordings of this sensor"
+            )
+        if self.known_protocol is not None:
+            self.known_protocol.require_same(
+                protocol,
+                "this pipeline was trained for",
+                "the frames have",
+                "set the board to the first, or train a pipeline for the second",
+            )
         if abs(frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
             raise FrameError(
                 f"this pipeline was trained at {self.frequency:g} Hz, the frames were measured "
                 f"at {frequency:g} Hz; set the board to that frequency"
             )
+
+    def described(self, dataset: Dataset) -> Dataset:
+        """The dataset with this design and protocol where it has none.
+
+        Raises FrameError for other measurements.
+        """
+        protocol = dataset.protocol or self.known_protocol
+        if protocol is not None:
+            self.require_same_measurements(protocol, dataset.frequency)
+        return replace(dataset, protocol=protocol, design=dataset.design or self.known_design)
 
     def of_sensor(self, flat: NDArray[np.float64]) -> "InputSpec":
         """Specification for one sensor of this design.
@@ -169,7 +348,9 @@ class InputSpec:
         )
 
     def _require_like(self, voltages: NDArray[np.complex128], limit: float, remedy: str) -> None:
-        known = np.flatnonzero(np.isfinite(voltages))
+        known = np.flatnonzero(np.isfinite(voltages) & np.isfinite(self.reference))
+        if not known.size:
+            return
         logs = np.log(np.abs(voltages[known] / self.reference[known]))
         spread, common = _spread(logs, _weights(self.reference)[known])
         worst = self.protocol.labels[known[np.abs(logs - common).argmax()]]

@@ -13,7 +13,7 @@ import torch  # noqa: TID253  see above
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.errors import ConfigurationError
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings
 
 Network = TypeVar("Network", bound=nn.Module)

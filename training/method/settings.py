@@ -1,4 +1,4 @@
-"""Settings of a training run: method, hyper-parameters of the networks, seed."""
+"""Settings of a training run: method, hyper-parameters, seed, and the part that is held out."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,15 +10,52 @@ from numpy.typing import NDArray
 from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
-from eitskin.training.method.hold_out import hold_out
+
+SHARE = 0.2  # of the specimens, or of the frames
+
+
+def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Frames (n,) to train with, and frames of other specimens to judge by.
+
+    A fifth of the specimens, at least one, is drawn at random. For a single specimen the held-out
+    part is the last fifth in time of the frames of each state: neighbours in time are too similar
+    to judge by.
+
+    Args:
+        dataset: at least two frames.
+        seed: of the draw.
+    """
+    specimens = np.random.default_rng(seed).permutation(np.unique(dataset.specimen))
+    if len(specimens) > 1:
+        drawn = specimens[: max(1, round(SHARE * len(specimens)))]
+        held_out = np.isin(dataset.specimen, drawn)
+    else:
+        held_out = _ends(dataset)
+    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
+
+
+def _ends(dataset: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) is in the last fifth in time of its state."""
+    late = np.zeros(len(dataset), dtype=np.bool_)
+    for state in np.unique(dataset.state):
+        frames = np.flatnonzero(dataset.state == state)
+        order = np.lexsort((frames, dataset.time[frames], dataset.episode[frames]))
+        late[frames[order][len(frames) - round(SHARE * len(frames)) :]] = True
+    return late
+
 
 BASELINES = ("ridge", "mlp", "extra-trees", "greit")
 """Names of methods to compare others with, and of their presets."""
 
-METHODS = ("joint", "paper", *BASELINES)
+POSITIONS = "touch position"
+"""Name of the method that learns positions of touches alone, with or without a design."""
+
+METHODS = ("joint", "paper", *BASELINES, POSITIONS)
 """Names of the methods that come with eitskin; those of others have a colon in their name."""
 
 PRESETS = ("joint", "quick", "paper", *BASELINES)
+
+POSITION_SHARE = 0.8  # neighbours in time are too similar to test on
 
 Progress = Callable[[str, int, int], None]
 """Callback with the name of a stage, the steps done and their total number."""
@@ -153,7 +190,13 @@ class TrainingSettings:
         """Frames (n,) of the training, validation and test part of a dataset.
 
         With `whole_specimens` the validation part is the test part: losses on it select nothing.
+        Touch positions are learned from the first of the single touches in time, by the option
+        `share` (0.8), and tested on the others.
         """
+        if self.method == POSITIONS:
+            touches = single_touches(dataset)
+            count = round(self.options.get("share", POSITION_SHARE) * len(touches))
+            return touches[:count], touches[:0], touches[count:]
         if not self.whole_specimens:
             return dataset.split(self.fractions, self.seed)
         kept, held_out = hold_out(dataset, self.seed)
@@ -222,6 +265,13 @@ class TrainingSettings:
             classifier=self.classifier.shortened(share),
             postprocessor=self.postprocessor.shortened(share),
         )
+
+
+def single_touches(dataset: Dataset) -> NDArray[np.int64]:
+    """Numbers of the frames with exactly one touch, in the order of time (n,)."""
+    one = np.flatnonzero(dataset.touch_count == 1)
+    order = np.lexsort((one, dataset.time[one], dataset.episode[one]))
+    return one[order]
 
 
 def _with_one_number_of_steps(document: Mapping[str, Any]) -> dict[str, Any]:

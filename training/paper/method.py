@@ -11,23 +11,19 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.training.method.calibration import Adaptation, Calibration
-from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Method
+from eitskin.training.method.input_spec import InputSpec, mirrors
+from eitskin.training.method.interface import Adaptation, Calibration, LearningCurve, Method
 from eitskin.training.method.known_frames import KnownFrames
-from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.missing_channels import MissingChannels
-from eitskin.training.method.observations import Observations, channel_noise
+from eitskin.training.method.observations import MissingChannels, Observations, channel_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
-from eitskin.training.method.symmetry import mirrors
 from eitskin.training.method.targets import (
     STATE_NAMES,
     Targets,
+    TrainingFrames,
     most_probable,
     untouched_angles,
 )
-from eitskin.training.method.training_frames import TrainingFrames
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.reconstruction import (
     Reconstruction,

@@ -11,7 +11,7 @@ import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     Batch,
     Loss,

@@ -11,7 +11,7 @@ from scipy import ndimage
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.extras import require
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
 from eitskin.training.paper.layers import (
     Network,

@@ -1,12 +1,32 @@
-"""Registry of methods: those that come with eitskin, and those that a user names the code of."""
+"""Methods: those that come with eitskin, and custom ones, whose code is named, run and checked."""
 
-from eitskin.errors import DataError
+import importlib.metadata
+import inspect
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.baselines.greit_centroid import GreitMethod
 from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.method.interface import Method
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import FILE_MODULE, Arrays, Method
+from eitskin.training.method.observations import Observations
+from eitskin.training.method.settings import TrainingSettings
 from eitskin.training.paper.method import PaperMethod
-from eitskin.training.pipeline.own_methods import MethodCodeError
+
+GROUP = "eitskin.methods"
+"""Group of the entry points by which installed packages offer methods."""
+
+SAME = 1e-4  # relative difference of outputs of a method and of its restored copy
+
 
 SHIPPED_METHODS: dict[str, type[Method]] = {
     method.KIND: method
@@ -17,8 +37,13 @@ SHIPPED_METHODS: dict[str, type[Method]] = {
         MlpMethod,
         ExtraTreesMethod,
         GreitMethod,
+        TouchPositions,
     )
 }
+
+
+class MethodCodeError(ConfigurationError):
+    """Code of a method that is missing, not the one expected, or wrong."""
 
 
 def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
@@ -57,3 +82,139 @@ def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
             f"this pipeline was trained by {kind}, got the code of {own.KIND}; name that of {name}"
         )
     return own
+
+
+def named_method(name: str) -> type[Method]:
+    """Class of a method of the user's own. The code that is named is run.
+
+    Args:
+        name: FILE.py:CLASS, or the name of an installed entry point of the group
+            `eitskin.methods`.
+
+    Raises MethodCodeError for code that is not there, cannot be run, or is no method.
+    """
+    path, _, class_name = name.rpartition(":")
+    found = _in_file(Path(path), class_name) if path.endswith(".py") else _installed(name)
+    if not (isinstance(found, type) and issubclass(found, Method)):
+        raise MethodCodeError(
+            f"expected {name} to be a class derived from eitskin.training.Method, got {found!r}"
+        )
+    if inspect.isabstract(found):
+        missing = ", ".join(sorted(found.__abstractmethods__))
+        raise MethodCodeError(f"{name} lacks {missing}; docs/own-method.md has an example")
+    return found
+
+
+def _in_file(path: Path, class_name: str) -> object:
+    """The class in a file, which is run with its folder first on the path, as Python runs one."""
+    if not path.is_file():
+        raise MethodCodeError(f"there is no file {path}; name the code as FILE.py:CLASS")
+    module = _module(path)
+    if class_name not in vars(module):
+        classes = [
+            each
+            for each, value in vars(module).items()
+            if isinstance(value, type) and value.__module__ == module.__name__
+        ]
+        raise MethodCodeError(
+            f"{path} has no class '{class_name}'; it has {', '.join(classes) or 'none'}"
+        )
+    return vars(module)[class_name]
+
+
+def _module(path: Path) -> ModuleType:
+    """Module of a file, newly run."""
+    module = ModuleType(f"{FILE_MODULE}{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # dataclasses look up type hints there
+    folder = str(path.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        with told_errors(str(path)):
+            # No import: that would keep byte code beside the file, and run it after a quick change.
+            exec(compile(path.read_bytes(), path, "exec"), vars(module))  # noqa: S102
+    finally:
+        sys.path.remove(folder)
+    return module
+
+
+def _installed(name: str) -> object:
+    """The object of an installed entry point; only the one that is named is imported."""
+    offered = {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
+    if name not in offered:
+        raise MethodCodeError(
+            f"expected FILE.py:CLASS or an installed method ({', '.join(sorted(offered)) or 'none'}"
+            f" here), got '{name}'"
+        )
+    with told_errors(name):
+        return offered[name].load()
+
+
+@contextmanager
+def told_errors(name: str) -> Iterator[None]:
+    """Context in which code of the user's runs: its errors become MethodCodeError, with a place."""
+    try:
+        yield
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        if isinstance(error, SyntaxError):
+            where = f"{Path(error.filename or name).name}, line {error.lineno}"
+        raise MethodCodeError(
+            f"{name} cannot be run: {type(error).__name__}: {error} ({where}); correct it"
+        ) from error
+
+
+def require_sound(
+    method: Method,
+    examples: Observations,
+    spec: InputSpec,
+    settings: TrainingSettings,
+    foreign: tuple[str, ...],
+) -> None:
+    """Check what a newly fitted method of the user's gives, so that it can be used and opened.
+
+    Args:
+        method: fitted.
+        examples: some frames.
+        spec: sensor, measurements and units.
+        settings: of the training.
+        foreign: beginnings of the names that arrays of a pipeline have beside the method's.
+
+    Raises MethodCodeError for predictions that are not what `targets` says, for arrays that cannot
+    be saved, or for a restored copy that predicts something else.
+    """
+    said = method.predict(examples)
+    for wrong in said.faults(method.targets, len(examples), spec.pixels):
+        raise MethodCodeError(f"{method.KIND}: predict gives {wrong}")
+    arrays = method.arrays()
+    for name, array in arrays.items():
+        if np.asarray(array).dtype.kind not in "biuf":
+            raise MethodCodeError(
+                f"{method.KIND}: expected arrays of numbers, got '{name}' of type "
+                f"{np.asarray(array).dtype}; keep names and choices in settings.options"
+            )
+        if name.startswith(foreign):
+            raise MethodCodeError(
+                f"{method.KIND}: the array '{name}' has a name that eitskin uses; call it otherwise"
+            )
+    copies = {name: np.array(array) for name, array in arrays.items()}
+    with told_errors(f"{method.KIND}.from_arrays"):
+        restored = type(method).from_arrays(copies, spec, settings)
+        again = restored.outputs(examples)
+    require_same(method.KIND, method.outputs(examples), again)
+
+
+def require_same(kind: str, outputs: Arrays, again: Arrays) -> None:
+    """Check that a restored method gives what the fitted one gave; raises MethodCodeError."""
+    for name, value in outputs.items():
+        size = float(np.nanmax(np.abs(value), initial=0.0))
+        if value.shape != again[name].shape or not np.allclose(
+            value, again[name], rtol=0.0, atol=SAME * size, equal_nan=True
+        ):
+            raise MethodCodeError(
+                f"{kind}: expected from_arrays to restore what was fitted, got other values of "
+                f"'{name}'; arrays has to give everything that predict uses"
+            )

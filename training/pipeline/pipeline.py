@@ -1,10 +1,11 @@
 """Perception pipeline: estimates from the frames of a session, training, calibration, saving."""
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,32 +14,39 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
-from eitskin.training.method.calibration import Adaptation, Calibration
+from eitskin.training.adaptation.press_fit import touch_places
+from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Method
+from eitskin.training.method.interface import Adaptation, Calibration, Method
 from eitskin.training.method.known_frames import FrameLabel, KnownFrames, TwinPresses
 from eitskin.training.method.observations import Observations, fingerprint
-from eitskin.training.method.predictions import Predictions
-from eitskin.training.method.settings import Progress, TrainingSettings, silent
-from eitskin.training.method.targets import Targets, with_implied_labels
-from eitskin.training.method.training_frames import TrainingFrames, learnable
-from eitskin.training.pipeline.estimate import Estimate
+from eitskin.training.method.predictions import Estimate, Predictions, Zero
+from eitskin.training.method.settings import (
+    POSITIONS,
+    Progress,
+    TrainingSettings,
+    silent,
+    single_touches,
+)
+from eitskin.training.method.targets import Targets, TrainingFrames, learnable, with_implied_labels
 from eitskin.training.pipeline.flat_sensors import FlatSensors
-from eitskin.training.pipeline.methods import method_class
-from eitskin.training.pipeline.model_card import perception_card
-from eitskin.training.pipeline.own_methods import MethodCodeError, require_sound, told_errors
-from eitskin.training.pipeline.references import References
-from eitskin.training.pipeline.saved_checks import DAMAGE, number, require_possible
+from eitskin.training.pipeline.methods import (
+    MethodCodeError,
+    method_class,
+    require_sound,
+    told_errors,
+)
+from eitskin.training.pipeline.references import References, StoredReference
 from eitskin.training.pipeline.saved_form import (
+    DAMAGE,
     SavedPipeline,
+    number,
     read_pipeline,
-    require_kind,
+    require_possible,
     write_pipeline,
 )
 from eitskin.training.pipeline.session import Session
-from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 
-KIND = "perception"
 FLAT_SENSORS = "flat_sensors."
 FOREIGN = ("layout.", FLAT_SENSORS)  # beginnings of names of arrays that are not the method's
 GOLDEN_PER_STATE = 2
@@ -86,7 +94,7 @@ class Pipeline:
         settings: TrainingSettings | None = None,
         progress: Progress = silent,
         method: type[Method] | None = None,
-    ) -> "Pipeline":
+    ) -> Self:
         """A pipeline trained on the training part of a dataset; `held_out` gives the test part.
 
         The pipeline estimates what the dataset has labels for (`targets`). Losses on the validation
@@ -107,6 +115,8 @@ class Pipeline:
         settings = settings or TrainingSettings()
         if method is not None:
             settings = replace(settings, method=method.KIND)
+        if settings.method == POSITIONS:
+            return cls._fit_positions(dataset, settings, progress)
         dataset, design, protocol = learnable(dataset)
         seen, unseen, _ = settings.split(dataset)
         train, validation = dataset.select(seen), dataset.select(unseen)
@@ -134,14 +144,44 @@ class Pipeline:
             flat_sensors=FlatSensors.of(train),
         )
 
+    @classmethod
+    def _fit_positions(
+        cls, dataset: Dataset, settings: TrainingSettings, progress: Progress
+    ) -> Self:
+        """Positions of touches alone, of the recorded sensor alone."""
+        train = dataset.select(settings.split(dataset)[0])
+        places = touch_places(train)
+        layout = InputSpec(
+            dataset.design,
+            dataset.protocol,
+            dataset.frequency if dataset.protocol else math.nan,
+            np.full(dataset.impedance.shape[1], np.nan),
+            extent=np.array([places.min(axis=0), places.max(axis=0)]) if len(places) else None,
+        )
+        frames = TrainingFrames(Observations.of(train), train, layout, math.nan)
+        method = TouchPositions.fit(frames, settings, progress)
+        trained_on = {
+            "sha256": fingerprint(dataset),
+            "frames": len(train),
+            "source": dataset.source,
+            **method.learned,
+        }
+        return cls(layout, method, method.noise, settings, trained_on, method.examples(train))
+
     @property
     def targets(self) -> Targets:
         """Quantities that the pipeline estimates."""
         return self.method.targets
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Test frames (n,): the test part of the training set, all frames of another dataset."""
-        if fingerprint(dataset) == self.trained_on["sha256"]:
+        """Test frames (n,): the test part of the training set, all frames of another dataset.
+
+        Touch positions are tested on frames with exactly one touch.
+        """
+        own = fingerprint(dataset) == self.trained_on["sha256"]
+        if self.settings.method == POSITIONS:
+            return single_touches(dataset)[self.trained_on["frames"] if own else 0 :]
+        if own:
             return self.settings.split(with_implied_labels(dataset))[2]
         return np.arange(len(dataset))
 
@@ -166,6 +206,7 @@ class Pipeline:
             ConfigurationError, DataError, FrameError: for frames or labels that cannot be of one
                 sensor, or a method that does not adapt; the pipeline is unchanged then.
         """
+        self.method.require_adaptable()
         known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
         adapted, said = self.method.adapt(known)
         said.require_fit(known)
@@ -213,6 +254,13 @@ class Pipeline:
             )
 
     @property
+    def expected(self) -> NDArray[np.float64] | None:
+        """Magnitudes (measurements,) [ohm] of the sensor as its session begins; None if unknown."""
+        usual = self.layout.reference
+        size = usual if self.stored is None else self.stored.magnitudes(usual)
+        return size if np.isfinite(size).all() else None
+
+    @property
     def references(self) -> References:
         """Static and dynamic reference of the session."""
         return self._session.references
@@ -242,9 +290,10 @@ class Pipeline:
                 untouched. The pipeline is unchanged then, as after the other errors.
         """
         voltages = [self.layout.voltages(frame)[0] for frame in frames]
-        frequency = self.layout.frequency
+        if not voltages:
+            raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
         reference = StoredReference.of(
-            voltages, self.layout.protocol, frequency, zero, self.noise, board, source
+            voltages, frames[0].protocol, frames[0].frequency, zero, self.noise, board, source
         )
         self.layout.require_same_sensor(reference.impedance)
         if zero is Zero.FLAT and (doubt := self.doubt(reference.impedance)):
@@ -307,7 +356,7 @@ class Pipeline:
             perceived = self.method.predict(session.observed(voltages))
         if (touched := perceived.touched(self.targets)) or not first:
             session.renew(voltages, touched)
-        problems += (*perceived.problems[0], *session.problems(self.layout.protocol.labels))
+        problems += (*perceived.problems[0], *session.problems(frame.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:
             return estimate.of_unknown_start()
@@ -334,7 +383,9 @@ class Pipeline:
             f"input.{name}": array for name, array in self.examples.arrays().items()
         }
         golden |= {f"output.{name}": array for name, array in outputs.items()}
-        weights = {**self.method.arrays(), "layout.reference": self.layout.reference}
+        weights = dict(self.method.arrays())
+        if np.isfinite(self.layout.reference).any():
+            weights["layout.reference"] = self.layout.reference
         if self.flat_sensors is not None:
             weights |= {f"{FLAT_SENSORS}{n}": a for n, a in self.flat_sensors.arrays().items()}
         document = {
@@ -347,15 +398,14 @@ class Pipeline:
             "metrics": self.metrics,
             "adaptation": self.adaptation,
         }
-        saved = SavedPipeline(KIND, document, weights, golden, perception_card(document))
-        return write_pipeline(path, saved)
+        return write_pipeline(path, SavedPipeline(document, weights, golden))
 
     @classmethod
-    def load(cls, path: str | Path, method: type[Method] | None = None) -> "Pipeline":
+    def load(cls, path: str | Path, method: type[Method] | None = None) -> Self:
         """A saved pipeline, checked by the outputs that were saved with it.
 
-        "reference.eitmodel", unless a folder of that name exists, is the pipeline that comes with
-        eitskin, trained on the recipe `training` for the reference sensor.
+        "reference.eitmodel", unless a folder of that name exists, is the pretrained pipeline for
+        the reference sensor.
 
         Args:
             path: of the folder.
@@ -368,11 +418,10 @@ class Pipeline:
             DataError: for one that is damaged, changed, impossible, too new, or computes otherwise.
         """
         saved = read_pipeline(path)
-        require_kind(saved, KIND, path)
         try:
             document, weights = saved.document, saved.weights
             require_possible(weights, saved.golden, noise := number(document, "noise"))
-            layout = InputSpec.from_document(document["layout"], weights["layout.reference"])
+            layout = InputSpec.from_document(document["layout"], weights.get("layout.reference"))
             settings = TrainingSettings.from_document(document["settings"])
             inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
             examples = Observations(**inputs)
@@ -398,3 +447,8 @@ class Pipeline:
         except DAMAGE as error:
             raise DataError(f"{path} is not whole: {error}; save the pipeline again") from error
         return pipeline
+
+
+def open_pipeline(path: str | Path, method: type[Method] | None = None) -> Pipeline:
+    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold."""
+    return Pipeline.load(path, method)

@@ -9,22 +9,28 @@ SHA256SUMS             of the four, as sha256sum -c reads it
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_folder, parse_json, quoted, read_bytes, read_text
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.training.adaptation.touch_positions import with_common_form
+from eitskin.training.method.settings import POSITIONS
 
 FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
+KIND = "perception"
 SUFFIX = ".eitmodel"
 SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
 MOST_BYTES = 1 << 32  # of one file
@@ -49,9 +55,51 @@ MADE_WITH = ("numpy", "scikit-learn", "scipy", "torch")
 
 Arrays = Mapping[str, NDArray[Any]]
 
+DAMAGE: Final = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""Errors by which arrays of wrong shapes and documents of wrong types are noticed."""
 
-class OtherKindError(DataError):
-    """A saved pipeline of another kind than the one expected."""
+_MAX_SIZE: Final = 1e30  # beyond which products in single precision overflow
+_MAX_ANGLE_DEG: Final = 360.0  # the fit looks at every few degrees of the range
+_MAX_EXAMPLES: Final = 4096  # golden frames, which are computed when a pipeline is opened
+_MAX_NOISE: Final = 1.0
+
+CARD_TEXT: Final = """\
+# A perception pipeline for electrical-impedance robot skin
+
+Load it with `eitskin.training.Pipeline.load`; it needs eitskin and {code}, and holds no
+pickled objects.
+
+**Made for** {sensor}, values in ohm. Frames of another table
+or frequency are refused{others}.
+
+**Estimates** {estimates}.
+
+**Trained on** {frames} {source} frames, seed {seed}, by the {method} method. Conditions absent from
+these frames (other indenters, wear) are untested.
+
+**Limits.** A session must begin with the sensor flat and untouched.{limits}
+
+## Metrics
+
+```json
+{metrics}
+```
+"""
+ANGLE_LIMITS: Final = """ The gain of an uncalibrated
+angle errs by 10 % and more between sensors of one design: calibrate for angles. For a touched
+sensor the paper's method gives the angle before the touch."""
+FLAT_LIMITS: Final = """ It was trained without bends:
+a sensor that is bent later may be taken for a touched one."""
+POSITION_LIMITS: Final = """ Whether it is touched later is not
+estimated: a change of at least a fifth of the usual touch is given a position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +107,14 @@ class SavedPipeline:
     """Contents of the folder.
 
     Attributes:
-        kind: "perception" or "touch position".
         document: layout, settings and metrics, as JSON takes them.
         weights: trained arrays by name.
         golden: arrays `input.*` and `output.*`, by which the loaded pipeline is checked.
-        card: text of the model card.
     """
 
-    kind: str
     document: Mapping[str, Any]
     weights: Arrays
     golden: Arrays
-    card: str
 
     @property
     def adaptation(self) -> dict[str, Any]:
@@ -167,25 +211,19 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
                 f"{path} has format version {document['format_version']}, this eitskin reads up to "
                 f"{FORMAT_VERSION}; install a newer eitskin"
             )
-        return SavedPipeline(
-            document["kind"],
-            document,
-            safetensors.load(files[WEIGHTS]),
-            safetensors.load(files[GOLDEN]),
-            files[CARD].decode(),
-        )
+        kind = document["kind"]
+        arrays = safetensors.load(files[WEIGHTS]), safetensors.load(files[GOLDEN])
+        if kind == POSITIONS:
+            return SavedPipeline(*with_common_form(document, *arrays))
+        if kind != KIND:
+            raise DataError(
+                f"expected a '{KIND}' pipeline, got a {quoted(kind)} one: {path}; name another"
+            )
+        return SavedPipeline(document, *arrays)
     except DataError:
         raise
-    except (ValueError, KeyError, TypeError, damaged) as error:
+    except (*DAMAGE, damaged) as error:
         raise DataError(f"{path} is no pipeline that can be read: {error!r}") from error
-
-
-def require_kind(saved: SavedPipeline, kind: str, path: str | Path) -> None:
-    """Check the kind of a saved pipeline; raises OtherKindError."""
-    if saved.kind != kind:
-        raise OtherKindError(
-            f"expected a '{kind}' pipeline, got a {quoted(saved.kind)} one: {path}; name another"
-        )
 
 
 def require_writable(path: Path, replace: bool = True) -> None:
@@ -213,7 +251,7 @@ def _files(saved: SavedPipeline) -> dict[str, bytes]:
     document = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "kind": saved.kind,
+        "kind": KIND,
         "made_with": {name: version(name) for name in MADE_WITH},
         **saved.document,
     }
@@ -225,7 +263,7 @@ def _files(saved: SavedPipeline) -> dict[str, bytes]:
         DOCUMENT: json.dumps(document, indent=1, allow_nan=False).encode(),
         WEIGHTS: safetensors.save(plain(saved.weights)),
         GOLDEN: safetensors.save(plain(saved.golden)),
-        CARD: saved.card.encode(),
+        CARD: model_card(saved.document).encode(),
     }
 
 
@@ -255,3 +293,89 @@ def _checked_files(path: Path) -> dict[str, bytes]:
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
+
+
+def require_possible(
+    weights: Mapping[str, NDArray[Any]], golden: Mapping[str, NDArray[Any]], noise: float
+) -> None:
+    """Raise DataError for numbers that no training gives.
+
+    Args:
+        weights: arrays of the pipeline by name: no NaN and nothing immense, angles within a turn;
+            minus infinity is the logarithm of an impossible place.
+        golden: arrays by which the pipeline is checked: few frames.
+        noise: rms of the relative difference of two frames.
+    """
+    for name, array in weights.items():
+        if array.dtype.kind not in "biufc":
+            raise DataError(f"expected numbers in '{name}', got {array.dtype}; train it again")
+        if array.dtype.kind in "fc" and not _plausible(array):
+            raise DataError(
+                f"expected finite numbers up to {_MAX_SIZE:g} in '{name}', got others; train it "
+                "again"
+            )
+        if name.endswith("angle_deg") and np.any(np.abs(array) > _MAX_ANGLE_DEG):
+            raise DataError(
+                f"expected angles up to {_MAX_ANGLE_DEG:g} deg in '{name}', got "
+                f"{float(np.abs(array).max()):g}; train it again"
+            )
+    for name, array in golden.items():
+        if array.ndim and len(array) > _MAX_EXAMPLES:
+            raise DataError(
+                f"expected at most {_MAX_EXAMPLES} golden frames in '{name}', got {len(array)}; "
+                "save the pipeline again"
+            )
+    if not 0 <= noise <= _MAX_NOISE:
+        raise DataError(f"expected a noise from 0 to {_MAX_NOISE:g}, got {noise:g}")
+
+
+def number(document: Mapping[str, Any], name: str) -> float:
+    """Finite number of a document; raises DataError for anything else."""
+    value = document.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise DataError(f"expected a finite number as '{name}', got {quoted(value)}")
+    return float(value)
+
+
+def _plausible(array: NDArray[Any]) -> bool:
+    with np.errstate(invalid="ignore"):
+        size = np.abs(array)
+        impossible = (array == -np.inf) if array.dtype.kind == "f" else np.zeros(array.shape, bool)
+        return bool(np.all((size <= _MAX_SIZE) | impossible))
+
+
+def model_card(document: Mapping[str, Any]) -> str:
+    """Model card of the pipeline that `document` describes: purpose, data, limits, in Markdown."""
+    layout, targets, trained_on = (document[name] for name in ("layout", "estimates", "trained_on"))
+    positions = document["method"] == POSITIONS
+    sensor = f"the one sensor it was recorded from, {layout.get('channels')} channels a frame"
+    if not positions:
+        outline = from_dict(SensorDesign, layout["design"], "layout.design").outline
+        sensor = (
+            f"a {outline.length * 1e3:g} x {outline.width * 1e3:g} mm sensor with "
+            f"{layout['protocol']['n_electrodes']} electrodes, {len(layout['protocol']['table'])}\n"
+            f"measurements a frame at {layout['frequency'] / 1e3:g} kHz"
+        )
+    estimates = {
+        f"the state ({' or '.join(targets['states'])})": bool(targets["states"]),
+        "the bend angle in degrees": targets["angle"],
+        "the positions of touches in metres from the corner of the conductive layer": (
+            targets["touches"] and not positions
+        ),
+        "the position of one touch in metres, with a standard error": positions,
+        "their forces in newtons": targets["force"],
+    }
+    return CARD_TEXT.format(
+        sensor=sensor,
+        others=""
+        if positions
+        else ", and so are sensors whose values are far from those of training",
+        seed=document["settings"]["seed"],
+        estimates=", ".join(words for words, estimated in estimates.items() if estimated),
+        limits=POSITION_LIMITS if positions else ANGLE_LIMITS if targets["angle"] else FLAT_LIMITS,
+        method=document["method"],
+        code=f"the code of {document['method']}" if ":" in document["method"] else "no other code",
+        frames=trained_on["frames"],
+        source=trained_on["source"],
+        metrics=json.dumps(document["metrics"], indent=1) if document["metrics"] else "{}",
+    )

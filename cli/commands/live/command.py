@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.live import FramePipeline
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
 
 Ros2 = Annotated[
@@ -130,7 +129,7 @@ def command(
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
     from eitskin.hardware.streams.publisher import open_publisher
-    from eitskin.training.adaptation.opening import open_pipeline
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     board = named_board(board, output)
     access = Access.of(page_host, page_token_file) if page else None
@@ -200,31 +199,29 @@ def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipel
     return PicturedPipeline(held, LivePictures.of(sheet, board.protocol, name))
 
 
-def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None:
+def tell_missing(pipeline: "Pipeline", output: Output) -> None:
     """Note what a pipeline does not estimate."""
     targets = getattr(pipeline, "targets", None)
     if targets is not None and targets.missing:
         output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
 
 
-def sheet_of(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
+def sheet_of(pipeline: "Pipeline") -> "SensorDesign | Region":
     """Sensor of a pipeline, or the region of the positions that it was trained with.
 
     Raises ConfigurationError where a pipeline tells neither.
     """
     from eitskin.cli.page.plan import Region
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
 
-    if not isinstance(pipeline, RecordedTouches):
-        return pipeline.layout.design
-    if pipeline.design is not None:
-        return pipeline.design
-    if pipeline.extent is None:
+    layout = pipeline.layout
+    if layout.known_design is not None:
+        return layout.known_design
+    if layout.extent is None:
         raise ConfigurationError(
             "expected a pipeline that knows its sensor, for the page, got touch positions of "
             "version 0.1; leave out --page, or train them again"
         )
-    return Region.of_positions(pipeline.extent, MARGIN)
+    return Region.of_positions(layout.extent, MARGIN)
 
 
 def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:

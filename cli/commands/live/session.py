@@ -35,10 +35,9 @@ if TYPE_CHECKING:
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams.publisher import ReadingPublisher
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.pipeline.session_order import SessionOrder
-    from eitskin.training.pipeline.stored_reference import StoredReference
+    from eitskin.training.pipeline.references import StoredReference
+    from eitskin.training.pipeline.session import SessionOrder
 
 
 class Recording(ABC):
@@ -166,7 +165,7 @@ class SessionPipeline:
         current: pipeline of the next frame.
     """
 
-    current: "Pipeline | RecordedTouches"
+    current: "Pipeline"
 
     def process(self, frame: "Frame") -> "Estimate":
         """Estimate of the current pipeline."""
@@ -174,14 +173,10 @@ class SessionPipeline:
 
 
 def expected_magnitudes(
-    pipeline: "Pipeline | RecordedTouches",
+    pipeline: "Pipeline",
 ) -> "NDArray[np.float64] | None":
     """Magnitudes (measurements,) [ohm] of the sensor as its session begins; None where unknown."""
-    layout, stored = getattr(pipeline, "layout", None), getattr(pipeline, "stored", None)
-    if layout is None:
-        return None
-    usual: NDArray[np.float64] = layout.reference
-    return usual if stored is None else stored.magnitudes(usual)
+    return getattr(pipeline, "expected", None)
 
 
 @dataclass
@@ -282,9 +277,9 @@ class LiveSession:
         self._asked.put(call)
         return future
 
-    def tare(self, pipeline: "Pipeline | RecordedTouches", frames: Sequence["Frame"]) -> str:
+    def tare(self, pipeline: "Pipeline", frames: Sequence["Frame"]) -> str:
         """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
-        from eitskin.training.pipeline.stored_reference import Zero
+        from eitskin.training.method.predictions import Zero
 
         zero, board = Zero.FLAT if self.stored is None else self.stored.zero, self.connection.board
         self.stored = pipeline.tare(frames, zero, board_number(board.info), board.uri)
@@ -294,7 +289,7 @@ class LiveSession:
 
     def notice_session(self, frame: "Frame") -> None:
         """Note the beginning of a session, and findings on the sensor there."""
-        from eitskin.training.pipeline.session_order import SessionOrder
+        from eitskin.training.pipeline.session import SessionOrder
 
         self.order = self.order or SessionOrder()
         step = self.order.follow(frame)

@@ -305,7 +305,7 @@ class SessionTasks(Closeable, SessionCommands):
 
     def _exchange(self, done: SetupResult) -> str:
         """Go on with the pipeline that was set up; between two frames."""
-        from eitskin.training.pipeline.stored_reference import StoredReference
+        from eitskin.training.pipeline.references import StoredReference
 
         done.adapted.use(None if done.zero is None else StoredReference.read(done.zero))
         self._pipeline.current = done.adapted

@@ -21,10 +21,8 @@ from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.adaptation_curve import CurvePoint
-    from eitskin.training.method.calibration import Calibration
-    from eitskin.training.method.interface import Method
+    from eitskin.training.method.interface import Calibration, Method
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.twin.twin import PressedTwin
 
@@ -86,45 +84,39 @@ def command(
     output.note("use it with this sensor only")
 
 
-def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | RecordedTouches | None":
+def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | None":
     """The pipeline to start from; None for the word `none`, unless a folder has that name."""
-    from eitskin.training.adaptation.opening import open_pipeline
+    from eitskin.training.pipeline.pipeline import open_pipeline
 
     if str(model) == NOTHING and not model.exists():
         return None
     return open_pipeline(model, method)
 
 
-def _require_same_measurements(
-    before: "Pipeline | RecordedTouches | None", data: "Dataset"
-) -> None:
+def _require_same_measurements(before: "Pipeline | None", data: "Dataset") -> None:
     """Refuse frames of another protocol than a pipeline's before any is looked at."""
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    if isinstance(before, Pipeline) and data.protocol is not None:
+    if before is not None and data.protocol is not None:
         before.layout.require_same_measurements(data.protocol, data.frequency)
 
 
-def adapt(
-    before: "Pipeline | RecordedTouches | None", data: "Dataset", twin: Path | None = None
-) -> "Pipeline | RecordedTouches":
+def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) -> "Pipeline":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
-    Raises the errors of `Pipeline.adapt`, `RecordedTouches.described`, `RecordedTouches.fit` and
+    Raises the errors of `Pipeline.adapt`, `InputSpec.described`, `Pipeline.fit` and
     `PressedTwin.read`, and ConfigurationError for a twin beside touch positions.
     """
     from eitskin.errors import ConfigurationError
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.method.settings import POSITIONS, TrainingSettings
+    from eitskin.training.pipeline.pipeline import Pipeline
 
-    if twin is not None and (before is None or isinstance(before, RecordedTouches)):
+    if before is None or before.settings.method == POSITIONS:
+        if twin is None:
+            settings = TrainingSettings(POSITIONS, options={"share": 1.0})
+            return Pipeline.fit(before.layout.described(data) if before else data, settings)
         raise ConfigurationError(
             "expected a pipeline that knows the forces of touches with --twin, got one of touch "
             "positions, which learns from presses alone; leave out --twin"
         )
-    if before is None:
-        return RecordedTouches.fit(data, share=1.0)
-    if isinstance(before, RecordedTouches):
-        return RecordedTouches.fit(before.described(data), share=1.0)
     before.adapt(data, twin=_pressed(twin, before) if twin else None)
     return before
 
@@ -137,18 +129,18 @@ def _pressed(folder: Path, pipeline: "Pipeline") -> "PressedTwin":
 
 
 def curve_of(
-    before: "Pipeline | RecordedTouches | None", data: "Dataset", output: Output
+    before: "Pipeline | None", data: "Dataset", output: Output
 ) -> "tuple[CurvePoint, ...]":
     """Errors against the number of labelled frames; none, with a note, where these are too few."""
     from eitskin.errors import DataError
-    from eitskin.training.adaptation.labelled_presses import LabelledPresses
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.adaptation.press_fit import LabelledPresses
     from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
+    from eitskin.training.method.settings import POSITIONS
 
     with output.counting("errors by frames") as show:
         try:
-            if before is None or isinstance(before, RecordedTouches):
-                known = data if before is None else before.described(data)
+            if before is None or before.settings.method == POSITIONS:
+                known = data if before is None else before.layout.described(data)
                 return press_curve(LabelledPresses.of(known), show)
             return pipeline_curve(before, data, show)
         except DataError as error:
@@ -182,19 +174,15 @@ def _lost(point: "CurvePoint") -> float | None:
     return None if point.found is None or point.found == 1.0 else 100.0 * (1.0 - point.found)
 
 
-def said(adapted: "Pipeline | RecordedTouches") -> dict[str, object]:
+def said(adapted: "Pipeline") -> dict[str, object]:
     """Facts of an adaptation for JSON."""
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    known = adapted.adaptation if isinstance(adapted, Pipeline) else adapted.trained_on["validated"]
+    known = adapted.adaptation or adapted.trained_on["validated"]
     return {"estimates": adapted.targets.as_dict(), "adaptation": dict(known)}
 
 
-def in_words(adapted: "Pipeline | RecordedTouches") -> str:
+def in_words(adapted: "Pipeline") -> str:
     """A sentence about an adapted pipeline: what it learned from."""
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    if not isinstance(adapted, Pipeline):
+    if not adapted.adaptation:
         frames, error = (
             adapted.trained_on["frames"],
             adapted.trained_on["validated"]["mean_error_mm"],
@@ -213,7 +201,7 @@ def in_words(adapted: "Pipeline | RecordedTouches") -> str:
 
 def twin_in_words(trial: "Mapping[str, Any]") -> str:
     """End of the sentence: whether the twin's response was taken."""
-    from eitskin.training.method.calibration import TwinTrial
+    from eitskin.training.method.interface import TwinTrial
 
     judged = TwinTrial(**trial)
     if judged.without is None or judged.with_twin is None:

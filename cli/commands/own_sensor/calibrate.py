@@ -70,13 +70,12 @@ def command(
     --reference the angles count from the stored state, and the sensor is not asked to be flat.
     Frames that were recorded before are taken by `eitskin adapt`.
     """
-    from eitskin.training.adaptation.opening import open_perception
+    from eitskin.training.pipeline.pipeline import open_pipeline
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
 
     require_writable(out, replace)
-    purpose = "a calibration needs a pipeline that estimates the bend angle"
-    pipeline = open_perception(model, purpose, own_method(method))
+    pipeline = open_pipeline(model, own_method(method))
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.method.known_frames import FrameLabel
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -151,7 +150,7 @@ class SetupResult:
     saved: Path
     recorded: Path
     zero: Path | None
-    adapted: "Pipeline | RecordedTouches"
+    adapted: "Pipeline"
 
     @property
     def words(self) -> str:
@@ -187,7 +186,7 @@ class Setup:
     """
 
     model: Path
-    start: "Pipeline | RecordedTouches | None"
+    start: "Pipeline | None"
     design: "SensorDesign | None"
     out: Path
     wanted: Wanted
@@ -275,7 +274,7 @@ class Setup:
         pipeline = self.start
         if pipeline is None:
             return "skipped"
-        from eitskin.training.pipeline.stored_reference import Zero
+        from eitskin.training.method.predictions import Zero
 
         reference = tare.taken_from_board(pipeline, board, tare.FRAMES, Zero.FLAT)
         pipeline.use(None)
@@ -333,10 +332,6 @@ class Setup:
         return SetupResult(adapted.save(self.out), self.recorded, self.zero, adapted)
 
 
-def design_of(start: "Pipeline | RecordedTouches | None") -> "SensorDesign | None":
+def design_of(start: "Pipeline | None") -> "SensorDesign | None":
     """Design of a pipeline's sensor; None where it has none."""
-    from eitskin.training.pipeline.pipeline import Pipeline
-
-    if start is None:
-        return None
-    return start.layout.design if isinstance(start, Pipeline) else start.design
+    return None if start is None else start.layout.known_design

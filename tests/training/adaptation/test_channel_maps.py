@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from eitskin.training.adaptation.channel_maps import ChannelMaps, Presses
-from eitskin.training.adaptation.place_kernel import KernelFeatures, PlaceKernel
+from eitskin.training.adaptation.channel_maps import (
+    ChannelMaps,
+    KernelFeatures,
+    PlaceKernel,
+    Presses,
+)
 
 KERNEL = PlaceKernel(0.03)
 

@@ -11,13 +11,14 @@ from eitskin.datasets import Dataset, RecordingNames, State, read_recording
 from eitskin.errors import DataError, FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training import RecordedTouches
-from eitskin.training.adaptation.labelled_presses import LabelledPresses
-from eitskin.training.adaptation.press_fit import learn_places
-from eitskin.training.adaptation.press_locator import PressLocator
+from eitskin.training import Pipeline, PositionScore, TrainingSettings
+from eitskin.training.adaptation.locator import PressLocator
+from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from tests.support.toy_skin import toy_presses
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+POSITIONS = TrainingSettings("touch position")
 
 
 @pytest.fixture(scope="module")
@@ -140,13 +141,13 @@ def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
     touches = {"touch_x": x, "touch_y": y, "state": np.full(40, State.TOUCH)}
     table = Protocol(Protocol.skip(8, 1).table[:8], 8)
     recording = Dataset.from_arrays(ratio, np.ones(8), protocol=table, **touches)
-    loaded = RecordedTouches.load(RecordedTouches.fit(recording).save(tmp_path / "a.eitmodel"))
-    assert loaded.protocol == table
+    loaded = Pipeline.load(Pipeline.fit(recording, POSITIONS).save(tmp_path / "a.eitmodel"))
+    assert loaded.layout.protocol == table
     unknown = dataclasses.replace(recording, protocol=None)
-    assert loaded.evaluate(unknown).frames == 8
+    assert PositionScore.of(loaded, unknown).frames == 8
     other = dataclasses.replace(recording, protocol=Protocol(table.table[::-1], 8))
-    with pytest.raises(FrameError, match=r"learned from .* the dataset has"):
-        loaded.evaluate(other)
+    with pytest.raises(FrameError, match=r"trained for .* the frames have"):
+        PositionScore.of(loaded, other)
 
 
 @pytest.mark.slow
@@ -156,7 +157,7 @@ def test_measured_hydrogel_skin():
         pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
     names = RecordingNames("responsedowns", "responseups", "positions")
     recording = read_recording(DATA / "ohmc8.mat", names)
-    score = RecordedTouches.fit(recording).evaluate(recording)
+    score = PositionScore.of(Pipeline.fit(recording, POSITIONS), recording)
     assert score.frames == 100
     assert score.mean_error_mm < 2.5
     assert score.guess_error_mm > 40.0

@@ -20,7 +20,7 @@ from eitskin.training.baselines.regressions import (
 )
 from eitskin.training.baselines.table import Features
 from eitskin.training.method.settings import silent
-from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.method.targets import TrainingFrames
 
 from linear_sensor import linear_sensor
 from made_up_sensor import FLAT, frames, touch_change

@@ -6,7 +6,7 @@ import pytest
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training.joint.specimen_features import COUNT, FARTHEST, MOST, SpecimenFeatures
-from eitskin.training.method.symmetry import mirrors
+from eitskin.training.method.input_spec import mirrors
 
 IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
 TRIVIAL = IMAGES[:1]

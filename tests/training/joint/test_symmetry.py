@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.geometry import Bend, Polygon, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.training.method.symmetry import mirrors
+from eitskin.training.method.input_spec import mirrors
 
 NONE, ACROSS_X, ACROSS_Y, TURNED = (False, False), (True, False), (False, True), (True, True)
 PAIRWISE = Protocol.pairwise(8)

@@ -26,8 +26,7 @@ from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
-from eitskin.training.method.targets import Targets
-from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.method.targets import Targets, TrainingFrames
 
 from smooth_sensor import (
     FLAT,

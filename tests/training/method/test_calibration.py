@@ -13,7 +13,7 @@ from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.hardware.virtual import virtual_board
 from eitskin.simulator import Frame, Simulator
 from eitskin.training import Pipeline
-from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.interface import Calibration
 from eitskin.training.pipeline.saved_form import SHIPPED
 
 from linear_sensor import linear_sensor, trained_pipeline

@@ -7,7 +7,7 @@ import torch
 from eitskin.errors import ConfigurationError
 from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
 from eitskin.training.paper.reconstruction import Reconstruction
 from eitskin.training.paper.stages import Classifier, PostProcessor

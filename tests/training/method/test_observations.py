@@ -1,14 +1,24 @@
-"""Noise of channels, as training learns it from frames that differ by nothing else."""
+"""Input of a method: differences from references, targets that have labels, what is held out."""
 
+import dataclasses
 from dataclasses import asdict
 
 import numpy as np
 import pytest
 
-from eitskin.datasets import Dataset
-from eitskin.errors import ConfigurationError
+from eitskin.datasets import Dataset, State
+from eitskin.datasets.store.schema import UNKNOWN_STATE
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
-from eitskin.training.method.settings import NetworkSettings, TrainingSettings
+from eitskin.training.method.settings import NetworkSettings, TrainingSettings, hold_out
+from eitskin.training.method.targets import (
+    NOMINAL_RADIUS,
+    Targets,
+    most_probable,
+    require_targets,
+    with_implied_labels,
+    with_usual_radius,
+)
 
 TRUE = np.geomspace(1e-3, 1e-1, 8)
 
@@ -66,3 +76,109 @@ def test_settings_that_were_saved_with_two_numbers_of_steps_are_read():
     assert TrainingSettings.from_document(document) == settings
     with pytest.raises(ConfigurationError, match="stepss"):
         TrainingSettings.from_document({"joint": {"stepss": 3}})
+
+
+UNKNOWN = UNKNOWN_STATE
+
+
+def frames(states, angles=None, touched=(), force=np.nan, **known):
+    """Frames of these states and angles [deg]; those of `touched` have a position."""
+    n = len(states)
+    x, y, newtons = np.full((3, n, 4), np.nan)
+    x[list(touched), 0], y[list(touched), 0], newtons[list(touched), 0] = 0.05, 0.02, force
+    labels = {"state": states, "touch_x": x, "touch_y": y, "touch_force": newtons}
+    if angles is not None:
+        labels["bend_angle_deg"] = angles
+    return Dataset.from_arrays(np.ones((n, 6)), np.ones(6), **labels, specimen=np.zeros(n), **known)
+
+
+@pytest.mark.parametrize(
+    ("data", "targets", "missing"),
+    [
+        (
+            frames([0, 1, 2], [0, 0, 9], [1], force=8.0),
+            Targets(),
+            (),
+        ),
+        (
+            frames([0, 1, 0, 1], touched=[1]),
+            Targets(("idle", "touch"), angle=False, force=False),
+            ("the state bend", "the bend angle", "forces"),
+        ),
+        (
+            frames([2, 2, 2], [5, 20, 30]),
+            Targets((), touches=False, force=False),
+            ("the state", "positions of touches"),
+        ),
+        (
+            frames([0, 2, 2], [np.nan, 20, 30]),
+            Targets(("idle", "bend"), touches=False, force=False),
+            ("the state touch", "positions of touches"),
+        ),
+        (
+            frames([1, 1], touched=[0, 1]),
+            Targets((), angle=False, force=False),
+            ("the state", "the bend angle", "forces"),
+        ),
+    ],
+)
+def test_targets_are_what_frames_have_labels_for(data, targets, missing):
+    assert Targets.of(data) == targets
+    assert targets.missing == missing
+
+
+def test_positions_alone_and_nothing_at_all():
+    assert Targets.of(frames([1, 1], touched=[0, 1])).positions_only
+    assert not Targets.of(frames([0, 1], touched=[1])).positions_only
+    with pytest.raises(DataError, match="3 idle, 0 touch"):
+        require_targets(frames([0, 0, 0]))
+
+
+def test_states_and_angles_follow_from_other_labels():
+    data = with_implied_labels(frames([UNKNOWN] * 3, [0.0, 20.0, np.nan]))
+    assert data.state.tolist() == [State.IDLE, State.BEND, UNKNOWN]
+    data = with_implied_labels(frames([UNKNOWN, 0, UNKNOWN], touched=[0]))
+    assert data.state.tolist() == [State.TOUCH, State.IDLE, UNKNOWN]
+    assert data.bend_angle_deg.tolist() == [0.0] * 3  # of a sensor that is never bent
+    bent = frames([0, 2], [np.nan, np.nan])
+    assert np.isnan(with_implied_labels(bent).bend_angle_deg).all()
+
+
+def test_an_unknown_radius_is_the_usual_one():
+    data = frames([1, 1, 1], touched=[0, 1, 2])
+    assert with_usual_radius(data).touch_radius[:, 0] == pytest.approx([NOMINAL_RADIUS] * 3)
+    radius = data.touch_radius.copy()
+    radius[0, 0] = 0.003
+    known = with_usual_radius(dataclasses.replace(data, touch_radius=radius))
+    assert known.touch_radius[:, 0] == pytest.approx([0.003] * 3)
+    assert np.isnan(known.touch_radius[:, 1:]).all()
+
+
+def test_a_state_that_is_not_told_apart_is_never_the_most_probable():
+    nan = np.nan
+    rows = np.array([[0.3, 0.7, nan], [nan, nan, nan], [0.2, nan, 0.8]])
+    assert most_probable(rows).tolist() == [State.TOUCH, UNKNOWN, State.BEND]
+
+
+def test_whole_specimens_are_held_out_however_few():
+    data = dataclasses.replace(
+        frames([0, 1] * 20),
+        reference=np.ones((4, 6)),
+        specimen=np.arange(40) // 10,
+        specimen_number=np.arange(4),
+    )
+    kept, held_out = hold_out(data, seed=3)
+    assert len(held_out) == 10
+    assert len(np.unique(data.specimen[held_out])) == 1
+    assert sorted([*kept, *held_out]) == list(range(40))
+    settings = TrainingSettings(seed=3, whole_specimens=True)
+    assert [len(part) for part in settings.split(data)] == [30, 10, 10]
+    assert [len(part) for part in TrainingSettings().split(data)] == [20, 10, 10]
+
+
+def test_the_end_of_a_single_specimen_is_held_out_state_by_state():
+    states = np.array([0] * 10 + [1] * 20)
+    data = frames(states, time=np.arange(30.0)[::-1])
+    kept, held_out = hold_out(data)
+    assert held_out.tolist() == [0, 1, 10, 11, 12, 13]
+    assert len(kept) == 24

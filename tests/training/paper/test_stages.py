@@ -9,7 +9,7 @@ import torch
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.threads import one_torch_thread
-from eitskin.training.method.missing_channels import MissingChannels
+from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import LayerNetwork, mirrored, weights_of

@@ -22,9 +22,13 @@ from eitskin.training import (
     open_pipeline,
 )
 from eitskin.training.method.settings import METHODS
-from eitskin.training.pipeline import own_methods
-from eitskin.training.pipeline.methods import SHIPPED_METHODS, method_class
-from eitskin.training.pipeline.own_methods import MethodCodeError, named_method
+from eitskin.training.pipeline import methods
+from eitskin.training.pipeline.methods import (
+    SHIPPED_METHODS,
+    MethodCodeError,
+    method_class,
+    named_method,
+)
 
 from made_up_sensor import FLAT, frames
 
@@ -214,8 +218,8 @@ def test_a_file_sees_what_lies_beside_it(tmp_path):
 
 def test_an_installed_method_is_imported_only_when_it_is_named(monkeypatch):
     entries = [
-        importlib.metadata.EntryPoint("net", f"{__name__}:Strongest", own_methods.GROUP),
-        importlib.metadata.EntryPoint("evil", "not.there:Bomb", own_methods.GROUP),
+        importlib.metadata.EntryPoint("net", f"{__name__}:Strongest", methods.GROUP),
+        importlib.metadata.EntryPoint("evil", "not.there:Bomb", methods.GROUP),
     ]
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_group: entries)
     monkeypatch.setattr(

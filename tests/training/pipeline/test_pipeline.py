@@ -11,10 +11,10 @@ import torch
 from eitskin.datasets import State, read_recording
 from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status
-from eitskin.training import Pipeline, RecordedTouches, evaluate
+from eitskin.training import Pipeline, PositionScore, TrainingSettings, evaluate
 from eitskin.training.method.input_spec import LARGEST_SCALE
 from eitskin.training.method.observations import Observations
-from eitskin.training.pipeline.session_order import LONGEST_GAP
+from eitskin.training.pipeline.session import LONGEST_GAP
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 
@@ -314,9 +314,9 @@ def test_evaluation_of_other_measurements_is_refused(trained, dataset):
 @pytest.mark.slow
 def test_recorded_touches_are_tested_on_the_last_of_them(dataset):
     recording = dataclasses.replace(dataset, time=np.arange(240.0)[::-1])
-    learned = RecordedTouches.fit(recording)
+    learned = Pipeline.fit(recording, TrainingSettings("touch position"))
     held_out = learned.held_out(recording)
     assert len(held_out) == 16
     assert held_out.max() < np.flatnonzero(recording.state == State.TOUCH)[16]
-    score = learned.evaluate(recording)
+    score = PositionScore.of(learned, recording)
     assert score.mean_error_mm < 0.3 * score.guess_error_mm

@@ -17,7 +17,7 @@ from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame, Protocol
-from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings
+from eitskin.training import NetworkSettings, Pipeline, PositionScore, TrainingSettings
 from eitskin.training.pipeline.saved_form import (
     SUMS,
     SavedPipeline,
@@ -232,7 +232,7 @@ def test_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
 
 
 def test_the_pipeline_that_comes_along_is_read_wherever_one_is():
-    assert read_pipeline("reference.eitmodel").kind == "perception"
+    assert read_pipeline("reference.eitmodel").document["kind"] == "perception"
 
 
 @pytest.mark.slow
@@ -285,22 +285,20 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     recording = Dataset.from_arrays(
         values, np.full(6, 100.0), specimen=np.zeros(40), state=np.ones(40), touch_x=x, touch_y=y
     )
-    learned = RecordedTouches.fit(recording)
-    learned.metrics.update(learned.evaluate(recording).as_dict())
+    learned = Pipeline.fit(recording, TrainingSettings("touch position"))
+    learned.metrics.update(PositionScore.of(learned, recording).as_dict())
     folder = learned.save(tmp_path / "skin.eitmodel")
     assert sorted(path.name for path in folder.iterdir()) == FILES
-    loaded = RecordedTouches.load(folder)
-    assert loaded.evaluate(recording) == learned.evaluate(recording)
+    loaded = Pipeline.load(folder)
+    assert PositionScore.of(loaded, recording) == PositionScore.of(learned, recording)
     assert loaded.metrics["frames"] == 8
-    assert read_pipeline(folder).kind == RecordedTouches.KIND
-    with pytest.raises(DataError, match="'touch position'"):
-        Pipeline.load(folder)
+    assert loaded.settings.method == loaded.method.KIND == "touch position"
     weights = load_file(folder / "weights.safetensors")
     weights["grid.low"] += 0.01
     save_file(weights, folder / "weights.safetensors")
     reseal(folder)
     with pytest.raises(DataError, match="does not compute"):
-        RecordedTouches.load(folder)
+        Pipeline.load(folder)
 
 
 def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch):
@@ -326,7 +324,7 @@ def test_a_pipeline_is_replaced_where_that_is_wanted(tmp_path):
 def fitted(outputs):
     """Whether outputs of a fit of four frames count as golden ones, the last of which is zero."""
     golden = np.array([[3.0, 4.0], [5.0, 0.0], [0.0, 5.0], [0.0, 0.0]])
-    saved = SavedPipeline("perception", {}, {}, {"output.map": golden}, "")
+    saved = SavedPipeline({}, {}, {"output.map": golden})
     try:
         saved.require_golden({"map": golden + outputs}, fitted=True)
     except DataError:
@@ -346,6 +344,6 @@ def test_ends_of_fits_may_differ_a_little_and_in_few_frames_by_more():
     assert not fitted(np.array([[0.0, 0.0]] * 3 + [[0.3, 0.3]]))  # where there was no touch
     assert not fitted(np.full((4, 2), np.nan))
     with pytest.raises(DataError, match="does not compute"):
-        SavedPipeline("", {}, {}, {"output.map": np.ones(3)}, "").require_golden(
+        SavedPipeline({}, {}, {"output.map": np.ones(3)}).require_golden(
             {"map": np.array([1.0, 1.0, 1.01])}
         )

@@ -11,7 +11,7 @@ from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Frame, Protocol, Scene, Simulator, Touch
 from eitskin.training import Pipeline, StoredReference, Zero
-from eitskin.training.pipeline.stored_reference import FORMAT_VERSION
+from eitskin.training.pipeline.references import FORMAT_VERSION
 
 NOISE = 1e-4
 PROTOCOL = Protocol.pairwise(8)

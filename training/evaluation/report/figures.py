@@ -24,7 +24,7 @@ from eitskin.training.evaluation.report.drawing import (
     new_figure,
 )
 from eitskin.training.evaluation.scores import root_mean_square
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.pipeline import Pipeline
 

@@ -14,8 +14,8 @@ from eitskin.datasets.store.summary import specimens_in_words
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
-from eitskin.training.adaptation.recorded_touches import RecordedTouches
 from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.position_score import PositionScore, held_out_positions
 from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.report.figures import (
     MOST_VECTORS,
@@ -37,6 +37,7 @@ from eitskin.training.evaluation.report.maps import (
 from eitskin.training.evaluation.report.table import HEADINGS, table_rows
 from eitskin.training.evaluation.scores import SSIM_DEFINITION
 from eitskin.training.method.observations import fingerprint
+from eitskin.training.pipeline.pipeline import Pipeline
 
 DOCUMENT, TEXT = "report.json", "report.md"
 PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
@@ -139,7 +140,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def write_position_report(
-    touches: RecordedTouches, dataset: Dataset, folder: str | Path, made_with: Mapping[str, str]
+    touches: Pipeline, dataset: Dataset, folder: str | Path, made_with: Mapping[str, str]
 ) -> Path:
     """Write the report of positions that were learned from a recording; returns the folder.
 
@@ -151,18 +152,18 @@ def write_position_report(
 
     Raises DataError where no frame is held out, and errors as `write_report`.
     """
-    score = touches.evaluate(dataset).as_dict()
-    true, found = touches.found(dataset)
+    score = PositionScore.of(touches, dataset).as_dict()
+    true, found = held_out_positions(touches, dataset)
     errors = np.linalg.norm(found - true, axis=1)
     shown, caption = true[:MOST_VECTORS], f"Localisation errors of {len(true)} touches."
     drawings = {
         "error_vectors.png": lambda: draw_error_vectors(
-            touches.design, shown, shown, found[:MOST_VECTORS], true[:0]
+            touches.layout.known_design, shown, shown, found[:MOST_VECTORS], true[:0]
         ),
         "localisation_errors.png": lambda: draw_errors(errors, caption),
     }
     judged = dataset.select(touches.held_out(dataset))
-    made = {**_provenance(touches.KIND, touches.trained_on, judged), **made_with}
+    made = {**_provenance(touches.method.KIND, touches.trained_on, judged), **made_with}
     rows = [
         (name.replace("_mm", " [mm]").replace("_", " "), f"{value:.2f}")
         if isinstance(value, float)

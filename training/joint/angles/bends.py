@@ -14,7 +14,7 @@ from eitskin.training.joint.bent_frames import BentFrames
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress
 

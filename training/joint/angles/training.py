@@ -13,7 +13,7 @@ from eitskin.training.joint.angles.clamps import ClampCurves
 from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.bent_frames import SCALE, BentFrames
-from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     Samples,
     dense_layers,

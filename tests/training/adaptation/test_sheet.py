@@ -9,9 +9,8 @@ from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc
 from eitskin.simulator import Protocol
-from eitskin.training.adaptation.channel_maps import Presses
-from eitskin.training.adaptation.place_kernel import DesignSpan, PlaceKernel
-from eitskin.training.adaptation.sectors import Sectors
+from eitskin.training.adaptation.channel_maps import PlaceKernel, Presses
+from eitskin.training.adaptation.sheet import Sectors, design_span
 
 RADIUS, N = 0.05, 6
 ANGLES = 2 * np.pi * np.arange(N) / N
@@ -83,7 +82,7 @@ def test_copies_keep_their_owner():
 @pytest.mark.slow
 def test_span_of_a_design_holds_the_maps_of_its_protocol():
     """Any sensitivity is a combination of the span's maps: here against those of point sources."""
-    span = DesignSpan.of(ring())
+    span = design_span(ring())
     places = RADIUS + np.random.default_rng(2).uniform(-0.022, 0.022, (200, 2))
     features, wanted = span.features(places), answers(places)
     found = features @ np.linalg.lstsq(features, wanted, rcond=1e-6)[0]

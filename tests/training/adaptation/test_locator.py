@@ -1,8 +1,10 @@
-"""Inversion of maps: channels that are left out, against covariances without them."""
+"""Inversion of maps, against covariances without bad channels; regressors of version 0.1."""
 
 import numpy as np
+import pytest
 
-from eitskin.training.adaptation.map_grid import Places, _Score, mixture_places
+from eitskin.errors import DataError
+from eitskin.training.adaptation.locator import Places, PositionRegressor, _Score, mixture_places
 
 
 def test_a_bad_channel_is_left_out_of_covariance_and_residual():
@@ -39,3 +41,32 @@ def test_mixed_places_have_the_moments_of_the_mixture():
     spread = np.sqrt(points.var(axis=0).sum(axis=1))
     np.testing.assert_allclose(mixed.deviation, spread, rtol=0.01)
     assert mixture_places(each[:1]) is each[0]
+
+
+def regressor(channels=8, count=30, seed=0):
+    rng = np.random.default_rng(seed)
+    directions = rng.standard_normal((count, channels))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    weights = rng.standard_normal((count, 2)) * 0.01
+    return PositionRegressor(np.full(channels, 0.02), directions, weights, np.zeros(2), 0.7, 1.5)
+
+
+def test_positions_are_scikit_learns_prediction():
+    from sklearn.gaussian_process.kernels import Matern
+
+    stage = regressor()
+    ratio = np.exp(0.02 * np.random.default_rng(1).standard_normal((5, 8)))
+    logs = np.log(ratio)
+    directions = logs / np.linalg.norm(logs, axis=1, keepdims=True)
+    covariance = 1.5 * Matern(0.7, nu=2.5)(directions, stage.directions)
+    np.testing.assert_allclose(stage.apply(ratio), covariance @ stage.weights, atol=1e-12)
+    np.testing.assert_allclose(stage.apply(ratio**3), stage.apply(ratio), atol=1e-9)
+
+
+def test_bad_channels_and_other_numbers_of_them():
+    stage = regressor()
+    ratio = np.ones((2, 8))
+    ratio[0, 0] = np.nan
+    assert np.isfinite(stage.apply(ratio)).all()
+    with pytest.raises(DataError, match="8 channels, got 7"):
+        stage.apply(ratio[:, :7])

@@ -1,0 +1,445 @@
+"""Locators of a touch: from maps of all channels, and as version 0.1 learned it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError
+
+Array = NDArray[np.float64]
+
+TAIL = 8.0  # degrees of freedom of the misfit: a frame that fits badly is trusted less
+FINE = 6  # parts of a cell's side around the best places
+MODES = 3
+ROUNDS = 2  # of strength against the variance that depends on it
+_SUPPORT = 6  # nodes of the interpolation between grid points
+MOST_LEFT_OUT = 4  # a channel in so many
+SUSPECTS = 3  # channels that are tried without
+OWN = ("gain", "channel_scale", "centre", "error_factor", "misfit_limit")  # arrays of no grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Posterior of the place and strength of one touch in each of n frames.
+
+    Attributes:
+        place: posterior mean (n, 2) [m].
+        deviation: posterior standard error, sqrt(var x + var y) (n,) [m].
+        strength: relative strength (n,).
+        misfit: residual of each channel, in standard deviations of it given all others (n, C).
+    """
+
+    place: Array
+    deviation: Array
+    strength: Array
+    misfit: Array
+
+
+def mixture_places(each: Sequence[Places]) -> Places:
+    """Mean and standard error of places by several models, each as likely as another.
+
+    Strength and misfit are means, too.
+    """
+    if len(each) == 1:
+        return each[0]
+    place = np.mean([one.place for one in each], axis=0)
+    squares = [one.deviation**2 + np.sum((one.place - place) ** 2, axis=1) for one in each]
+    strength, misfit = (
+        np.mean([getattr(one, name) for one in each], axis=0) for name in ("strength", "misfit")
+    )
+    return Places(place, np.sqrt(np.mean(squares, axis=0)), strength, misfit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapGrid:
+    """Posterior maps of the channels on a regular grid.
+
+    Attributes:
+        low: first grid point (2,) [m].
+        step: of the grid [m].
+        mean: of the independent maps (rows along y, columns along x, C).
+        variance: of the independent maps, of the same shape.
+        log_prior: of a touch at each grid point (rows, columns); -inf where none can be.
+        whitening: from channels to independent answers (C, C).
+        strength: prior mean and standard deviation of the strength (2,).
+    """
+
+    low: Array
+    step: float
+    mean: Array
+    variance: Array
+    log_prior: Array
+    whitening: Array
+    strength: Array
+
+    def of_units(self, units: Array) -> "MapGrid":
+        """The same for answers in units `units` (C,) times as large."""
+        return replace(self, whitening=units[:, None] * self.whitening)
+
+    def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
+        """Place and strength of one touch in each frame.
+
+        The posterior of the place is summed over the cells of the grid, with the strength at its
+        best for each place (Laplace), and over finer cells around the best ones.
+
+        Args:
+            answers: of the channels, in the units of the maps (n, C).
+            bad: channels that are left out of a frame (n, C); none when omitted.
+        """
+        y = np.asarray(answers, dtype=float)
+        out = np.zeros(y.shape, dtype=bool) if bad is None else bad
+        found = [
+            self._locate(np.where(skip, 0.0, row), skip) for row, skip in zip(y, out, strict=True)
+        ]
+        place, deviation, strength, misfit = (list(each) for each in zip(*found, strict=True))
+        return Places(np.array(place), np.array(deviation), np.array(strength), np.array(misfit))
+
+    def _locate(self, answer: Array, bad: NDArray[np.bool_]) -> tuple[Array, float, float, Array]:
+        rows, columns, channels = self.mean.shape
+        seen, left = answer @ self.whitening, self.whitening[bad]
+        score = _Score(self.strength, seen, left)
+        allowed = np.flatnonzero(np.isfinite(self.log_prior))
+        log = np.full(rows * columns, -np.inf)
+        log[allowed], _ = score(
+            self.mean.reshape(-1, channels)[allowed], self.variance.reshape(-1, channels)[allowed]
+        )
+        log = (log + self.log_prior.ravel()).reshape(rows, columns)
+        coarse, points, parts = log.copy(), [], []
+        for _ in range(MODES):
+            row, column = np.unravel_index(int(np.argmax(coarse)), coarse.shape)
+            if not coarse[row, column] > log.max() - 12.0:
+                break
+            near = (
+                slice(max(int(row) - 1, 0), int(row) + 2),
+                slice(max(int(column) - 1, 0), int(column) + 2),
+            )
+            fine, log_prior = self._fine(near, np.isfinite(coarse[near]))
+            points.append(fine)
+            parts.append(score(*self._between(fine))[0] + log_prior - 2 * np.log(FINE))
+            coarse[near] = -np.inf
+        rest = np.argwhere(coarse > log.max() - 12.0)
+        points.append(rest[:, ::-1].astype(float))
+        parts.append(coarse[tuple(rest.T)])
+        at, log_mass = np.concatenate(points), np.concatenate(parts)
+        mass = np.exp(log_mass - log_mass.max())
+        mass /= mass.sum()
+        middle = mass @ at
+        spread = mass @ np.sum((at - middle) ** 2, axis=1) + 1.0 / (6.0 * FINE**2)
+        best = at[int(np.argmax(log_mass))]
+        mean, variance = self._between(best[None])
+        _, strength = score(mean, variance)
+        misfit = np.where(bad, 0.0, self._misfit(seen, left, mean[0], variance[0], strength[0]))
+        return (
+            self.low + self.step * middle,
+            self.step * float(np.sqrt(spread)),
+            float(strength[0]),
+            misfit,
+        )
+
+    def _fine(self, near: tuple[slice, slice], free: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Finer points x, y (n, 2) of the free cells of a block of the grid, and their prior."""
+        rows, columns = self.log_prior.shape
+        inner = (np.arange(FINE) + 0.5) / FINE - 0.5
+        cells = np.argwhere(free) + np.array([near[0].start, near[1].start])
+        offsets = np.stack(np.meshgrid(inner, inner, indexing="ij"), axis=-1).reshape(-1, 2)
+        at = (cells[:, None] + offsets).reshape(-1, 2)[:, ::-1]
+        prior = np.repeat(self.log_prior[tuple(cells.T)], FINE**2)
+        return np.clip(at, 0.0, [columns - 1.0, rows - 1.0]), prior
+
+    def _between(self, at: Array) -> tuple[Array, Array]:
+        """Mean, by polynomials, and variance, of the nearest point, at grid indices x, y (n, 2)."""
+        rows, columns, _ = self.mean.shape
+        size = (min(_SUPPORT, columns), min(_SUPPORT, rows))
+        starts = [
+            np.clip(np.floor(at[:, axis]).astype(int) - size[axis] // 2 + 1, 0, n - size[axis])
+            for axis, n in enumerate((columns, rows))
+        ]
+        weights = [_lagrange(at[:, axis] - starts[axis], size[axis]) for axis in (0, 1)]
+        mean = np.zeros((len(at), self.mean.shape[2]))
+        for i in range(size[1]):
+            for j in range(size[0]):
+                factor = (weights[1][:, i] * weights[0][:, j])[:, None]
+                mean += factor * self.mean[starts[1] + i, starts[0] + j]
+        nearest = np.rint(at).astype(int)
+        return mean, self.variance[nearest[:, 1], nearest[:, 0]]
+
+    def _misfit(
+        self, seen: Array, left: Array, mean: Array, variance: Array, strength: float
+    ) -> Array:
+        """Residual of each channel given all others, in standard deviations (C,)."""
+        precision = 1.0 / (strength**2 * variance + 1.0)
+        residual = precision * (seen - strength * mean)
+        weighted = self.whitening * precision
+        inverse = weighted @ self.whitening.T
+        pull = self.whitening @ residual
+        if len(left):
+            cross = weighted @ left.T
+            solved = np.linalg.solve((left * precision) @ left.T, cross.T)
+            inverse = inverse - cross @ solved
+            pull = pull - solved.T @ (left @ residual)
+        misfit: Array = pull / np.sqrt(np.maximum(np.diag(inverse), 1e-12))
+        return misfit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Score:
+    """Log likelihood of places for one frame, with the strength at its best.
+
+    Attributes:
+        prior: mean and standard deviation of the strength (2,).
+        seen: independent answers (C,).
+        left: rows of the whitening of channels that are left out (b, C); an unknown offset of each
+            is marginalised, which leaves the channel out exactly.
+    """
+
+    prior: Array
+    seen: Array
+    left: Array
+
+    def __call__(self, mean: Array, variance: Array) -> tuple[Array, Array]:
+        """Log likelihood and strength (n,) of maps with mean and variance (n, C)."""
+        s = np.full(len(mean), self.prior[0])
+        weight = 1.0 / self.prior[1] ** 2
+        for _ in range(ROUNDS):
+            precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
+            yy, ym, mm, log = self._products(mean, precision)
+            s = np.maximum((ym + self.prior[0] * weight) / (mm + weight), 0.05 * self.prior[0])
+        square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
+        count = len(self.seen) - len(self.left)
+        likelihood = -0.5 * (TAIL + count) * np.log1p(square / TAIL) + 0.5 * log
+        off = (s - self.prior[0]) ** 2 * weight
+        return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
+
+    def _products(self, mean: Array, precision: Array) -> tuple[Array, Array, Array, Array]:
+        """y'Qy, y'Qm, m'Qm and log |Q| of the precision Q of the channels that are left (n,)."""
+        y = self.seen
+        yy, ym = precision @ y**2, np.sum(precision * mean * y, axis=1)
+        mm, log = np.sum(precision * mean**2, axis=1), np.sum(np.log(precision), axis=1)
+        if not len(self.left):
+            return yy, ym, mm, log
+        lost = np.einsum("bc,nc,dc->nbd", self.left, precision, self.left, optimize=True)
+        a, b = (precision * y) @ self.left.T, (precision * mean) @ self.left.T
+        solved_a, solved_b = (np.linalg.solve(lost, v[..., None])[..., 0] for v in (a, b))
+        log = log - np.linalg.slogdet(lost)[1]
+        return (
+            yy - np.sum(a * solved_a, axis=1),
+            ym - np.sum(a * solved_b, axis=1),
+            mm - np.sum(b * solved_b, axis=1),
+            log,
+        )
+
+
+def _lagrange(t: Array, size: int) -> Array:
+    """Weights (n, size) of the nodes 0, 1, ... in the polynomial through them at t (n,)."""
+    nodes = np.arange(size)
+    weights = np.ones((len(t), size))
+    for i in nodes:
+        for j in nodes[nodes != i]:
+            weights[:, i] *= (t - j) / (i - j)
+    return weights
+
+
+class Locator:
+    """Base of locators: how strong a touch is, relative to those learned from.
+
+    Attributes:
+        channel_scale: root mean square of the log ratios (C,).
+        centre: mean of the training places (2,) [m].
+    """
+
+    __slots__ = ()
+    channel_scale: Array
+    centre: Array
+
+    def strength(self, ratio: ArrayLike) -> Array:
+        """Strength (n,) of the changes |V / ref| (n, C), relative to the touches trained with.
+
+        Root mean square over the channels, each in units of its `channel_scale`.
+        """
+        strength: Array = np.sqrt(np.mean((log_ratio(ratio) / self.channel_scale) ** 2, axis=-1))
+        return strength
+
+    def require_channels(self, channels: int) -> None:
+        """Refuse another number of channels than the trained one; raises DataError."""
+        if channels != len(self.channel_scale):
+            raise DataError(
+                f"these touch positions were learned from {len(self.channel_scale)} channels, "
+                f"got {channels}; train on recordings of this sensor"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionRegressor(Locator):
+    """Gaussian-process regression from a frame and its reference to (x, y).
+
+    The features are log |V / ref| per channel, divided by the channel's root mean square over the
+    training touches and then by the norm of the vector: to first order a touch changes all channels
+    in proportion to its strength, so the direction of the vector depends on position alone. The
+    covariance is a Matern 5/2 function of the distance of two directions, plus white noise
+    (Rasmussen and Williams 2006, section 4.2). Loaded from saved pipelines; no longer learned.
+
+    Attributes:
+        channel_scale: root mean square of the log ratios (C,).
+        directions: unit feature vectors of the training touches (k, C).
+        weights: of the training touches in a prediction (k, 2) [m].
+        centre: mean of the training positions (2,) [m].
+        length: length scale of the covariance, dimensionless.
+        variance: covariance at distance zero.
+    """
+
+    channel_scale: Array
+    directions: Array
+    weights: Array
+    centre: Array
+    length: float
+    variance: float
+
+    def apply(self, ratio: ArrayLike) -> Array:
+        """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
+
+        Raises DataError for another number of channels.
+        """
+        logs = log_ratio(ratio)
+        self.require_channels(logs.shape[-1])
+        directions = _directions(logs / self.channel_scale)
+        inner = directions @ self.directions.T
+        square = np.sum(directions**2, axis=1)[:, None] + np.sum(self.directions**2, axis=1)
+        d = np.sqrt(5.0 * np.maximum(square - 2.0 * inner, 0.0)) / self.length
+        covariance = self.variance * (1.0 + d + d**2 / 3.0) * np.exp(-d)
+        places: Array = covariance @ self.weights + self.centre
+        return places
+
+    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
+        """Places of `apply`, without standard errors, and no channel left out (n, C)."""
+        place, strength = self.apply(ratio), self.strength(ratio)
+        none = np.zeros(np.shape(ratio))
+        return Places(place, np.full(len(place), np.nan), strength, none), none > 0
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Arrays from which `from_arrays` restores the regressor, by name."""
+        return {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PositionRegressor":
+        """Restore the regressor that `arrays` came from."""
+        values = {name: array.astype(float) for name, array in arrays.items()}
+        length, variance = float(values.pop("length")), float(values.pop("variance"))
+        return cls(**values, length=length, variance=variance)
+
+
+def log_ratio(ratio: ArrayLike) -> Array:
+    """log |V / ref| of ratios (n, C); zero where a channel is bad."""
+    size = np.abs(np.asarray(ratio))
+    usable = np.isfinite(size) & (size > 0)
+    return np.log(np.where(usable, size, 1.0))
+
+
+def _directions(vectors: Array) -> Array:
+    """Vectors (n, C) divided by their norms."""
+    norm = np.linalg.norm(vectors, axis=1, keepdims=True)
+    directions: Array = vectors / np.where(norm > 0, norm, 1.0)
+    return directions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressLocator(Locator):
+    """Gaussian-process maps of all channels, inverted for the place of a touch.
+
+    Attributes:
+        grid: the maps.
+        others: further models of the maps, in the same units; places are means over all.
+        gain: of the channels (C,); log |V / ref| is divided by it.
+        channel_scale: root mean square of the log ratios (C,).
+        centre: mean of the training places (2,) [m].
+        error_factor: factor of the standard errors, from presses that were left out.
+        misfit_limit: misfit of a channel beyond which a frame is located without it.
+    """
+
+    grid: MapGrid
+    gain: Array
+    channel_scale: Array
+    centre: Array
+    error_factor: float
+    misfit_limit: float
+    others: tuple[MapGrid, ...] = ()
+
+    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
+        """Place and strength of one touch in each frame, and the channels left out (n, C).
+
+        Bad channels are left out. Where a channel departs by more than `misfit_limit` from what all
+        others say, that of the worst ones is left out without which the rest agrees best, and so
+        on, at most one in `MOST_LEFT_OUT`.
+        """
+        size = np.abs(np.asarray(ratio))
+        logs = log_ratio(ratio)
+        self.require_channels(logs.shape[-1])
+        bad = ~(np.isfinite(size) & (size > 0))
+        answers = logs / self.gain
+        found = self._located(answers, bad)
+        most = bad.sum(axis=1) + logs.shape[1] // MOST_LEFT_OUT
+        for _ in range(logs.shape[1] // MOST_LEFT_OUT):
+            over = np.abs(found.misfit).max(axis=1) > self.misfit_limit
+            again = np.flatnonzero(over & (bad.sum(axis=1) < most))
+            if not len(again):
+                break
+            worst = np.argsort(-np.abs(found.misfit[again]), axis=1)[:, :SUSPECTS]
+            smallest = np.full(len(again), np.inf)
+            before = bad[again]
+            for suspect in worst.T:
+                less = before.copy()
+                less[np.arange(len(again)), suspect] = True
+                other = self._located(answers[again], less)
+                size = np.abs(other.misfit).max(axis=1)
+                better = size < smallest
+                smallest[better] = size[better]
+                bad[again[better]] = less[better]
+                found = _replaced(found, again[better], other, better)
+        return replace(found, deviation=found.deviation * self.error_factor), bad
+
+    def _located(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
+        """Places by all models from answers (n, C) without the bad ones (n, C)."""
+        return mixture_places([grid.locate(answers, bad) for grid in (self.grid, *self.others)])
+
+    def apply(self, ratio: ArrayLike) -> Array:
+        """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
+
+        Raises DataError for another number of channels.
+        """
+        return self.locate(ratio)[0].place
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Arrays from which `from_arrays` restores the locator, by name."""
+        arrays = {name: np.asarray(getattr(self, name)) for name in OWN}
+        named = {"grid": self.grid} | {f"other{i}": grid for i, grid in enumerate(self.others)}
+        for name, grid in named.items():
+            parts = {f"{name}.{each.name}": getattr(grid, each.name) for each in fields(grid)}
+            arrays |= {key: np.asarray(value) for key, value in parts.items()}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PressLocator":
+        """Restore the locator that `arrays` came from; raises KeyError where one is missing."""
+        values: dict[str, Any] = {name: array.astype(float) for name, array in arrays.items()}
+        values |= {name: float(value) for name, value in values.items() if value.ndim == 0}
+
+        def grid(name: str) -> MapGrid:
+            return MapGrid(**{each.name: values[f"{name}.{each.name}"] for each in fields(MapGrid)})
+
+        others = sum(name.startswith("other") and name.endswith(".step") for name in arrays)
+        own = {name: values[name] for name in OWN}
+        return cls(grid("grid"), **own, others=tuple(grid(f"other{i}") for i in range(others)))
+
+
+def _replaced(
+    found: Places, rows: NDArray[np.int64], other: Places, which: NDArray[np.bool_]
+) -> Places:
+    """Places with some rows taken from others."""
+    changed = {}
+    for each in fields(Places):
+        values = getattr(found, each.name).copy()
+        values[rows] = getattr(other, each.name)[which]
+        changed[each.name] = values
+    return Places(**changed)

@@ -1,0 +1,354 @@
+"""Knowledge of a sheet: sectors that are alike, and the choice of the model of its maps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.training.adaptation.channel_maps import (
+    ChannelMaps,
+    DesignSpan,
+    PlaceKernel,
+    Presses,
+    concatenate,
+)
+from eitskin.training.reconstruction.linear_model import linear_model
+from eitskin.training.reconstruction.pixel_grid import PixelGrid
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 5e-4  # m: how far an electrode may stand from its place by symmetry
+GAIN_SPREAD = 0.3  # of the logarithms of the gains of channels alike
+MOST_GAINS_BY = 64  # presses that gains are learned from; more share nothing with sectors
+NOISE = 0.05  # variance of what symmetry leaves unexplained, relative to the answers'
+SPAN_PIXELS = 3600
+STARTS = 8  # combinations of signs that are tried in full
+LENGTHS = (1.0, 1.5, 2.2)  # of the presses' standard deviation along an axis
+SHARES = (0.0, 0.5, 0.9)
+COPIES = (0.0, 1 / 64, 1 / 256)
+AVERAGED_COPIES = (1 / 64, 1 / 16)
+NOISES = (0.01, 0.1)
+MOST_AVERAGED_BY = 8  # presses
+MOST_SHARED = 64  # presses; beyond that, own ones say more than those of other sectors
+MOST_CHOSEN_BY = 200
+MAX_LEFT_OUT = 40  # presses; with fewer, all is learned anew without those left out
+FOLDS = 5
+
+
+def design_span(design: SensorDesign) -> DesignSpan:
+    """Sensitivity maps of all pairs of electrodes, solved at coarse resolution."""
+    grid = PixelGrid.of(design.outline, SPAN_PIXELS)
+    n = len(design.electrodes)
+    rows = [(j, 0, k, 0) for j in range(1, n) for k in range(j, n)]
+    model = linear_model(design, Protocol.from_rows(rows, n), grid.shape, resolution="coarse")
+    potentials = _centred(np.real(model.sensitivity).astype(float), n)
+    inside = grid.outline.contains(_centres(grid))
+    maps = potentials / np.sqrt(np.sum(potentials[:, inside] ** 2) / inside.sum())
+    size = np.array([design.outline.length, design.outline.width])
+    return DesignSpan(maps.reshape(-1, *grid.shape), size)
+
+
+def _centred(maps: Array, n: int) -> Array:
+    """Maps of pairs (j, k), electrode 0 grounded, weighted so that all electrodes count alike.
+
+    The patterns e_j - e_0 are replaced by e_j - mean(e), of which n - 1 are independent.
+    """
+    gram = np.zeros((n, n, maps.shape[1]))
+    pairs = [(j, k) for j in range(1, n) for k in range(j, n)]
+    for (j, k), values in zip(pairs, maps, strict=True):
+        gram[j, k] = gram[k, j] = values
+    centre = np.eye(n) - 1.0 / n
+    gram = np.einsum("ab,cd,bdp->acp", centre, centre, gram, optimize=True)
+    upper = [(j, k) for j in range(n) for k in range(j, n)]
+    return np.array([gram[j, k] * (1.0 if j == k else np.sqrt(2.0)) for j, k in upper])
+
+
+def _centres(grid: PixelGrid) -> Array:
+    """Centres of all pixels of the bounding box, row by row (pixels, 2) [m]."""
+    x, y = np.meshgrid(grid.x, grid.y)
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sectors:
+    """Group of rotations by 360/n degrees under which electrodes and measurements are alike.
+
+    Attributes:
+        centre: of the rotation (2,) [m].
+        turned: channel that channel c becomes after r rotations, (n, C).
+    """
+
+    centre: Array
+    turned: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, design: SensorDesign | None, protocol: Protocol | None) -> "Sectors | None":
+        """Largest such group; None where there is none, or design or protocol are not known.
+
+        Measurements are alike only with each electrode in the same role: an instrument may tell
+        source from sink, and one sense lead from the other.
+        """
+        if design is None or protocol is None or not isinstance(design.outline, Disc | Rectangle):
+            return None
+        centre = np.array(design.centre[:2])
+        places = np.array([[e.x, e.y] for e in design.electrodes]) - centre
+        square = math.isclose(design.outline.length, design.outline.width)
+        turns = (
+            range(len(places), 1, -1) if isinstance(design.outline, Disc) else (4, 2)[not square :]
+        )
+        for n in turns:
+            step = _permutation(places, n)
+            moved = [] if step is None else _moved(protocol, step)
+            if moved and min(moved) >= 0:
+                turned = [np.arange(len(protocol))]
+                for _ in range(n - 1):
+                    turned.append(np.array(moved)[turned[-1]])
+                return cls(centre, np.array(turned))
+        return None
+
+    def rotated(self, places: Array, steps: int) -> Array:
+        """Places (n, 2) [m] after some rotations."""
+        angle = 2.0 * np.pi * steps / len(self.turned)
+        c, s = math.cos(angle), math.sin(angle)
+        rotated: Array = (places - self.centre) @ np.array([[c, s], [-s, c]]) + self.centre
+        return rotated
+
+    def shared(self, presses: Presses, weight: float) -> Presses:
+        """Presses, and after them their copies in all other sectors, of smaller weight.
+
+        Args:
+            presses: recorded ones, their answers in units of the channels' gains.
+            weight: of a copy, between 0 and 1.
+        """
+        copies = [presses]
+        for steps in range(1, len(self.turned)):
+            answers = np.empty_like(presses.answers)
+            answers[:, self.turned[steps]] = presses.answers
+            copies.append(
+                Presses(
+                    self.rotated(presses.places, steps),
+                    presses.strength,
+                    answers,
+                    weight * presses.weight,
+                    presses.owner,
+                )
+            )
+        return concatenate(copies)
+
+    def gains(self, kernel: PlaceKernel, presses: Presses) -> Array:
+        """Signed gain of each channel, by which its map is that of the channels alike (C,).
+
+        Channels of one orbit share a map h in their own sector, y_c = a_c s h(rotated p). The gains
+        maximise the marginal likelihood of h, their logarithms normally distributed about that of
+        the orbit; magnitudes hide the sign of a voltage, so combinations of signs are tried.
+        """
+        gains = presses.unit_scale
+        few = presses.select(np.arange(min(MOST_GAINS_BY, len(presses.strength))))
+        n, done = len(few.strength), np.zeros(len(gains), dtype=bool)
+        back = np.concatenate([self.rotated(few.places, -r) for r in range(len(self.turned))])
+        strength = np.tile(few.strength, len(self.turned))
+        covariance = kernel(back, back) * np.outer(strength, strength)
+        covariance += NOISE * float(np.mean(few.strength**2)) * np.eye(len(back))
+        factor = cho_factor(covariance)
+        for channel in range(len(gains)):
+            orbit = self.turned[:, channel]
+            if done[channel] or len(set(orbit.tolist())) < len(orbit):
+                continue
+            blocks = np.zeros((len(back), len(orbit)))
+            for r, each in enumerate(orbit):
+                blocks[r * n : (r + 1) * n, r] = few.answers[:, each]
+            gains[orbit] = _gains(blocks.T @ cho_solve(factor, blocks), n)
+            done[orbit] = True
+        return gains
+
+
+def _permutation(places: Array, n: int) -> NDArray[np.int64] | None:
+    """Electrode at the place of each after a rotation by 1/n; None where there is none."""
+    angle = 2.0 * np.pi / n
+    c, s = math.cos(angle), math.sin(angle)
+    away = np.linalg.norm((places @ np.array([[c, s], [-s, c]]))[:, None] - places, axis=2)
+    found = away.argmin(axis=1)
+    alike = away.min(axis=1).max() < TOLERANCE and len(set(found.tolist())) == len(places)
+    return found if alike else None
+
+
+def _moved(protocol: Protocol, step: NDArray[np.int64]) -> list[int]:
+    """Channel that each becomes when electrode e becomes step[e]; -1 where there is none.
+
+    With source and sink, and both sense leads, swapped at once, a measurement is the same.
+    """
+    rows = {row: at for at, row in enumerate(protocol.table)}
+    found = []
+    for row in protocol.table:
+        a, b, c, d = (int(step[electrode]) for electrode in row)
+        found.append(rows.get((a, b, c, d), rows.get((b, a, d, c), -1)))
+    return found
+
+
+def _gains(quadratic: Array, presses: int) -> Array:
+    """Gains of an orbit from the quadratic form (r, r) of its answers in the inverse covariance."""
+    size = len(quadratic)
+    signs = np.ones((1, size))
+    for at in range(1, size):  # the best combinations of the first channels, extended by one
+        both = np.concatenate([signs, signs * np.where(np.arange(size) == at, -1.0, 1.0)])
+        head = both[:, : at + 1]
+        cost = np.einsum("ia,ab,ib->i", head, quadratic[: at + 1, : at + 1], head)
+        signs = both[np.argsort(cost, kind="stable")[: 1 << 7]]
+    fits = [_positive_gains(quadratic * np.outer(each, each), presses) for each in signs[:STARTS]]
+    best = int(np.argmin([cost for _, cost in fits]))
+    gains: Array = signs[best] * fits[best][0]
+    return gains
+
+
+def _positive_gains(quadratic: Array, presses: int) -> tuple[Array, float]:
+    """Positive gains and their cost, by Newton's method on the logarithms u of their inverses."""
+    size = len(quadratic)
+    spread = (np.eye(size) - 1.0 / size) / GAIN_SPREAD**2
+
+    def cost(u: Array) -> float:
+        b = np.exp(u)
+        return float(0.5 * b @ quadratic @ b - presses * np.sum(u) + 0.5 * (u @ spread @ u))
+
+    u = np.full(size, -0.5 * np.log(max(quadratic.sum() / (size * presses), 1e-300)))
+    for _ in range(15):
+        b = np.exp(u)
+        pull = b * (quadratic @ b)
+        gradient = pull - presses + spread @ u
+        values, vectors = np.linalg.eigh(np.outer(b, b) * quadratic + np.diag(pull) + spread)
+        step = -vectors @ ((vectors.T @ gradient) / np.maximum(np.abs(values), 1e-3))
+        step = np.clip(step, -1.0, 1.0)
+        while cost(u + step) > cost(u) and np.abs(step).max() > 1e-9:
+            step = 0.5 * step
+        u = u + step
+        if np.abs(step).max() < 1e-6:
+            break
+    return np.exp(-u), cost(u)
+
+
+@dataclass(frozen=True, slots=True)
+class MapChoice:
+    """How the maps of a sensor are modelled.
+
+    Attributes:
+        length: length scale over the presses' standard deviation along an axis.
+        share: of the design's span in the prior variance; zero without a design.
+        copies: weight of a press's copies in other sectors; zero for none.
+        noise: prior guess of the noise variance, relative to the answers'.
+    """
+
+    length: float = 1.5
+    share: float = 0.0
+    copies: float = 0.0
+    noise: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetKnowledge:
+    """Knowledge of a sheet beside its presses.
+
+    Attributes:
+        extent: standard deviation of the presses' places along an axis [m].
+        span: of the sensor's design; None where it is not known.
+        sectors: that are alike; None without any.
+    """
+
+    extent: float
+    span: DesignSpan | None = None
+    sectors: Sectors | None = None
+
+    def kernel(self, choice: MapChoice) -> PlaceKernel:
+        """Prior covariance over the sheet."""
+        return PlaceKernel(choice.length * self.extent, self.span, choice.share)
+
+    def gains(self, choice: MapChoice, presses: Presses) -> Array:
+        """Gain of each channel (C,), by which answers become of order one."""
+        if choice.copies == 0.0 or self.sectors is None:
+            return presses.unit_scale
+        return self.sectors.gains(PlaceKernel(choice.length * self.extent), presses)
+
+    def prepared(self, choice: MapChoice, presses: Presses, gains: Array) -> Presses:
+        """Presses in units of the gains, with copies in other sectors where chosen."""
+        scaled = replace(presses, answers=presses.answers / gains)
+        if choice.copies == 0.0 or self.sectors is None:
+            return scaled
+        return self.sectors.shared(scaled, choice.copies)
+
+    def choices(self, presses: Presses) -> Sequence[MapChoice]:
+        """Choices over which places are averaged: the best one, or several where presses are few.
+
+        A handful of presses tells none of them from the others, and the errors of each are its own.
+        """
+        if len(presses.owners) > MOST_AVERAGED_BY:
+            return [self.choose(presses)]
+        shares = SHARES[:2] if self.span is not None else (0.0,)
+        copies = AVERAGED_COPIES if self.sectors is not None else (0.0,)
+        return [MapChoice(*each) for each in product(LENGTHS[:2], shares, copies, NOISES[::-1])]
+
+    def choose(self, presses: Presses) -> MapChoice:
+        """Best choice, one attribute after the other, by a clear margin: its standard error.
+
+        The score is the mean log predictive density of a press that is left out: in closed form,
+        or, with few presses, with everything learned anew without it.
+        """
+        rows, count = len(presses.strength), len(presses.owners)
+        some = presses.select(np.arange(0, rows, -(-rows // MOST_CHOSEN_BY)))
+        shared = self.sectors is not None and count <= MOST_SHARED
+        options: Sequence[tuple[str, Sequence[float]]] = (
+            ("length", LENGTHS),
+            ("share", SHARES if self.span is not None else ()),
+            ("copies", COPIES if shared else ()),
+            ("noise", NOISES),
+        )
+        best = MapChoice(
+            share=SHARES[1] if self.span is not None else 0.0, copies=COPIES[1] if shared else 0.0
+        )
+        scores = {best: self.density(best, some)}
+        for name, values in options:
+            now = scores[best]
+            for value in values:
+                other = replace(best, **{name: value})
+                if other not in scores:
+                    scores[other] = self.density(other, some)
+            gains = {each: score - now for each, score in scores.items()}
+            clear = {
+                each: float(gain.mean())
+                for each, gain in gains.items()
+                if each == best or gain.mean() > gain.std() / np.sqrt(len(gain))
+            }
+            best = max(clear, key=lambda each: clear[each])
+        return best
+
+    def density(self, choice: MapChoice, presses: Presses) -> Array:
+        """Log predictive density of each press, it left out, in the answers' own unit (n,).
+
+        It is the mean of those of its frames, which share the errors of the maps.
+        """
+        found = self._density_of_frames(choice, presses)
+        _, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
+        density: Array = np.bincount(number, found) / frames
+        return density
+
+    def _density_of_frames(self, choice: MapChoice, presses: Presses) -> Array:
+        kernel, owners = self.kernel(choice), presses.owners
+        count = len(owners)
+        if count > MAX_LEFT_OUT:
+            gains = self.gains(choice, presses)
+            prepared = self.prepared(choice, presses, gains)
+            maps = ChannelMaps.fit(kernel, prepared, choice.noise)
+            return maps.left_out_density(prepared) - float(np.sum(np.log(np.abs(gains))))
+        found, folds = np.zeros(len(presses.owner)), min(FOLDS, count)
+        for fold in range(folds):
+            tested = np.isin(presses.owner, owners[fold::folds])
+            learned, other = presses.select(~tested), presses.select(tested)
+            gains = self.gains(choice, learned)
+            maps = ChannelMaps.fit(kernel, self.prepared(choice, learned, gains), choice.noise)
+            density = maps.density_of(replace(other, answers=other.answers / gains))
+            found[tested] = density - float(np.sum(np.log(np.abs(gains))))
+        return found
