@@ -208,13 +208,6 @@ def mean_distance(covariance: Array) -> Array:
     return found
 
 
-def scene_bound(
-    simulator: Simulator, scene: Scene, deviation: ArrayLike, reference_frames: float = 1.0
-) -> SceneBound:
-    """Cramer-Rao bound of a scene of unknown angle; see `SceneDerivatives.bound`."""
-    return scene_derivatives(simulator, scene).bound(deviation, reference_frames)
-
-
 def scene_derivatives(
     simulator: Simulator,
     scene: Scene,

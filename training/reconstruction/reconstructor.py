@@ -250,9 +250,11 @@ class Reconstructor:
         if self.method == "back-projection":
             return frames @ back_projection(J).T
         family = self.family.without(missing) if missing.any() else self.family
-        by_frames = self.regularisation.rule == "gcv"
-        parameter = family.of_gcv(frames) if by_frames else self._lambda
-        values = frames @ self._matrix(family, parameter, whole=not missing.any()).T
+        if self.regularisation.rule == "gcv":
+            matrix = family.matrix(family.of_gcv(frames))
+        else:
+            matrix = family.matrix(self._lambda) if missing.any() else self._whole_matrix
+        values = frames @ matrix.T
         if self.method != "total-variation":
             return values
         misfits = np.linalg.norm(frames - values @ J.T, axis=1)
@@ -261,14 +263,9 @@ class Reconstructor:
             [varied.picture(y, float(misfit)) for y, misfit in zip(frames, misfits, strict=True)]
         )
 
-    def _matrix(self, family: RegularisedInverse, parameter: float, whole: bool) -> Array:
-        """Reconstruction matrix (P, measurements); that of whole frames is kept."""
-        if not whole or self.regularisation.rule == "gcv":
-            return family.matrix(parameter)
-        return self._whole_matrix
-
     @cached_property
     def _whole_matrix(self) -> Array:
+        """Reconstruction matrix (P, measurements) of frames without missing channels."""
         return self.family.matrix(self._lambda)
 
 

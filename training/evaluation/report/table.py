@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 
-from eitskin.training.evaluation.scores import Consistency, Report, TouchScore
+from eitskin.training.evaluation.scores import Consistency, Report
 
 Row = tuple[str, str, str]
 
 NOTHING = "-"  # where a figure has no value
+ERROR, ANGLE = "{:.2f} +- {:.2f} mm", "{:.2f} deg (bias {:+.2f})"
 HEADINGS: Row = ("experiment", "paper", "here")
 COUNTS = {"1": "one touch", "2": "two touches", "3": "three touches", "4": "four touches"}
 GROUPS = {**COUNTS, "bent": "bent and touched"}
@@ -37,8 +38,10 @@ def table_rows(report: Report) -> Iterator[Row]:
 def _touch_rows(report: Report) -> Iterator[Row]:
     for group, name in GROUPS.items():
         if score := report.touches.get(group):
-            yield f"{name}: error", PAPER_ERROR_MM.get(group, "-"), _errors(score)
-            yield "  median, 95 % within", "-", _quantiles(score)
+            spread = (score.mean_error_mm, score.deviation_mm)
+            yield f"{name}: error", PAPER_ERROR_MM.get(group, "-"), _text(ERROR, *spread)
+            quantiles = (score.median_error_mm, score.p95_error_mm)
+            yield "  median, 95 % within", "-", _text("{:.2f} mm, {:.2f} mm", *quantiles)
             yield "  found", "-", f"{score.found:.1%}, and {score.false_per_touch:.1%} false"
     for group, paper in PAPER_SSIM.items():
         if score := report.touches.get(group):
@@ -59,47 +62,32 @@ def _touch_rows(report: Report) -> Iterator[Row]:
 def _state_rows(report: Report) -> Iterator[Row]:
     states, told_apart = report.states, report.estimates.states
     if "idle" in told_apart:
-        yield "idle recognised", "> 97 %", _figure(states.accuracy["idle"], "{:.1%}")
-        yield "  taken for a touch", NOTHING, _figure(states.idle_as_touch, "{:.1%}")
+        yield "idle recognised", "> 97 %", _text("{:.1%}", states.accuracy["idle"])
+        yield "  taken for a touch", NOTHING, _text("{:.1%}", states.idle_as_touch)
     if "touch" in told_apart:
-        yield "touch recognised", "99 %", _figure(states.accuracy["touch"], "{:.1%}")
+        yield "touch recognised", "99 %", _text("{:.1%}", states.accuracy["touch"])
         if "bend" in told_apart or states.bent_touch_accuracy is not None:
-            yield "  on a bent sensor", NOTHING, _figure(states.bent_touch_accuracy, "{:.1%}")
+            yield "  on a bent sensor", NOTHING, _text("{:.1%}", states.bent_touch_accuracy)
     if "bend" in told_apart:
-        yield "bend recognised", NOTHING, _figure(states.accuracy["bend"], "{:.1%}")
+        yield "bend recognised", NOTHING, _text("{:.1%}", states.accuracy["bend"])
     if states.left_out:
         yield "frames of another state", NOTHING, f"{states.left_out}, not judged"
 
 
 def _bend_rows(report: Report) -> Iterator[Row]:
     bend = report.bend
-    yield "bend angle, R2", "0.997", _figure(bend.r2, "{:.4f}")
-    yield "bend angle, RMSE", "0.90 deg", _angle(bend.rmse_deg, bend.bias_deg)
-    yield "  while touched", "-", _angle(bend.touched_rmse_deg, bend.touched_bias_deg)
+    touched = (bend.touched_rmse_deg, bend.touched_bias_deg)
+    yield "bend angle, R2", "0.997", _text("{:.4f}", bend.r2)
+    yield "bend angle, RMSE", "0.90 deg", _text(ANGLE, bend.rmse_deg, bend.bias_deg)
+    yield "  while touched", "-", _text(ANGLE, *touched)
     if bend.calibration:
         yield "angle error / standard error", "-", _consistency(bend.calibration)
-
-
-def _errors(score: TouchScore) -> str:
-    if score.mean_error_mm is None:
-        return NOTHING
-    return f"{score.mean_error_mm:.2f} +- {score.deviation_mm:.2f} mm"
-
-
-def _quantiles(score: TouchScore) -> str:
-    if score.median_error_mm is None:
-        return NOTHING
-    return f"{score.median_error_mm:.2f} mm, {score.p95_error_mm:.2f} mm"
-
-
-def _angle(rmse: float | None, bias: float | None) -> str:
-    return NOTHING if rmse is None else f"{rmse:.2f} deg (bias {bias:+.2f})"
 
 
 def _consistency(found: Consistency) -> str:
     return f"rms {found.rms_ratio:.2f}, {found.within_one:.0%} within one"
 
 
-def _figure(value: float | None, form: str) -> str:
-    """`value` in a format; a dash for none."""
-    return NOTHING if value is None else form.format(value)
+def _text(form: str, *values: float | None) -> str:
+    """Values in a format; a dash where there are none."""
+    return NOTHING if None in values else form.format(*values)
