@@ -98,15 +98,17 @@ def recipe(twin: Twin) -> Recipe:
 def spread(twin: Twin) -> Specimens:
     """Posterior standard deviations as those of specimens, at most what recipes allow."""
     found: dict[str, Any] = {"count": _SPECIMENS}
+    kinds = [each.name for each in twin.parameters]
+    kinds = kinds[: kinds.index("gain")]  # the meter has an offset, too
     for name, kind in _SPREADS.items():
-        own = [k for k, each in enumerate(twin.parameters) if each.name == kind]
+        own = [k for k, each in enumerate(kinds) if each == kind]
         if not own:
             continue
         errors = twin.standard_errors[own]
         relative = errors if name in _LENGTHS else errors / np.abs(twin.values[own])
         found[name] = min(float(np.sqrt(np.mean(relative**2))), RANGES[name][0])
     if "hinge_span" in found:
-        span = float(twin.values[[each.name for each in twin.parameters].index("span")])
+        span = float(twin.values[kinds.index("span")])
         found["hinge_span"] = min(found["hinge_span"], 0.99 * span / MAX_DEVIATIONS)
     if "electrode_place" in found:
         room = max(clearance(twin.specimen.design)[0], 0.0) / MAX_DEVIATIONS
