@@ -26,7 +26,7 @@ COLUMNS = ("true", "state", "angle, deg", "touches: true", "found", "error, mm",
 def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> list[dict[str, Any]]:
     """Play the episode through a virtual board and `pipeline`; one row of results per step.
 
-    Every frame crosses the pseudo-terminal as packets, as from a real board. A row holds the state
+    Every frame comes as packets, as from a real board. A row holds the state
     estimated in most frames of its step, the median angle, the touches of the last frame, and
     state, angle, touches and time of each frame.
     """
@@ -105,7 +105,7 @@ def _places(places: Sequence[Sequence[float]]) -> str:
 
 WIDTH, HEIGHT = 900, 800  # of the picture, in its own units
 SECONDS = 1.8  # for which each step of the episode is shown
-FRAMES = 4  # of each step that are shown, evenly spaced
+FILM_FRAMES = 4  # of each step that are shown, evenly spaced
 TURN, TILT = np.radians((28.0, 38.0))  # of the view, about z and above the horizon
 ORIGIN, ENLARGED = (450.0, 320.0), 4410.0  # of the sensor's middle [units]; units per metre
 TRACE = (90.0, 540.0, 780.0, 200.0)  # box of the angle's trace: left, top, width, height
@@ -127,7 +127,7 @@ def episode_film(rows: Sequence[Mapping[str, Any]], design: SensorDesign) -> byt
     moments = [
         (row, round(k))
         for row in rows
-        for k in np.unique(np.linspace(0, len(row["states"]) - 1, FRAMES).round())
+        for k in np.unique(np.linspace(0, len(row["states"]) - 1, FILM_FRAMES).round())
     ]
     angles = [float(np.nan_to_num(row["angles_deg"][k])) for row, k in moments]
     shown = max(range(len(moments)), key=lambda n: (len(moments[n][0]["true_touches_mm"]), n))
