@@ -1,8 +1,9 @@
 """Commands of the live page: its protocol, and those to a virtual board."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
@@ -112,55 +113,19 @@ class ConflictError(ConfigurationError):
     """A command that is valid, but not possible now or with this board."""
 
 
-class PageCommands(Protocol):
-    """Commands that the page's server takes by POST."""
+class SessionCommands(Protocol):
+    """Commands to a live session."""
 
     @property
-    def paths(self) -> Sequence[str]:
-        """Paths of all commands."""
-
-    def execute(self, path: str, body: bytes) -> None:
-        """Execute the command of a path; raises ConfigurationError, KeyError for other paths."""
-
-
-class SessionCommands(PageCommands, Protocol):
-    """Commands to a live session."""
+    def commands(self) -> "Commands":
+        """Commands by path."""
 
     def state(self) -> Mapping[str, Any]:
         """Plain data of what is being done, and of what may be asked for."""
 
 
-@dataclass(frozen=True, slots=True)
-class CommandsOfBoth(PageCommands):
-    """Commands to a virtual board and to a session."""
-
-    stage: PageCommands
-    session: PageCommands
-
-    @property
-    def paths(self) -> Sequence[str]:
-        return (*self.stage.paths, *self.session.paths)
-
-    def execute(self, path: str, body: bytes) -> None:
-        (self.session if path in self.session.paths else self.stage).execute(path, body)
-
-
-@dataclass(frozen=True, slots=True)
-class StageCommands(PageCommands):
-    """Commands to the scene and faults of a virtual board; conflicts with every other board."""
-
-    board: "Board"
-    sheet: SensorDesign | Region
-
-    @property
-    def paths(self) -> Sequence[str]:
-        return tuple(COMMANDS)
-
-    def execute(self, path: str, body: bytes) -> None:
-        command, act = COMMANDS[path]
-        if _stage(self.board) is None:
-            raise ConflictError("this board is not a virtual one and takes no commands")
-        act(self.board, self.sheet, read_command(command, path, body))
+Commands = Mapping[str, Callable[[bytes], None]]
+"""Function of each path that is posted to, which takes the body; may raise ConfigurationError."""
 
 
 def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
@@ -174,39 +139,41 @@ def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
     return from_dict(kind, data, path.lstrip("/"))
 
 
-def _set_scene(board: "Board", sheet: SensorDesign | Region, command: SceneCommand) -> None:
-    for press in command.touches:
-        _require_inside(sheet, press)
-    touches = tuple(Touch(press.x, press.y, press.force) for press in command.touches)
-    _stage(board).set(Scene(Bend(command.bend_deg), touches))
+def stage_commands(board: "Board", sheet: SensorDesign | Region) -> Commands:
+    """Commands to scene and faults of a virtual board; they conflict with every other board."""
+    stage: Any = getattr(board, "stage", None)
 
+    def set_scene(command: SceneCommand) -> None:
+        for press in command.touches:
+            _require_inside(sheet, press)
+        touches = tuple(Touch(press.x, press.y, press.force) for press in command.touches)
+        stage.set(Scene(Bend(command.bend_deg), touches))
 
-def _break(board: "Board", sheet: SensorDesign | Region, command: FaultCommand) -> None:  # noqa: ARG001
-    if command.clear:
-        _stage(board).clear()
-    else:
-        _stage(board).inject(command.fault)
+    def set_fault(command: FaultCommand) -> None:
+        if command.clear:
+            stage.clear()
+        else:
+            stage.inject(command.fault)
 
+    def play(command: PlayCommand) -> None:
+        from eitskin.hardware.virtual.stage import Script, Step
 
-def _play(board: "Board", sheet: SensorDesign | Region, command: PlayCommand) -> None:  # noqa: ARG001
-    from eitskin.hardware.virtual.stage import Script, Step
+        if not command.play:
+            stage.set(Scene())
+            return
+        frames = max(1, round(STEP / (board.info.period or 1.0)))
+        stage.play(Script(tuple(Step(scene, frames) for scene in STEPS)))
 
-    if not command.play:
-        _stage(board).set(Scene())
-        return
-    frames = max(1, round(STEP / (board.info.period or 1.0)))
-    _stage(board).play(Script(tuple(Step(scene, frames) for scene in STEPS)))
+    def take(path: str, kind: Any, act: Callable[[Any], None], body: bytes) -> None:
+        if stage is None:
+            raise ConflictError("this board is not a virtual one and takes no commands")
+        act(read_command(kind, path, body))
 
-
-COMMANDS: dict[str, tuple[Any, Callable[["Board", SensorDesign | Region, Any], None]]] = {
-    "/scene": (SceneCommand, _set_scene),
-    "/fault": (FaultCommand, _break),
-    "/play": (PlayCommand, _play),
-}
-
-
-def _stage(board: "Board") -> Any:
-    return getattr(board, "stage", None)
+    return {
+        "/scene": partial(take, "/scene", SceneCommand, set_scene),
+        "/fault": partial(take, "/fault", FaultCommand, set_fault),
+        "/play": partial(take, "/play", PlayCommand, play),
+    }
 
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:

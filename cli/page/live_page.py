@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.page.access import Access
-from eitskin.cli.page.commands import CommandsOfBoth, SessionCommands, StageCommands
+from eitskin.cli.page.commands import SessionCommands, stage_commands
 from eitskin.cli.page.plan import Region
 from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.closeable import Closeable
@@ -77,15 +77,14 @@ class LivePage(Closeable):
         self._changed = threading.Condition()
         hello = b"retry: 1000\n" + event(
             "sensor",
-            self._content.sensor() | {"tasks": None if session is None else list(session.paths)},
+            self._content.sensor() | {"tasks": None if session is None else list(session.commands)},
         )
         self._session = session
-        stage = StageCommands(board, sheet)
         self.server = Server(
             port,
             access or Access(),
             hello,
-            stage if session is None else CommandsOfBoth(stage, session),
+            {**stage_commands(board, sheet), **({} if session is None else session.commands)},
             limits or ClientLimits(),
         )
         self.url = self.server.access.url(self.server.port)

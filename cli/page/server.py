@@ -24,7 +24,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from eitskin.cli.page.access import Access, Role, resolved
-from eitskin.cli.page.commands import ConflictError, EnterCommand, PageCommands, read_command
+from eitskin.cli.page.commands import Commands, ConflictError, EnterCommand, read_command
 from eitskin.errors import ConfigurationError
 
 MAX_CLIENTS = 8
@@ -72,7 +72,7 @@ class Server:
     Attributes:
         files: name and content of each file.
         hello: the first event of each stream.
-        commands: executes what is posted.
+        commands: what is done with bodies that are posted, by path.
         access: who may see and command.
         port: listened at.
         watching: number of open streams.
@@ -80,7 +80,7 @@ class Server:
     """
 
     def __init__(
-        self, port: int, access: Access, hello: bytes, commands: PageCommands, limits: ClientLimits
+        self, port: int, access: Access, hello: bytes, commands: Commands, limits: ClientLimits
     ) -> None:
         """Take the port, 0 for any, and serve; raises ConfigurationError where it cannot be had."""
         folder = resources.files("eitskin.cli.page") / "web"
@@ -99,7 +99,7 @@ class Server:
                 Route("/access", self._show_role),
                 Route("/events", self._stream),
                 Route("/enter", self._enter, methods=["POST"]),
-                *(Route(path, self._execute, methods=["POST"]) for path in commands.paths),
+                *(Route(path, self._execute, methods=["POST"]) for path in commands),
                 Route("/{name}", self._show_file),
                 Route("/", self._show_file),
             ],
@@ -240,7 +240,7 @@ class Server:
     async def _execute(self, request: Request) -> Response:
         self._require(request, Role.COMMANDER)
         path, body = request.url.path, await _body(request)
-        await self._loop.run_in_executor(self._workers, self.commands.execute, path, body)
+        await self._loop.run_in_executor(self._workers, self.commands[path], body)
         return JSONResponse({"done": True})
 
     async def _enter(self, request: Request) -> Response:

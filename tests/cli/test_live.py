@@ -11,7 +11,7 @@ from rich.console import Console
 
 from eitskin import files as files_module
 from eitskin.cli.commands.live import session as cli
-from eitskin.cli.commands.live.session import FrameRecording
+from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.live_view import touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
@@ -188,7 +188,7 @@ def full_disk(monkeypatch):
     [(0, 0), (1, 0), (2, 4), (3, 4), (4, 8)],  # a shard, the manifest, and so on
 )
 def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk, files, readable):
-    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
+    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
     session = session_of(QuietBoard(), recordings=[recording])
     full_disk(files)
     with session.output.notes.capture() as capture:
@@ -205,7 +205,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk,
 
 
 def test_a_disk_that_has_room_again_gets_what_was_held_back(tmp_path, full_disk, monkeypatch):
-    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
+    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
     full_disk(1)  # the shard goes through, its manifest does not
     for number in range(4):
         recording.append(reading(number))

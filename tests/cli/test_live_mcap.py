@@ -10,7 +10,7 @@ from rich.console import Console
 from rosbags.rosbag2 import Writer
 
 from eitskin.cli.commands.live import session as live
-from eitskin.cli.commands.live.session import MessageRecording
+from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.options import Output
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
@@ -114,7 +114,7 @@ def test_what_is_lost_is_said_unless_an_error_ends_the_session(
 def test_after_a_failure_nothing_more_is_written(tmp_path, monkeypatch):
     """Not even where there is room again: a chunk may have been cut short."""
     board = types.SimpleNamespace(counts=Counts(), info=types.SimpleNamespace(period=0.3))
-    recording = MessageRecording(McapWriter(tmp_path / "run.mcap"))
+    recording = Recording(McapWriter(tmp_path / "run.mcap"), tmp_path)
     session = live.LiveSession(
         Connection(board), Output(notes=Console(width=200)), [recording], clock=lambda: 50.0
     )

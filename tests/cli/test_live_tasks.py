@@ -59,7 +59,7 @@ class Running:
         self.tasks = SessionTasks(self.session, SessionPipeline(pipeline), folder, "fake.eitmodel")
 
     def ask(self, path, **body):
-        self.tasks.execute(path, json.dumps(body).encode())
+        self.tasks.commands[path](json.dumps(body).encode())
 
     def take(self):
         number = next(self.numbers)
@@ -238,7 +238,7 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
         session = LiveSession(Connection(board), Output(quiet=True))
         held = SessionPipeline(pipeline)
         with SessionTasks(session, held, tmp_path, "reference.eitmodel") as tasks:
-            tasks.execute("/setup", b'{"angles": "25", "presses": 2, "frames": 3}')
+            tasks.commands["/setup"](b'{"angles": "25", "presses": 2, "frames": 3}')
             asked = []
             for reading in run_live(session.connection, held):
                 session.take(reading)
@@ -248,7 +248,7 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
                 if task["progress"] == "asking":
                     asked.append(re.split(r":| in ", task["text"])[0])
                     begun = task["text"].startswith("check: is")
-                    tasks.execute("/answer", b'{"answer": "s"}' if begun else b'{"answer": ""}')
+                    tasks.commands["/answer"](b'{"answer": "s"}' if begun else b'{"answer": ""}')
     assert task["progress"] == "done", task
     (saved,) = tmp_path.glob("*.eitmodel")
     assert asked == [

@@ -5,6 +5,7 @@ import http.client
 import json
 import threading
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 
@@ -142,11 +143,11 @@ class Stream:
 class FakeSession:
     """Remembers what it was asked for, and has the state that the test wants."""
 
-    paths = ("/tare", "/check", "/record", "/setup", "/answer", "/cancel")
-
     def __init__(self):
         self.asked, self.task, self.busy = [], None, False
         self.came = threading.Event()
+        paths = ("/tare", "/check", "/record", "/setup", "/answer", "/cancel")
+        self.commands = {path: partial(self.execute, path) for path in paths}
 
     def execute(self, path, body):
         if self.busy:

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from eitskin.cli.commands.live.session import (
-    FrameRecording,
     LiveSession,
-    MessageRecording,
     Recording,
     SessionPipeline,
     expected_magnitudes,
@@ -239,8 +237,8 @@ def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
     if mcap is not None:
         from eitskin.hardware.ros2.mcap import McapWriter
 
-        yield MessageRecording(McapWriter(mcap, now=time.time_ns))
+        yield Recording(McapWriter(mcap, now=time.time_ns), mcap)
     if record is not None:
         from eitskin.datasets.store.writer import ShardWriter
 
-        yield FrameRecording(ShardWriter(record), record)
+        yield Recording(ShardWriter(record), record)

@@ -4,14 +4,13 @@ import json
 import queue
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from rich.console import Group, RenderableType
@@ -40,72 +39,31 @@ if TYPE_CHECKING:
     from eitskin.training.pipeline.session import SessionOrder
 
 
-class Recording(ABC):
-    """Recording of a session's readings.
+class Recording:
+    """Recording of a session's readings, as a dataset that can be replayed or as MCAP messages.
 
     Attributes:
+        folder: of the dataset, or the MCAP file.
+        given: number of readings so far.
         problem: reason why nothing more is written; empty while everything is.
     """
 
-    def __init__(self) -> None:
-        """Begin without a problem."""
-        self.problem = ""
-
-    def append(self, reading: "Reading") -> None:
-        """Write the reading, unless that failed before."""
-        if self.problem:
-            return
-        try:
-            self._write(reading)
-        except PartialError as error:
-            self._fail(error)
-
-    def close(self) -> None:
-        """Write remaining data, where possible."""
-        try:
-            self._finish()
-        except PartialError as error:
-            self._fail(error)
-
-    @property
-    @abstractmethod
-    def loss(self) -> str:
-        """Missing data and the reason; empty where everything was written."""
-
-    @abstractmethod
-    def _write(self, reading: "Reading") -> None:
-        """Raises PartialError where it cannot be written."""
-
-    @abstractmethod
-    def _finish(self) -> None:
-        """Raises PartialError where that fails."""
-
-    def _fail(self, error: PartialError) -> None:
-        # The rest of the message is the remedy for the end; the session goes on.
-        self.problem = self.problem or str(error).partition(";")[0]
-
-
-class FrameRecording(Recording):
-    """Recording of frames as a dataset that can be replayed.
-
-    Attributes:
-        folder: of the dataset.
-        given: number of frames so far.
-    """
-
-    def __init__(self, writer: "ShardWriter", folder: Path) -> None:
+    def __init__(self, writer: "ShardWriter | McapWriter", folder: Path) -> None:
         """Write into `folder` by `writer`, which `close` closes."""
-        super().__init__()
-        self._writer, self.folder, self.given = writer, folder, 0
+        self._writer: Any = writer
+        self.folder, self._is_dataset = folder, hasattr(writer, "readable")
+        self.given, self.problem, self._remedy = 0, "", ""
 
     @property
     def missing(self) -> int:
         """Number of frames that cannot be read back, among them frames not yet written."""
-        return self.given - self._writer.readable
+        return self.given - int(self._writer.readable) if self._is_dataset else 0
 
     @property
     def loss(self) -> str:
-        """How many frames are missing."""
+        """Missing data and the reason; empty where everything was written."""
+        if not self._is_dataset:
+            return self._remedy
         if not self.missing:
             return ""
         return (
@@ -114,40 +72,29 @@ class FrameRecording(Recording):
         )
 
     def append(self, reading: "Reading") -> None:
-        """Count and write the frame."""
+        """Write the reading, unless that failed before."""
         self.given += 1
-        super().append(reading)
+        if self.problem:
+            return
+        try:
+            if self._is_dataset:
+                self._writer.append(reading.frame)
+            else:
+                self._writer.write(reading)
+        except PartialError as error:
+            self._fail(error)
 
-    def _write(self, reading: "Reading") -> None:
-        self._writer.append(reading.frame)
-
-    def _finish(self) -> None:
-        self._writer.close()
-
-
-class MessageRecording(Recording):
-    """Recording of frames and estimates as messages in an MCAP file."""
-
-    def __init__(self, writer: "McapWriter") -> None:
-        """Write by `writer`, which `close` closes."""
-        super().__init__()
-        self._writer = writer
-        self._said = ""
-
-    @property
-    def loss(self) -> str:
-        """Reason why there is no file, and the path of the part that was written."""
-        return self._said
-
-    def _write(self, reading: "Reading") -> None:
-        self._writer.write(reading)
-
-    def _finish(self) -> None:
-        self._writer.close()
+    def close(self) -> None:
+        """Write remaining data, where possible."""
+        try:
+            self._writer.close()
+        except PartialError as error:
+            self._fail(error)
 
     def _fail(self, error: PartialError) -> None:
-        super()._fail(error)
-        self._said = self._said or str(error)
+        self._remedy = self._remedy or str(error)
+        # The rest of the message is the remedy for the end; the session goes on.
+        self.problem = self.problem or str(error).partition(";")[0]
 
 
 T = TypeVar("T")

@@ -5,18 +5,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.commands.check import FRAMES, sensor_findings
-from eitskin.cli.commands.live.session import FrameRecording, SessionPipeline, expected_magnitudes
+from eitskin.cli.commands.live.session import Recording, SessionPipeline, expected_magnitudes
 from eitskin.cli.commands.live.task import Task
 from eitskin.cli.commands.own_sensor.adapt import open_start
 from eitskin.cli.commands.own_sensor.calibrate import angles_of
 from eitskin.cli.commands.own_sensor.poses import Dialogue, asked, staged
 from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupResult, Wanted, design_of
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
-from eitskin.cli.page.commands import ConflictError, SessionCommands, read_command
+from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, read_command
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, FrameError
 
@@ -197,9 +198,12 @@ class SessionTasks(Closeable, SessionCommands):
         self._lock = threading.Lock()
         self._task: Task | None = None
         self._thread: threading.Thread | None = None
-        self._recording: FrameRecording | None = None
+        self._recording: Recording | None = None
         self._recorded = ""
-        self._commands: dict[str, tuple[Any, Callable[[Any], None]]] = {
+
+    @property
+    def commands(self) -> Commands:
+        acts: dict[str, tuple[Any, Callable[[Any], None]]] = {
             "/tare": (Plain, lambda _: self._start("zero", self._tare)),
             "/check": (Plain, lambda _: self._start("check", self._check)),
             "/record": (RecordCommand, lambda command: self._record(command.record)),
@@ -207,13 +211,9 @@ class SessionTasks(Closeable, SessionCommands):
             "/answer": (AnswerCommand, lambda command: self._give(command.answer)),
             "/cancel": (Plain, lambda _: self._cancel()),
         }
+        return {path: partial(self._take, path, *act) for path, act in acts.items()}
 
-    @property
-    def paths(self) -> tuple[str, ...]:
-        return tuple(self._commands)
-
-    def execute(self, path: str, body: bytes) -> None:
-        kind, act = self._commands[path]
+    def _take(self, path: str, kind: Any, act: Callable[[Any], None], body: bytes) -> None:
         command = read_command(kind, path, body)
         with self._lock:
             act(command)
@@ -324,7 +324,7 @@ class SessionTasks(Closeable, SessionCommands):
             from eitskin.datasets.store.writer import ShardWriter
 
             folder = self._fresh("recording")
-            self._recording = FrameRecording(ShardWriter(folder), folder)
+            self._recording = Recording(ShardWriter(folder), folder)
             self._session.begin(self._recording)
             return
         ended, self._recording = self._recording, None

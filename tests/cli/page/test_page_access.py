@@ -79,7 +79,7 @@ def test_the_session_is_asked_by_who_may_command(connection):
         session.busy = True
         assert post(page, "/check", {}, **own) == (409, {"error": "check is not finished"})
         with closing(Stream(page, own)) as stream:
-            assert stream.until("sensor")["tasks"] == list(session.paths)
+            assert stream.until("sensor")["tasks"] == list(session.commands)
             session.task = {"progress": "working"}
             page.tell()
             assert stream.until("health")["tasks"]["task"] == session.task

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from eitskin.cli.page.commands import StageCommands
+from eitskin.cli.page.commands import stage_commands
 from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelShape
 from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.cli.page.state import filled, relative_change
@@ -119,7 +119,7 @@ def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     assert np.allclose([region.low, region.high], [(0.17, 0.07), (0.23, 0.13)], atol=1e-4)
     beside = b'{"touches": [{"x": 0.172, "y": 0.072, "force": 5}]}'  # in the rectangle's corner
     with pytest.raises(ConfigurationError, match="above the body"):
-        StageCommands(FakeBoard(), design).execute("/scene", beside)
+        stage_commands(FakeBoard(), design)["/scene"](beside)
     points = decoded(base64.b64decode(GelDrawing.of(design).as_dict()["points"]), 2 * 0.06 / 32000)
     assert points.min() == pytest.approx(0.0, abs=1e-3)  # counted from its least corner
     assert points.max() == pytest.approx(0.06, abs=1e-3)
