@@ -243,7 +243,7 @@ def _as_data_errors() -> Iterator[None]:
 
 def _checked_version(file: h5py.h5f.FileID) -> int:
     """Format version of a file; raises DataError for other formats and newer versions."""
-    found = _attribute(file, "format", "")
+    found = _attribute(file, "format", "") or None
     if found != FORMAT:
         raise DataError(
             f"expected format '{FORMAT}', got {quoted(found)}; this is another kind of file"
