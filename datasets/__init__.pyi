@@ -16,9 +16,8 @@ from eitskin.datasets.recordings.recording import (
 from eitskin.datasets.recordings.recording import (
     read_recording as read_recording,
 )
-from eitskin.datasets.store.combination import combine as combine
-from eitskin.datasets.store.compaction import compact as compact
 from eitskin.datasets.store.dataset import Dataset as Dataset
+from eitskin.datasets.store.folder import StoredDataset as StoredDataset
 from eitskin.datasets.store.folder import (
     open_dataset as open_dataset,
 )
@@ -28,6 +27,8 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.folder import (
     save_dataset as save_dataset,
 )
+from eitskin.datasets.store.rewriting import combine as combine
+from eitskin.datasets.store.rewriting import compact as compact
 from eitskin.datasets.store.schema import (
     UNKNOWN_STATE as UNKNOWN_STATE,
 )
@@ -36,7 +37,6 @@ from eitskin.datasets.store.schema import (
 )
 from eitskin.datasets.store.shard import write_shard as write_shard
 from eitskin.datasets.store.shard_reader import read_shard as read_shard
-from eitskin.datasets.store.stored_dataset import StoredDataset as StoredDataset
 from eitskin.datasets.store.torch_dataset import (
     ShuffledShards as ShuffledShards,
 )

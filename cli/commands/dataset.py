@@ -99,7 +99,7 @@ def compaction(
     output: Output,
 ) -> None:
     """Write a dataset anew in few large files, in the newest version of the format."""
-    from eitskin.datasets.store.compaction import compact
+    from eitskin.datasets.store.rewriting import compact
 
     with output.counting("shards") as show:
         manifest = compact(
@@ -138,7 +138,7 @@ def combination(
 
     They must share protocol, sensor, frequency and kind of values; differences are listed.
     """
-    from eitskin.datasets.store.combination import combine
+    from eitskin.datasets.store.rewriting import combine
 
     with output.counting("shards") as show:
         manifest = combine(

@@ -13,8 +13,8 @@ from eitskin.cli.commands.dataset import app
 from eitskin.cli.commands.import_recording import command
 from eitskin.datasets import combine, open_dataset, save_dataset
 from eitskin.datasets.store import folder as store
-from eitskin.datasets.store.compaction import compact
 from eitskin.datasets.store.manifest import Names, ShardEntry, read_manifest
+from eitskin.datasets.store.rewriting import compact
 from eitskin.datasets.store.summary import specimens_in_words
 
 from small_dataset import make

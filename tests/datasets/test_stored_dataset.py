@@ -11,7 +11,7 @@ import pytest
 
 from eitskin.datasets import open_dataset, save_dataset
 from eitskin.datasets.store import folder as folders
-from eitskin.datasets.store import stored_dataset
+from eitskin.datasets.store import folder as stored_dataset
 from eitskin.errors import ConfigurationError, DataError
 
 from small_dataset import assert_same, make
