@@ -1,6 +1,7 @@
 """Frames of a recording by what they show: the flat sensor, known bends, known touches."""
 
 import dataclasses
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from eitskin.simulator.scene.scene import Scene, Touch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Frames = dict[Scene, list[Array]]
+Frames = defaultdict[Scene, list[Array]]
 
 KINDS = ("flat", "bend", "touch")
 FLAT = Scene()
@@ -108,9 +109,23 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
             f"a twin is of one sensor, got {specimens} specimens; choose one with --specimen"
         )
     reads = _quantity(data)
+    frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
     known = [(row, scene) for row, scene in _scenes(data) if scene is not None]
-    untouched = _untouched(data, known, reads)
-    touched, alone = _touched(data, known, reads, untouched)
+    has_own = np.isfinite(before).all(axis=1)
+    untouched: Frames = defaultdict(list)
+    touched: Frames = defaultdict(list)
+    for row, scene in known:
+        if has_own[row]:
+            untouched[_bare(scene)].append(before[row])
+        if not scene.touches:
+            untouched[scene].append(frames[row])
+    alone = 0
+    for row, scene in known:
+        if scene.touches and _bare(scene) in untouched:
+            own = before[row] if has_own[row] else np.mean(untouched[_bare(scene)], axis=0)
+            touched[scene].append(frames[row] - own)
+        else:
+            alone += bool(scene.touches)
     if FLAT not in untouched:
         raise DataError(
             "expected frames of the flat, untouched sensor, got none that is known to be; record "
@@ -122,65 +137,27 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
     scenes = tuple(dict.fromkeys([FLAT, *bends, *map(_bare, touches), *touches]))
     number = {scene: k for k, scene in enumerate(scenes)}
     level = flat.mean(axis=0)
-    shown = [FLAT, *bends, *touches]
+    rows: list[tuple[Scene, int, Array, float]] = [(FLAT, -1, level, 1.0 / len(flat))]
+    for scene in bends:
+        seen = untouched[scene]
+        rows.append((scene, 0, np.mean(seen, axis=0) - level, 1.0 / len(seen) + 1.0 / len(flat)))
+    for scene in touches:
+        seen = touched[scene]
+        rows.append((scene, number[_bare(scene)], np.mean(seen, axis=0), 2.0 / len(seen)))
+    shown, base, values, variance = zip(*rows, strict=True)
     return LabelledFrames(
         protocol=data.protocol,
         reads=reads,
         scenes=scenes,
         shown=np.array([number[scene] for scene in shown]),
-        base=np.array([-1, *(0 for _ in bends), *(number[_bare(scene)] for scene in touches)]),
+        base=np.array(base),
         kind=np.repeat([0, 1, 2], [1, len(bends), len(touches)]),
-        values=np.array(
-            [
-                level,
-                *(np.mean(untouched[scene], axis=0) - level for scene in bends),
-                *(np.mean(touched[scene], axis=0) for scene in touches),
-            ]
-        ),
-        variance=np.array(
-            [
-                1.0 / len(flat),
-                *(1.0 / len(untouched[scene]) + 1.0 / len(flat) for scene in bends),
-                *(2.0 / len(touched[scene]) for scene in touches),
-            ]
-        ),
+        values=np.array(values),
+        variance=np.array(variance),
         noise=white_noise(flat),
         frames=len(known) - alone,
         left_out=len(data) - len(known) + alone,
     )
-
-
-def _untouched(data: Dataset, known: list[tuple[int, Scene]], reads: Quantity) -> Frames:
-    """Frames of the untouched sensor by its bend, those before touches among them."""
-    found: Frames = {}
-    frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
-    for row, scene in known:
-        if np.isfinite(before[row]).all():
-            found.setdefault(_bare(scene), []).append(before[row])
-        if not scene.touches:
-            found.setdefault(scene, []).append(frames[row])
-    return found
-
-
-def _touched(
-    data: Dataset, known: list[tuple[int, Scene]], reads: Quantity, untouched: Frames
-) -> tuple[Frames, int]:
-    """Changes of the readings by each touch, and the number of touches without untouched frame."""
-    found: Frames = {}
-    alone = 0
-    frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
-    for row, scene in known:
-        if not scene.touches:
-            continue
-        bare = untouched.get(_bare(scene))
-        if bare is None:
-            alone += 1
-            continue
-        own = np.isfinite(before[row]).all()
-        found.setdefault(scene, []).append(
-            frames[row] - (before[row] if own else np.mean(bare, axis=0))
-        )
-    return found, alone
 
 
 def _scenes(data: Dataset) -> Iterator[tuple[int, Scene | None]]:
