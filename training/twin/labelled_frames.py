@@ -111,7 +111,7 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
     reads = _quantity(data)
     frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
     known = [(row, scene) for row, scene in _scenes(data) if scene is not None]
-    has_own = np.isfinite(before).all(axis=1)
+    has_own = np.asarray(np.isfinite(before).all(axis=1))
     untouched: Frames = defaultdict(list)
     touched: Frames = defaultdict(list)
     for row, scene in known:
