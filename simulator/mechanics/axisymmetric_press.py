@@ -1,4 +1,4 @@
-"""Axisymmetric press: an indenter on a stack of layers, on a rigid base or held at its rim."""
+"""Axisymmetric press: an indenter on a stack of layers on a rigid base."""
 
 import itertools
 import math
@@ -10,7 +10,6 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_length
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.layer_stack import Stack
@@ -29,9 +28,6 @@ _FIRST_STEP = 0.008
 # Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
 _LONGEST_STEP = 0.04
 _STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
-# Likewise of a stack without a base, which moves as a whole, over the radius of contact.
-_LONGEST_UNHELD_STEP = 0.5
-_LARGEST_STRETCH = 2.0  # of a held rim
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 
 
@@ -77,28 +73,6 @@ class Indentation:
         return float(shortened / (self.z[above] - self.z[below]))
 
 
-@dataclass(frozen=True, slots=True)
-class HeldRim:
-    """Rim that holds a round stack without a base, over the whole height of its outer face.
-
-    Attributes:
-        radius: of the undeformed stack [m].
-        stretch: of the flat stack, equal in all directions of its plane, before it is pressed; the
-            upper face stays at its height.
-    """
-
-    radius: float
-    stretch: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_length("rim radius", self.radius)
-        if not 1.0 <= self.stretch <= _LARGEST_STRETCH:
-            raise ConfigurationError(
-                f"the stretch of a held rim must be from 1 to {_LARGEST_STRETCH:g}, got "
-                f"{self.stretch}"
-            )
-
-
 class AxisymmetricPress:
     """Indenter on a stack; each press starts from the last equilibrium.
 
@@ -117,7 +91,6 @@ class AxisymmetricPress:
         finest: float | None = None,
         band: tuple[float, float] | None = None,
         reach: float | None = None,
-        rim: HeldRim | None = None,
     ) -> None:
         """Mesh the stack, refined where contact may end.
 
@@ -130,7 +103,6 @@ class AxisymmetricPress:
                 largest that the indenter allows when omitted [m].
             reach: radius of a frictionless wall around the stack; eight largest contact radii or
                 thicknesses, whichever is more, when omitted [m].
-            rim: holds the stack instead of a rigid base and a wall.
         """
         self.stack, self.indenter = stack, indenter
         thickness = stack.levels[-1]
@@ -138,7 +110,6 @@ class AxisymmetricPress:
         radius = band[1]
         finest = radius / 30.0 if finest is None else finest
         reach = 8.0 * max(radius, thickness) if reach is None else reach
-        reach = reach if rim is None else rim.radius
         grading = Grading(finest, max(finest, thickness / 4.0), 0.3)
         mesh = _mesh(stack.levels, band, reach, grading)
         heights = mesh.p[1, mesh.t].mean(axis=0)
@@ -160,13 +131,10 @@ class AxisymmetricPress:
             for points in ((r, z), mesh.p)
         )
         walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
-        base = np.flatnonzero(z < 1e-12 if rim is None else r > reach - 1e-9)
+        base = np.flatnonzero(z < 1e-12)
         self._held: Indices = np.union1d(2 * walls, np.concatenate([2 * base, 2 * base + 1]))
-        self._values: Array = np.zeros(len(self._held))
-        self._longest = _LONGEST_STEP * thickness if rim is None else _LONGEST_UNHELD_STEP * radius
+        self._longest = _LONGEST_STEP * thickness
         self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
-        if rim is not None and rim.stretch != 1.0:
-            self._stretch(rim.stretch)
 
     def to_force(self, force: float) -> Indentation:
         """Equilibrium under a force [N]; raises SolidError with the fraction reached otherwise.
@@ -179,7 +147,7 @@ class AxisymmetricPress:
             self.to_depth(self._touching_depth(force))
         self._approach(force)
         start = self.contact.force(self.unknowns)
-        held, values = self._held, self._values
+        held, values = self._held, np.zeros(len(self._held))
 
         def path(t: float) -> Load:
             forces = np.zeros(len(self.unknowns))
@@ -209,7 +177,7 @@ class AxisymmetricPress:
         fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
 
         def path(t: float) -> Load:
-            values = np.append(self._values, before + t * (after - before))
+            values = np.append(np.zeros(len(self._held)), before + t * (after - before))
             return Load(fixed, values, none)
 
         first = _FIRST_STEP * self.stack.levels[-1] / max(abs(after - before), 1e-12)
@@ -228,20 +196,6 @@ class AxisymmetricPress:
             if reached >= force:
                 self.unknowns, self.contact = before
                 return
-
-    def _stretch(self, stretch: float) -> None:
-        """Move the rim outwards, the indenter away."""
-        X = self.solid.nodes
-        moved = (stretch - 1.0) * X
-        moved[:, 1] = (stretch**-2 - 1.0) * (X[:, 1] - self.stack.levels[-1])
-        self._values = moved.ravel()[self._held]
-        fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
-
-        def path(t: float) -> Load:
-            return Load(fixed, np.append(t * self._values, 0.0), none)
-
-        self.unknowns, _ = follow((self.solid,), self.unknowns, path)
-        self.contact = self.contact.placed(self.unknowns)
 
     def _touching_depth(self, force: float) -> float:
         """Depth at which less than `force` acts, estimated as on a half-space [m]."""

@@ -240,20 +240,6 @@ class Solid:
             blocks.append(Block(last[last >= 0], (len(blocks) - 1,)))
         return partial(factorised, blocks=blocks)
 
-    def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
-        """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
-
-        `traction` gives [Pa], (dim, ...), at points (dim, ...) [m].
-        """
-        rim = skfem.FacetBasis(self.mesh, self.basis.elem, facets=facets, intorder=5)
-        X = np.asarray(rim.global_coordinates())
-        weights = rim.dx * (2.0 * np.pi * X[0] if self.kinematics == "axisymmetric" else 1.0)
-        loads = np.zeros((len(self.nodes), self.dim))
-        for a, (function,) in enumerate(rim.basis):
-            parts = np.sum(traction(X) * np.asarray(function) * weights, axis=-1)
-            np.add.at(loads, rim.element_dofs[a], parts.T)
-        return np.concatenate([loads.ravel(), np.zeros(self.unknowns - loads.size)])
-
     def _strain_state(self, x: Array) -> StrainState:
         """Strain state at x; the last one is kept, as Newton's method asks for each repeatedly."""
         if self._last is None or not np.array_equal(self._last.x, x):

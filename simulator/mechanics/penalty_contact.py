@@ -159,13 +159,6 @@ class PenaltyContact:
             holds=np.where(new[..., None], across, self.holds) * touching[..., None, None],
         )
 
-    def placed(self, x: Array) -> "PenaltyContact":
-        """Contact that holds the points now under the flat end where they are at x."""
-        relative = self._relative(x)
-        height = self.indenter.profile(np.linalg.norm(relative[..., :-1], axis=-1))[0]
-        flat = (height <= 0.0)[..., None, None]
-        return replace(self, anchors=relative, holds=self.holds * flat)
-
     def pressure(self, x: Array) -> tuple[Array, Array]:
         """Distance from the axis [m] and pressure on the deformed face [Pa], sorted.
 

@@ -9,6 +9,7 @@ from skfem.helpers import dot, grad
 from skfem.models.poisson import mass
 
 from eitskin.geometry import Mesh
+from eitskin.simulator.mechanics.mixed_solid import Solid
 
 Array = NDArray[np.float64]
 
@@ -61,3 +62,18 @@ def plain_impedance(
     currents[n : n + count] = np.eye(count) - 1.0 / count
     Z: Array = np.linalg.solve(K, currents)[n : n + count]
     return Z
+
+
+def traction_forces(solid: Solid, facets: Array, traction: Callable[[Array], Array]) -> Array:
+    """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
+
+    `traction` gives [Pa], (dim, ...), at points (dim, ...) [m].
+    """
+    rim = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=5)
+    X = np.asarray(rim.global_coordinates())
+    weights = rim.dx * (2.0 * np.pi * X[0] if solid.kinematics == "axisymmetric" else 1.0)
+    loads = np.zeros((len(solid.nodes), solid.dim))
+    for a, (function,) in enumerate(rim.basis):
+        parts = np.sum(traction(X) * np.asarray(function) * weights, axis=-1)
+        np.add.at(loads, rim.element_dofs[a], parts.T)
+    return np.concatenate([loads.ravel(), np.zeros(solid.unknowns - loads.size)])
