@@ -6,9 +6,9 @@ left to a pressure (`mixed_solid`), so every energy here depends on J^(-1/3) F a
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,34 +16,78 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 ENTRIES = tuple(range(9))  # of a 3 x 3 matrix, by rows
 _OTHERS = ((1, 2), (2, 0), (0, 1))
 
 
-class Law(Protocol):
-    """Isotropic hyperelastic law."""
+class Law(ABC):
+    """Isotropic hyperelastic law W = 2 mu/alpha^2 (J^(-alpha/3) T - 3).
+
+    T(F) is homogeneous of degree alpha in F.
+    """
+
+    __slots__ = ()
 
     @property
+    @abstractmethod
     def shear_modulus(self) -> float:
         """Shear modulus mu of the undeformed material [Pa]."""
-        ...
+
+    @property
+    @abstractmethod
+    def alpha(self) -> float:
+        """Degree of T."""
+
+    @abstractmethod
+    def invariant(self, F: Array) -> tuple[Array, Array]:
+        """T, (...), and its slope dT/dF / alpha, (..., 3, 3)."""
+
+    @abstractmethod
+    def curvature(self, F: Array, entries: Indices) -> Array:
+        """Derivative of the slope between the given entries, (..., entries, entries)."""
 
     def energy(self, F: Array) -> Array:
         """Energy per undeformed volume [J/m3], (...)."""
-        ...
+        scaled = determinant(F, cofactor(F)) ** (-self.alpha / 3) * self.invariant(F)[0]
+        W: Array = 2.0 * self.shear_modulus / self.alpha**2 * (scaled - 3.0)
+        return W
 
     def stress(self, F: Array) -> Array:
         """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
-        ...
+        T, slope = self.invariant(F)
+        H = cofactor(F)
+        J = determinant(F, H)
+        hydrostatic = (T / (3.0 * J))[..., None, None] * H
+        P: Array = self._factor(J)[..., None, None] * (slope - hydrostatic)
+        return P
 
     def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
         """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
-        ...
+        numbers = np.array(entries)
+        i, j = np.divmod(numbers, 3)
+        T, slope = self.invariant(F)
+        H = cofactor(F)
+        J = determinant(F, H)[..., None, None]
+        H /= J  # F^-T
+        third = T[..., None, None] / 3
+        crossed = H[..., i[:, None], j]  # H_iL; H_kJ is its transpose
+        h, slope = H[..., i, j], slope[..., i, j]
+        deviator = slope - third[..., 0] * h
+        outer = deviator[..., :, None] * h[..., None, :] + h[..., :, None] * slope[..., None, :]
+        A: Array = third * crossed * crossed.swapaxes(-1, -2) + self.curvature(F, numbers)
+        A -= (self.alpha / 3) * outer
+        A *= self._factor(J)
+        return A
+
+    def _factor(self, J: Array) -> Array:
+        factor: Array = 2.0 * self.shear_modulus / self.alpha * J ** (-self.alpha / 3)
+        return factor
 
 
 @dataclass(frozen=True, slots=True)
-class NeoHookean:
+class NeoHookean(Law):
     """Neo-Hookean law W = mu/2 (J^(-2/3) tr C - 3) with C = F^T F.
 
     Attributes:
@@ -55,22 +99,19 @@ class NeoHookean:
     def __post_init__(self) -> None:
         _check_modulus(self.shear_modulus)
 
-    def energy(self, F: Array) -> Array:
-        """Energy per undeformed volume [J/m3], (...)."""
-        return _energy(self.shear_modulus, 2.0, F, _trace(F))
+    @property
+    def alpha(self) -> float:
+        return 2.0
 
-    def stress(self, F: Array) -> Array:
-        """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
-        return _stress(self.shear_modulus, 2.0, F, _trace(F), F)
+    def invariant(self, F: Array) -> tuple[Array, Array]:
+        return np.asarray(np.einsum("...ij,...ij->...", F, F)), F
 
-    def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
-        """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
-        identity = np.eye(len(entries))
-        return _tangent(self.shear_modulus, 2.0, F, _trace(F), F, identity, entries)
+    def curvature(self, F: Array, entries: Indices) -> Array:  # noqa: ARG002
+        return np.eye(len(entries))
 
 
 @dataclass(frozen=True, slots=True)
-class Ogden:
+class Ogden(Law):
     """One-term Ogden law W = 2 mu/alpha^2 (sum_i lambda_i^alpha - 3).
 
     The lambda_i are the principal stretches of J^(-1/3) F.
@@ -92,23 +133,15 @@ class Ogden:
                 f"the Ogden exponent alpha must be finite and not zero, got {self.alpha}"
             )
 
-    def energy(self, F: Array) -> Array:
-        """Energy per undeformed volume [J/m3], (...)."""
-        squares, _ = _principal(F)
-        power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
-        return _energy(self.shear_modulus, self.alpha, F, power)
-
-    def stress(self, F: Array) -> Array:
-        """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
+    def invariant(self, F: Array) -> tuple[Array, Array]:
         squares, axes = _principal(F)
-        power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
-        return _stress(self.shear_modulus, self.alpha, F, power, self._slope(F, squares, axes))
+        powers = squares ** (self.alpha / 2 - 1.0)
+        slope: Array = ((F @ axes) * powers[..., None, :]) @ np.swapaxes(axes, -1, -2)
+        return np.asarray((powers * squares).sum(axis=-1)), slope
 
-    def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
-        """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
+    def curvature(self, F: Array, entries: Indices) -> Array:
         squares, axes = _principal(F)
         beta = self.alpha / 2 - 1.0
-        power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
         B = np.einsum("...La,...a,...Ja->...LJ", axes, squares**beta, axes)
         # The derivative of C^beta in principal axes (Daleckii and Krein 1965).
         f = F @ axes
@@ -117,17 +150,10 @@ class Ogden:
         across = f[..., i, :, None] * axes[..., j, None, :]  # (..., entries, a, b)
         left = across * _divided_difference(squares, beta)[..., None, :, :]
         right = across + across.swapaxes(-1, -2)
-        curvature = left.reshape(*shape, 9) @ right.reshape(*shape, 9).swapaxes(-1, -2)
-        curvature += np.equal.outer(i, i) * B[..., j[:, None], j]
-        slope = self._slope(F, squares, axes)
-        return _tangent(self.shear_modulus, self.alpha, F, power, slope, curvature, entries)
-
-    def _slope(self, F: Array, squares: Array, axes: Array) -> Array:
-        """Slope F C^(alpha/2 - 1), (..., 3, 3)."""
-        M: Array = ((F @ axes) * squares[..., None, :] ** (self.alpha / 2 - 1.0)) @ np.swapaxes(
-            axes, -1, -2
-        )
-        return M
+        found = left.reshape(*shape, 9) @ right.reshape(*shape, 9).swapaxes(-1, -2)
+        found += np.equal.outer(i, i) * B[..., j[:, None], j]
+        curvature: Array = found
+        return curvature
 
 
 def cofactor(F: Array) -> Array:
@@ -150,11 +176,6 @@ def _check_modulus(mu: float) -> None:
         raise ConfigurationError(f"shear_modulus must be a positive number of Pa, got {mu}")
 
 
-def _trace(F: Array) -> Array:
-    trace: Array = np.einsum("...ij,...ij->...", F, F)
-    return trace
-
-
 def _principal(F: Array) -> tuple[Array, Array]:
     """Squared stretches (..., 3) and principal axes in columns (..., 3, 3)."""
     squares, axes = np.linalg.eigh(np.swapaxes(F, -1, -2) @ F)
@@ -170,44 +191,3 @@ def _divided_difference(x: Array, power: float) -> Array:
     quotient = np.where(equal, power, np.expm1(power * safe) / np.expm1(safe))
     difference: Array = b ** (power - 1.0) * quotient
     return difference
-
-
-# All laws here are W = 2 mu/alpha^2 (J^(-alpha/3) T - 3) with T(F) homogeneous of degree alpha;
-# `slope` is dT/dF / alpha and `curvature` its derivative, H = F^-T.
-
-
-def _energy(mu: float, alpha: float, F: Array, T: Array) -> Array:
-    scaled = determinant(F, cofactor(F)) ** (-alpha / 3) * T
-    W: Array = 2.0 * mu / alpha**2 * (scaled - 3.0)
-    return W
-
-
-def _stress(mu: float, alpha: float, F: Array, T: Array, slope: Array) -> Array:
-    H = cofactor(F)
-    J = determinant(F, H)
-    hydrostatic = (T / (3.0 * J))[..., None, None] * H
-    P: Array = (2.0 * mu / alpha * J ** (-alpha / 3))[..., None, None] * (slope - hydrostatic)
-    return P
-
-
-def _tangent(
-    mu: float,
-    alpha: float,
-    F: Array,
-    T: Array,
-    slope: Array,
-    curvature: Array,
-    entries: Sequence[int],
-) -> Array:
-    i, j = np.divmod(entries, 3)
-    H = cofactor(F)
-    J = determinant(F, H)[..., None, None]
-    H /= J
-    third = T[..., None, None] / 3
-    crossed = H[..., i[:, None], j]  # H_iL; H_kJ is its transpose
-    h, slope = H[..., i, j], slope[..., i, j]
-    deviator = slope - third[..., 0] * h
-    outer = deviator[..., :, None] * h[..., None, :] + h[..., :, None] * slope[..., None, :]
-    A: Array = third * crossed * crossed.swapaxes(-1, -2) + curvature - (alpha / 3) * outer
-    A *= 2.0 * mu / alpha * J ** (-alpha / 3)
-    return A

@@ -85,9 +85,9 @@ class CorrectionTable:
         for distance, far in ((x, False), (length - x, True)):
             if distance < self.along[-1]:
                 splines, ends, sunk_more = _along(self)
-                (first,), (near,), _ = splines.functions(np.array([distance]))
-                felt = slice(first, first + len(near))
-                weights = near[:, None, None] * (across[:, None, :, None] * deep)
+                near = splines.continued(np.array([distance]))[0]
+                felt = np.flatnonzero(near)
+                weights = near[felt, None, None] * (across[:, None, :, None] * deep)
                 end = self._field(self._box(0.0, _ENDS * H), weights, ends[felt], 0.0)
                 fields.append(end.mirrored(0, 0.5 * length) if far else end)
                 sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
