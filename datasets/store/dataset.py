@@ -30,9 +30,8 @@ from eitskin.protocol import Protocol
 # Attributes that all parts of a dataset share.
 ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
 
-
-def _omitted() -> NDArray[np.float32]:
-    return np.zeros(0, dtype=np.float32)
+_OMITTED: Any = ()
+"""Default of the arrays: unknown values, and numbers that count."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,33 +74,31 @@ class Dataset:
     """
 
     impedance: NDArray[np.complex64]
-    touch_reference: NDArray[np.complex64]
     reference: NDArray[np.complex64]
-    specimen: NDArray[np.uint32]
-    state: NDArray[np.uint8]
-    bend_angle_deg: NDArray[np.float32]
-    touch_x: NDArray[np.float32]
-    touch_y: NDArray[np.float32]
-    touch_force: NDArray[np.float32]
-    touch_radius: NDArray[np.float32]
-    time: NDArray[np.float64]
-    status: NDArray[np.uint8]
-    episode: NDArray[np.uint32]
-    number: NDArray[np.uint32]
+    touch_reference: NDArray[np.complex64] = _OMITTED
+    specimen: NDArray[np.uint32] = _OMITTED
+    state: NDArray[np.uint8] = _OMITTED
+    bend_angle_deg: NDArray[np.float32] = _OMITTED
+    touch_x: NDArray[np.float32] = _OMITTED
+    touch_y: NDArray[np.float32] = _OMITTED
+    touch_force: NDArray[np.float32] = _OMITTED
+    touch_radius: NDArray[np.float32] = _OMITTED
+    touch_depth: NDArray[np.float32] = _OMITTED
+    clamp_span: NDArray[np.float32] = _OMITTED
+    clamp_offset: NDArray[np.float32] = _OMITTED
+    clamp_faces: NDArray[np.float32] = _OMITTED
+    clamp_stiffness: NDArray[np.float32] = _OMITTED
+    time: NDArray[np.float64] = _OMITTED
+    status: NDArray[np.uint8] = _OMITTED
+    episode: NDArray[np.uint32] = _OMITTED
+    number: NDArray[np.uint32] = _OMITTED
+    specimen_number: NDArray[np.uint32] = _OMITTED
     protocol: Protocol | None = None
     frequency: float = 40e3
     source: str = "measured"
     recipe: str = ""
     seed: int = 0
     design: SensorDesign | None = None
-    specimen_number: NDArray[np.uint32] = dataclasses.field(
-        default_factory=lambda: np.zeros(0, dtype=np.uint32)
-    )
-    touch_depth: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
-    clamp_span: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
-    clamp_offset: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
-    clamp_faces: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
-    clamp_stiffness: NDArray[np.float32] = dataclasses.field(default_factory=_omitted)
     quantity: str = ""
     names: Names = dataclasses.field(default_factory=Names)
 
@@ -112,22 +109,21 @@ class Dataset:
         for axis in ("channel", "specimen"):
             if not 1 <= sizes[axis] <= LIMITS[axis]:
                 raise DataError(f"expected 1 to {LIMITS[axis]} {axis}s, got {sizes[axis]}")
-        if np.size(self.specimen_number) == 0:
-            object.__setattr__(self, "specimen_number", np.arange(sizes["specimen"]))
+        counts = {"number": sizes["frame"], "specimen_number": sizes["specimen"]}
         for field in FIELDS:
-            if field.since is None and np.size(getattr(self, field.name)) == 0:
-                shape = tuple(sizes[axis] for axis in field.axes)
-                object.__setattr__(self, field.name, np.full(shape, field.missing))
-        object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
-        for field in FIELDS:
-            values = np.ascontiguousarray(getattr(self, field.name), dtype=field.dtype)
             expected = tuple(sizes[axis] for axis in field.axes)
+            values = getattr(self, field.name)
+            if np.size(values) == 0:
+                count = counts.get(field.name)
+                values = np.full(expected, field.missing) if count is None else np.arange(count)
+            values = np.ascontiguousarray(values, dtype=field.dtype)
             if values.shape != expected:
                 raise DataError(
                     f"{field.name} must have shape {expected} ({', '.join(field.axes)}), "
                     f"got {values.shape}"
                 )
             object.__setattr__(self, field.name, values)
+        object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
         check_values({field.name: getattr(self, field.name) for field in FIELDS})
         if self.source not in ("simulated", "measured"):
             raise DataError(f"source must be 'simulated' or 'measured', got {self.source!r}")
@@ -163,16 +159,8 @@ class Dataset:
                 "impedance must be a table of frames by channels with at least one of each, got "
                 f"shape {values.shape}"
             )
-        first = values[0] if reference is None else np.asarray(reference)
-        arrays: dict[str, Any] = {"impedance": values, "reference": np.atleast_2d(first)}
-        sizes = {"frame": values.shape[0], "channel": values.shape[1], "touch": MAX_TOUCHES}
-        for field in FRAME_FIELDS:
-            if field.name == "number":
-                arrays["number"] = known.pop("number", np.arange(len(values)))
-            elif field.name != "impedance":
-                shape = tuple(sizes[axis] for axis in field.axes)
-                arrays[field.name] = known.pop(field.name, np.full(shape, field.missing))
-        return cls(**arrays, **known)
+        first = values[0] if reference is None else reference
+        return cls(impedance=values, reference=np.atleast_2d(np.asarray(first)), **known)
 
     def __len__(self) -> int:
         """Number of frames."""
