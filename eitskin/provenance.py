@@ -3,6 +3,7 @@
 import platform
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -33,7 +34,7 @@ class Provenance:
         return cls(
             machine=_processor(),
             python=platform.python_version(),
-            packages={name: _version(name) for name in PACKAGES},
+            packages=package_versions(PACKAGES),
             seed=seed,
             date=datetime.now(UTC).isoformat(timespec="minutes"),
         )
@@ -58,8 +59,13 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
+@cache
+def package_versions(packages: tuple[str, ...]) -> dict[str, str]:
+    """Version of each package; "not installed" where one is absent."""
+    versions = {}
+    for package in packages:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions

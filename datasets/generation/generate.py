@@ -3,8 +3,8 @@
 import dataclasses
 import hashlib
 import shutil
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 
@@ -225,8 +225,13 @@ def _finished(
     examined: Progress | None = None,
 ) -> Entries:
     """Entries of those `shards` that lie finished in `folder`, by number."""
-    text, checksums = recipe.to_toml(), _checksums(folder)
-    wanted = [_expected(recipe, shard, checksums) for shard in shards]
+    text = recipe.to_toml()
+    checksums: dict[str, str] = {}
+    with suppress(DataError):
+        checksums = {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
+    wanted = []
+    for name, frames in ((shard_name(shard), recipe.shard_range(shard)) for shard in shards):
+        wanted.append(ShardEntry(name, frames.start, len(frames), checksums.get(name, "")))
     workers = worthwhile(workers, (folder / entry.name for entry in wanted))
     found: Entries = {}
     numbers = dict(zip(wanted, shards, strict=True))
@@ -244,20 +249,6 @@ def _all_finished(recipe: Recipe, folder: Path) -> Entries:
     shards = range(recipe.shards)
     there = all((folder / shard_name(shard)).is_file() for shard in shards)
     return _finished(recipe, folder, shards) if there else {}
-
-
-def _checksums(folder: Path) -> Mapping[str, str]:
-    """SHA-256 of the shards by name from the manifest of `folder`; empty without one."""
-    try:
-        return {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
-    except DataError:
-        return {}
-
-
-def _expected(recipe: Recipe, shard: int, checksums: Mapping[str, str]) -> ShardEntry:
-    """Entry of a shard; its checksum is empty where `checksums` has none."""
-    name, frames = shard_name(shard), recipe.shard_range(shard)
-    return ShardEntry(name, frames.start, len(frames), checksums.get(name, ""))
 
 
 def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None:

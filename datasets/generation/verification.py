@@ -71,16 +71,23 @@ def verify(
         damage.append(DamagedFile(MANIFEST, str(error)))
         shards = [_Shard(folder, path.name) for path in sorted(folder.glob(SHARDS))]
     sound = frames = 0
-    common = _Common()
+    first: Dataset | None = None
+    references = SpecimenReferences()
     if watch:
         watch(0, len(shards))
     workers = worthwhile(workers, (folder / shard.name for shard in shards))
     for number, (shard, found) in enumerate(run_tasks(_check, shards, workers), 1):
-        problem = found if isinstance(found, str) else common.problem(found.shared)
-        if problem:
-            damage.append(DamagedFile(shard.name, problem))
-        elif isinstance(found, _Sound):
-            sound, frames = sound + 1, frames + found.frames
+        if isinstance(found, str):
+            damage.append(DamagedFile(shard.name, found))
+        else:
+            count, shared = found
+            first = shared if first is None else first
+            try:
+                require_same_origin(first, shared)
+                references.add(shared.specimen_number, shared.reference)
+                sound, frames = sound + 1, frames + count
+            except DataError as error:
+                damage.append(DamagedFile(shard.name, str(error)))
         if watch:
             watch(number, len(shards))
     if manifest and not damage:
@@ -98,16 +105,8 @@ class _Shard:
     origin: tuple[str, int, str] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Sound:
-    """A shard that is sound by itself: its number of frames, and its data without frames."""
-
-    frames: int
-    shared: Dataset
-
-
-def _check(shard: _Shard) -> _Sound | str:
-    """Result of checking one shard by itself; the problem of a damaged one."""
+def _check(shard: _Shard) -> tuple[int, Dataset] | str:
+    """Frames and shared data of a shard that is sound by itself; the problem of a damaged one."""
     try:
         if shard.entry is None:
             data = read_shard(shard.folder / shard.name)
@@ -121,27 +120,7 @@ def _check(shard: _Shard) -> _Sound | str:
                 )
     except DataError as error:
         return str(error)
-    return _Sound(len(data), data.select([]))
-
-
-class _Common:
-    """Data that all shards of a dataset have in common, from those seen so far."""
-
-    def __init__(self) -> None:
-        """Begin without shards."""
-        self._first: Dataset | None = None
-        self._references = SpecimenReferences()
-
-    def problem(self, shared: Dataset) -> str:
-        """Contradiction of a shard to those before; empty without one."""
-        if self._first is None:
-            self._first = shared
-        try:
-            require_same_origin(self._first, shared)
-            self._references.add(shared.specimen_number, shared.reference)
-        except DataError as error:
-            return str(error)
-        return ""
+    return len(data), data.select([])
 
 
 def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:

@@ -12,9 +12,7 @@ import json
 import re
 import struct
 import threading
-from collections.abc import Callable, Mapping
-from functools import cache
-from importlib import metadata
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +32,12 @@ from eitskin.datasets.store.schema import (
 )
 from eitskin.errors import DataError
 from eitskin.files import write_file
+from eitskin.provenance import package_versions
 
 CHUNK_FRAMES = 1024
+PACKAGES = ("eitskin", "h5py", "numpy", "scikit-fem", "scipy")
+"""Packages that influence the numbers in a dataset."""
+
 # Not lzf: the hash table of h5py's lzf is uninitialised, so equal data give different bytes.
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 _SEAL = re.compile(rb"\neitskin seal 1 sha256 ([0-9a-f]{64})\n")
@@ -78,18 +80,6 @@ def write_entry(
     return ShardEntry(name, first_index, len(data), hashlib.sha256(content).hexdigest())
 
 
-@cache
-def package_versions() -> Mapping[str, str]:
-    """Versions of the packages that influence the numbers in a dataset; cached."""
-    versions = {}
-    for package in ("eitskin", "h5py", "numpy", "scikit-fem", "scipy"):
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
-
-
 def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
     """Content of a shard's file, see `write_shard`; equal data give equal bytes."""
     data = data.own_specimens()
@@ -126,7 +116,7 @@ def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
         "frequency": data.frequency,
         "quantity": data.quantity,
         "design": data.design.to_toml() if data.design else "",
-        "packages": json.dumps(package_versions(), sort_keys=True),
+        "packages": json.dumps(package_versions(PACKAGES), sort_keys=True),
     }
 
 

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from eitskin.datasets.store.shard import package_versions
+from eitskin.datasets.store.shard import PACKAGES
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
+from eitskin.provenance import package_versions
 from eitskin.threads import one_thread, one_thread_per_process
 
 CONNECT_SECONDS = 10
@@ -203,7 +204,7 @@ def _on_cluster(address: str) -> Iterator[tuple[Callable[..., Any], type[Excepti
                 f"'dask worker {address} --nthreads 1'"
             ) from error
         # Not pure: results are files, of which the scheduler knows nothing.
-        submit = partial(client.submit, _run_on_worker, package_versions(), pure=False)
+        submit = partial(client.submit, _run_on_worker, package_versions(PACKAGES), pure=False)
         yield submit, distributed.KilledWorker
 
 
@@ -215,7 +216,7 @@ def _run_on_worker(
     versions: Mapping[str, str], task: Callable[[Item], Result], item: Item
 ) -> Result:
     """Run a task on a worker of a cluster."""
-    found = package_versions()
+    found = package_versions(PACKAGES)
     if found != versions:
         raise ConfigurationError(
             f"a dask worker has other packages, so its numbers would differ: expected {versions}, "

@@ -70,7 +70,7 @@ def test_what_workers_raise_reaches_the_caller(local_cluster, tmp_path, monkeypa
     address = local_cluster.scheduler_address
     with pytest.raises(PartialError, match=r"cannot write .*shard-00000\d\.h5"):
         generate(RECIPE, tmp_path / "set", progress=move, scheduler=address)
-    monkeypatch.setattr(worker_processes, "package_versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(worker_processes, "package_versions", lambda _: {"numpy": "0.1"})
     with pytest.raises(ConfigurationError, match=r"other packages.*'numpy': '0\.1'"):
         generate(RECIPE, tmp_path / "other", scheduler=address)
 
