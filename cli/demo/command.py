@@ -120,7 +120,7 @@ def page(stages: Mapping[str, "Stage"], document: Document) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from eitskin.cli.demo.live_episode import COLUMNS, episode_cells
-    from eitskin.cli.demo.stages import SETS, SHIPPED, STAGES, TRAINED
+    from eitskin.cli.demo.stages import SETS, STAGES
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
     environment = Environment(
@@ -136,7 +136,6 @@ def page(stages: Mapping[str, "Stage"], document: Document) -> str:
         number=lambda path, form="": marked_number(document, path, form),
         headings={name: heading for name, (heading, _) in STAGES.items()},
         sets=SETS,
-        pipelines=(TRAINED, SHIPPED),
         paper_rows=_paper_rows(document),
         episode_columns=COLUMNS,
         episode_rows=[episode_cells(row) for row in document["live"]["steps"]],

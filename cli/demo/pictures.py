@@ -58,6 +58,12 @@ class Picture:
         """Picture of an SVG file, which stays text: that is shorter than base64."""
         return cls(alt, caption, f"data:image/svg+xml,{quote(svg, safe=_UNQUOTED)}", width)
 
+    @classmethod
+    def of_webp(cls, alt: str, caption: str, image: bytes, width: float) -> "Picture":
+        """Picture of a WebP file."""
+        source = f"data:image/webp;base64,{base64.b64encode(image).decode()}"
+        return cls(alt, caption, source, width)
+
 
 def as_pictures(**drawn: tuple[CaptionedFigure | NoFigure, str]) -> dict[str, Picture]:
     """Figures and their alternative texts as pictures; figures that could not be are left out."""
@@ -83,8 +89,7 @@ def rendered(render: Callable[[Path], None], alt: str, caption: str, width: floa
         path = Path(folder) / "picture.png"
         render(path)
         image.open(path).convert("RGB").save(file, "WEBP", quality=85, method=6)
-    data = base64.b64encode(file.getvalue()).decode()
-    return Picture(alt, caption, f"data:image/webp;base64,{data}", width)
+    return Picture.of_webp(alt, caption, file.getvalue(), width)
 
 
 def touch_positions(data: Dataset, name: str) -> CaptionedFigure:
@@ -128,23 +133,6 @@ def raw_frames(data: Dataset, name: str) -> CaptionedFigure:
         f"The first {SHOWN_FRAMES} frames of each state in {name}, touches on the flat sensor, "
         "noise included: change of every resistance from that of the flat, untouched sensor, which "
         f"is {flat.min():.0f} to {flat.max():.0f} ohm. The three scales differ.",
-    )
-
-
-def two_sensors(own: Array, measured: Array, labels: Sequence[str], name: str) -> CaptionedFigure:
-    """Magnitudes (measurements,) [ohm] of the training sensor and of a recorded frame."""
-    figure = new_figure(9.0, 3.4)
-    axes = figure.subplots()
-    axes.plot(measured, "s", color=ORANGE, markersize=5, label=name)
-    axes.plot(own, "o", color=BLUE, markersize=5, label="sensor of the training frames")
-    axes.set(yscale="log", ylabel="magnitude [ohm, or its own unit]")
-    _name_channels(axes, labels)
-    figure.legend(loc="outside upper center", ncols=2)
-    return CaptionedFigure(
-        figure,
-        "Every value of a frame of another, real board beside those of the flat sensor that the "
-        f"pipeline was trained for: {float(np.median(measured / own)):.3g} times as large in the "
-        "median.",
     )
 
 

@@ -270,8 +270,12 @@ class GelShape:
         reach = [_farthest(design, sign) for sign in (-1, 1)]
         return cls(design, DrawnBody.of(design), origin, *reach)
 
-    def bent(self, angle_deg: float, presses: Sequence[DrawnPress]) -> Array:
+    def bent(
+        self, angle_deg: float, presses: Sequence[DrawnPress], points: Array | None = None
+    ) -> Array:
         """Deformed points (n, 3) [m] under a bend and touches at (x [m], y [m], force [N]).
+
+        The points are those of the body, unless others on the flat sensor are given.
 
         Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
         for the 15 mm cylinder; forces past its last are drawn as that, unknown ones as
@@ -279,7 +283,7 @@ class GelShape:
         """
         angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
         angle = min(max(angle, self.least), self.most)
-        points = self.body.points
+        points = self.body.points if points is None else points
         if presses and not isinstance(self.design.outline, Surface):
             touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
             points = closed_form_dents(touches).positions(points)
