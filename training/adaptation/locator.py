@@ -75,10 +75,6 @@ class MapGrid:
     whitening: Array
     strength: Array
 
-    def of_units(self, units: Array) -> "MapGrid":
-        """The same for answers in units `units` (C,) times as large."""
-        return replace(self, whitening=units[:, None] * self.whitening)
-
     def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
         """Place and strength of one touch in each frame.
 

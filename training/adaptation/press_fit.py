@@ -13,7 +13,6 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.training.adaptation.channel_maps import (
     ChannelMaps,
-    DesignSpan,
     PlaceKernel,
     Presses,
     concatenate,
@@ -25,7 +24,7 @@ from eitskin.training.adaptation.locator import (
     log_ratio,
     mixture_places,
 )
-from eitskin.training.adaptation.sheet import MapChoice, Sectors, SheetKnowledge, design_span
+from eitskin.training.adaptation.sheet import MapChoice, SheetKnowledge
 from eitskin.training.method.known_frames import held_numbers
 from eitskin.training.method.settings import single_touches
 
@@ -165,14 +164,6 @@ class StrengthLaw:
         strength: Array = (np.asarray(label, dtype=float) / self.middle) ** self.exponent
         return strength
 
-    def label(self, strength: ArrayLike) -> Array:
-        """Depths or forces (n,) of strengths (n,); NaN where the exponent tells nothing."""
-        s = np.asarray(strength, dtype=float)
-        if self.exponent < 0.25:
-            return np.full(s.shape, np.nan)
-        label: Array = self.middle * s ** (1.0 / self.exponent)
-        return label
-
 
 def learned_strength(kernel: PlaceKernel, presses: Presses) -> Array:
     """Strengths (n,) of presses of unknown depth and force, of geometric mean one.
@@ -246,12 +237,12 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
             f"learning touch positions needs at least {FEWEST} presses of one touch, at different "
             f"positions, and an untouched reference, got {count}; record more"
         )
-    known = SheetKnowledge(extent, *_of_design(design, labelled.protocol, logs.shape[1]))
+    known = SheetKnowledge.of(extent, design, labelled.protocol, logs.shape[1])
     recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
     presses, law = _with_strength(known, recorded, labelled.label)
     choices = known.choices(presses)
     region = _Region.of(xy[first], design)
-    fitted = [_Fitted.of(known, each, presses) for each in choices]
+    grids, gains = _map_grids(known, choices, presses, region)
     found, errors = _cross_validated(known, choices, presses, region)
     off = errors / found.deviation
     square = float(np.sum(np.minimum(off, 5.0) ** 2))
@@ -260,13 +251,13 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     variance *= 1.0 + few / count
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
-        fitted[0].grid(region),
-        fitted[0].gains,
+        grids[0],
+        gains,
         recorded.unit_scale,
         xy.mean(axis=0),
         float(np.sqrt(variance)),
         max(MISFIT, MISFIT_MARGIN * usual),
-        tuple(each.grid(region, fitted[0].gains) for each in fitted[1:]),
+        tuple(grids[1:]),
     )
     validated = CrossValidation(
         len(off), float(errors.mean()) * 1e3, float(np.sqrt(np.mean(off**2)))
@@ -281,13 +272,13 @@ class _Region:
     Attributes:
         low: first point (2,) [m].
         step: between points [m].
-        shape: rows and columns.
+        points: all of them, row by row (n, 2) [m].
         log_prior: (rows, columns), uniform within the region.
     """
 
     low: Array
     step: float
-    shape: tuple[int, int]
+    points: Array
     log_prior: Array
 
     @classmethod
@@ -308,65 +299,38 @@ class _Region:
             high = np.minimum(high, [outline.length, outline.width])
         step = float((high - low).max()) / (GRID_POINTS - 1)
         columns, rows = (int(n) for n in np.floor((high - low) / step + 1e-9).astype(int) + 1)
-        x, y = np.meshgrid(low[0] + step * np.arange(columns), low[1] + step * np.arange(rows))
-        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        points = low + step * np.stack([x.ravel(), y.ravel()], axis=1)
         near = np.min(np.linalg.norm(points[:, None] - places[:2000], axis=2), axis=1) <= reach
         if isinstance(outline, PlaneOutline):
             near &= outline.contains(points)
         log_prior = np.where(near, 0.0, -np.inf).reshape(rows, columns)
-        return cls(low, step, (rows, columns), log_prior)
-
-    @property
-    def points(self) -> Array:
-        """All grid points, row by row (n, 2) [m]."""
-        rows, columns = self.shape
-        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-        points: Array = self.low + self.step * np.stack([x.ravel(), y.ravel()], axis=1)
-        return points
+        return cls(low, step, points, log_prior)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fitted:
-    """Maps of a choice, gains of the channels, and mean and deviation of the strength."""
-
-    gains: Array
-    maps: ChannelMaps
-    strength: Array
-
-    @classmethod
-    def of(cls, known: SheetKnowledge, choice: MapChoice, presses: Presses) -> "_Fitted":
-        gains = known.gains(choice, presses)
-        maps = ChannelMaps.fit(
-            known.kernel(choice), known.prepared(choice, presses, gains), choice.noise
+def _map_grids(
+    known: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
+) -> tuple[list[MapGrid], Array]:
+    """Grids of the maps by each choice, for answers in units of the gains (C,) of the first."""
+    s, units = presses.strength, np.ones(0)
+    grids: list[MapGrid] = []
+    for choice in choices:
+        maps, gains, _ = known.fit(choice, presses)
+        units = units if grids else gains
+        shape = (*region.log_prior.shape, len(gains))
+        mean, variance = (values.reshape(shape) for values in maps.at(region.points))
+        grids.append(
+            MapGrid(
+                region.low,
+                region.step,
+                mean,
+                variance,
+                region.log_prior,
+                (units / gains)[:, None] * maps.covariance.whitening,
+                np.array([s.mean(), s.std() + 0.15 * s.mean()]),
+            )
         )
-        s = presses.strength
-        prior = np.array([s.mean(), s.std() + 0.15 * s.mean()])
-        return cls(gains, maps, prior)
-
-    def grid(self, region: _Region, gains: Array | None = None) -> MapGrid:
-        """Maps on the grid of a region, for answers in units of other gains (C,) where given."""
-        mean, variance = self.maps.at(region.points)
-        shape = (*region.shape, mean.shape[1])
-        made = MapGrid(
-            region.low,
-            region.step,
-            mean.reshape(shape),
-            variance.reshape(shape),
-            region.log_prior,
-            self.maps.covariance.whitening,
-            self.strength,
-        )
-        return made if gains is None else made.of_units(gains / self.gains)
-
-
-def _of_design(
-    design: SensorDesign | None, protocol: Protocol | None, channels: int
-) -> tuple[DesignSpan | None, Sectors | None]:
-    """Span and sectors of a design; nothing where there is none, or it is no plane one."""
-    if design is None or not isinstance(design.outline, PlaneOutline):
-        return None, None
-    fits = protocol is not None and len(protocol) == channels
-    return design_span(design), Sectors.of(design, protocol) if fits else None
+    return grids, units
 
 
 def _with_strength(
@@ -391,9 +355,9 @@ def _cross_validated(
     for block in blocks:
         tested = first[block[:: -(-len(block) // MOST_TESTED)]]
         rest = presses.select(~np.isin(presses.owner, owners[block]))
-        fitted = [_Fitted.of(known, each, rest) for each in choices]
-        answers = presses.answers[tested]
-        place = mixture_places([each.grid(region).locate(answers / each.gains) for each in fitted])
+        grids, gains = _map_grids(known, choices, rest, region)
+        answers = presses.answers[tested] / gains
+        place = mixture_places([grid.locate(answers) for grid in grids])
         found.append(place)
         errors.append(np.linalg.norm(place.place - presses.places[tested], axis=1))
     return concatenate(found), np.concatenate(errors)

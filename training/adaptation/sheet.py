@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.training.adaptation.channel_maps import (
@@ -263,22 +263,33 @@ class SheetKnowledge:
     span: DesignSpan | None = None
     sectors: Sectors | None = None
 
+    @classmethod
+    def of(
+        cls, extent: float, design: SensorDesign | None, protocol: Protocol | None, channels: int
+    ) -> "SheetKnowledge":
+        """Knowledge by a design; the extent alone where there is none, or it is no plane one."""
+        if design is None or not isinstance(design.outline, PlaneOutline):
+            return cls(extent)
+        fits = protocol is not None and len(protocol) == channels
+        return cls(extent, design_span(design), Sectors.of(design, protocol) if fits else None)
+
     def kernel(self, choice: MapChoice) -> PlaceKernel:
         """Prior covariance over the sheet."""
         return PlaceKernel(choice.length * self.extent, self.span, choice.share)
 
-    def gains(self, choice: MapChoice, presses: Presses) -> Array:
-        """Gain of each channel (C,), by which answers become of order one."""
-        if choice.copies == 0.0 or self.sectors is None:
-            return presses.unit_scale
-        return self.sectors.gains(PlaceKernel(choice.length * self.extent), presses)
+    def fit(self, choice: MapChoice, presses: Presses) -> tuple[ChannelMaps, Array, Presses]:
+        """Maps, gains of the channels (C,), and the presses in units of these that were learned.
 
-    def prepared(self, choice: MapChoice, presses: Presses, gains: Array) -> Presses:
-        """Presses in units of the gains, with copies in other sectors where chosen."""
+        Presses have copies in other sectors where that is chosen.
+        """
+        shared = self.sectors if choice.copies > 0.0 else None
+        gains = presses.unit_scale
+        if shared is not None:
+            gains = shared.gains(PlaceKernel(choice.length * self.extent), presses)
         scaled = replace(presses, answers=presses.answers / gains)
-        if choice.copies == 0.0 or self.sectors is None:
-            return scaled
-        return self.sectors.shared(scaled, choice.copies)
+        if shared is not None:
+            scaled = shared.shared(scaled, choice.copies)
+        return ChannelMaps.fit(self.kernel(choice), scaled, choice.noise), gains, scaled
 
     def choices(self, presses: Presses) -> Sequence[MapChoice]:
         """Choices over which places are averaged: the best one, or several where presses are few.
@@ -336,19 +347,15 @@ class SheetKnowledge:
         return density
 
     def _density_of_frames(self, choice: MapChoice, presses: Presses) -> Array:
-        kernel, owners = self.kernel(choice), presses.owners
-        count = len(owners)
-        if count > MAX_LEFT_OUT:
-            gains = self.gains(choice, presses)
-            prepared = self.prepared(choice, presses, gains)
-            maps = ChannelMaps.fit(kernel, prepared, choice.noise)
-            return maps.left_out_density(prepared) - float(np.sum(np.log(np.abs(gains))))
-        found, folds = np.zeros(len(presses.owner)), min(FOLDS, count)
+        owners = presses.owners
+        if len(owners) > MAX_LEFT_OUT:
+            maps, gains, scaled = self.fit(choice, presses)
+            return maps.left_out_density(scaled) - float(np.sum(np.log(np.abs(gains))))
+        found, folds = np.zeros(len(presses.owner)), min(FOLDS, len(owners))
         for fold in range(folds):
             tested = np.isin(presses.owner, owners[fold::folds])
-            learned, other = presses.select(~tested), presses.select(tested)
-            gains = self.gains(choice, learned)
-            maps = ChannelMaps.fit(kernel, self.prepared(choice, learned, gains), choice.noise)
+            other = presses.select(tested)
+            maps, gains, _ = self.fit(choice, presses.select(~tested))
             density = maps.density_of(replace(other, answers=other.answers / gains))
             found[tested] = density - float(np.sum(np.log(np.abs(gains))))
         return found

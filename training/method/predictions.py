@@ -130,7 +130,7 @@ class Predictions:
         bend_deviation_deg: standard error of the angle (n,) [deg]; NaN where the method does not
             estimate it.
         touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched, NaN where the
-            method does not estimate touches.
+            method does not estimate touches; no pixels for a method without a map.
         touches: of each frame; none where the method does not estimate touches.
         problems: of each frame, reasons to doubt its predictions, in words.
     """
@@ -323,7 +323,7 @@ class Estimate:
             predictions.probabilities[0],
             _known(predictions.bend_angle_deg[0]),
             _known(predictions.bend_deviation_deg[0]),
-            predictions.touch_map[0] if targets.touches else None,
+            predictions.touch_map[0] if targets.touches and predictions.touch_map.size else None,
             tuple(predictions.touches[0]) if targets.touches else None,
             problems,
             frame.number,

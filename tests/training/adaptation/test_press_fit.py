@@ -38,7 +38,6 @@ def test_places_strength_and_standard_errors(learned):
     assert abs(learned.law.exponent - 1.5) < 0.1
     inner = np.abs(places).max(axis=1) < 0.04
     np.testing.assert_allclose(found.strength[inner], learned.law.strength(depth[inner]), rtol=0.1)
-    np.testing.assert_allclose(learned.law.label(learned.law.strength(depth)), depth, rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -90,7 +89,8 @@ def test_few_presses_are_explained_in_several_ways():
     alone = [grid.locate(answers).place for grid in (few.grid, *few.others)]
     np.testing.assert_allclose(few.apply(other), np.mean(alone, axis=0), atol=1e-12)
     units = np.linspace(0.5, 2.0, 8)
-    same = few.grid.of_units(units).locate(answers / units)
+    scaled = dataclasses.replace(few.grid, whitening=units[:, None] * few.grid.whitening)
+    same = scaled.locate(answers / units)
     np.testing.assert_allclose(same.place, alone[0], atol=1e-9)
     restored = PressLocator.from_arrays(few.arrays())
     np.testing.assert_array_equal(restored.apply(other), few.apply(other))
