@@ -199,85 +199,28 @@ def concatenate(parts: Sequence[Rows]) -> Rows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChannelCovariance:
-    """Covariances between channels, brought to diagonal form together.
-
-    With whitening Z, Z' noise Z = 1 and Z' signal Z = diag(gain): the channels become independent
-    Gaussian processes of noise one (Rakitsch et al. 2013).
-
-    Attributes:
-        whitening: Z (C, C).
-        gain: variances of the independent maps (C,), in units of the noise.
-    """
-
-    whitening: Array
-    gain: Array
-
-    @classmethod
-    def of(cls, signal: Array, noise: Array) -> "ChannelCovariance":
-        """Solve the generalised eigenvalue problem of both covariances (C, C)."""
-        gain, whitening = eigh(signal, noise)
-        return cls(np.ascontiguousarray(whitening), np.maximum(gain, 0.0))
-
-    @property
-    def log_determinant(self) -> float:
-        """log |det Z|."""
-        return float(np.linalg.slogdet(self.whitening)[1])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Normal:
-    """Normal equations of presses in the eigenbasis of their features.
-
-    Attributes:
-        basis: eigenvectors V of sum weight s^2 phi phi' (m, m).
-        values: its eigenvalues w (m,).
-        answers: w^-1/2 V' sum weight s phi y' (m, C).
-        rest: scatter of what no map explains (C, C).
-        presses: number of presses n.
-    """
-
-    basis: Array
-    values: Array
-    answers: Array
-    rest: Array
-    presses: int
-
-    @classmethod
-    def of(cls, features: KernelFeatures, presses: Presses) -> "_Normal":
-        """Sum over the presses, a block at a time."""
-        m, channels = len(features.chosen), presses.answers.shape[1]
-        gram, moment = np.zeros((m, m)), np.zeros((m, channels))
-        scatter = np.zeros((channels, channels))
-        for begin in range(0, len(presses.strength), BLOCK):
-            part = presses.select(np.arange(begin, min(begin + BLOCK, len(presses.strength))))
-            root = np.sqrt(part.weight)[:, None]
-            phi = features(part.places) * part.strength[:, None] * root
-            y = part.answers * root
-            gram, moment, scatter = gram + phi.T @ phi, moment + phi.T @ y, scatter + y.T @ y
-        values, basis = eigh(gram)
-        values = np.maximum(values, 1e-9 * values[-1])
-        answers = (basis.T @ moment) / np.sqrt(values)[:, None]
-        return cls(basis, values, answers, scatter - answers.T @ answers, len(presses.strength))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ChannelMaps:
     """Maps f of all channels: answers y = s f(p) + noise, y and f of C channels.
 
     f(p) = W' phi(p), with rows of W independent and of covariance `signal` between channels, and
     noise of covariance `noise` between channels, both learned from the presses.
 
+    The whitening Z brings both covariances to diagonal form, Z' noise Z = 1 and
+    Z' signal Z = diag(gain): the channels become independent Gaussian processes of noise one
+    (Rakitsch et al. 2013).
+
     Attributes:
         features: phi.
-        covariance: of signal and noise.
+        whitening: Z (C, C).
+        gain: variances of the independent maps (C,), in units of the noise.
         basis: eigenvectors of the presses' features (m, m).
         values: their eigenvalues (m,).
         weights: posterior mean of W for the independent maps, in that basis (m, C).
     """
 
     features: KernelFeatures
-    covariance: ChannelCovariance
+    whitening: Array
+    gain: Array
     basis: Array
     values: Array
     weights: Array
@@ -293,22 +236,31 @@ class ChannelMaps:
                 as much as one press per channel, as does the prior guess 1 of the signal.
         """
         features = KernelFeatures.of(kernel, presses.places)
-        normal = _Normal.of(features, presses)
-        return cls._posterior(features, _learned(normal, noise), normal)
-
-    @classmethod
-    def _posterior(
-        cls, features: KernelFeatures, covariance: ChannelCovariance, normal: _Normal
-    ) -> "ChannelMaps":
-        seen = normal.answers @ covariance.whitening
-        gain, w = covariance.gain, normal.values[:, None]
-        weights = gain * np.sqrt(w) * seen / (gain * w + 1.0)
-        return cls(features, covariance, normal.basis, normal.values, weights)
+        values, basis, answers, rest = _normal_equations(features, presses)
+        w, (m, channels) = values[:, None], answers.shape
+        prior_signal, prior_noise = np.eye(channels), noise * np.eye(channels)
+        gain, whitening = _diagonalise(prior_signal, prior_noise)
+        for _ in range(ITERATIONS):
+            back = np.linalg.inv(whitening)
+            seen = answers @ whitening
+            variance = w * gain / (w * gain + 1.0)
+            mean = variance * seen
+            maps = (mean / w).T @ mean + np.diag(np.sum(variance / w, axis=0))
+            off = seen - mean
+            errors = (
+                off.T @ off + np.diag(np.sum(variance, axis=0)) + whitening.T @ rest @ whitening
+            )
+            signal = (back.T @ maps @ back + channels * prior_signal) / (m + channels)
+            count = len(presses.strength) + channels
+            error = (back.T @ errors @ back + channels * prior_noise) / count
+            gain, whitening = _diagonalise(0.5 * (signal + signal.T), 0.5 * (error + error.T))
+        weights = gain * np.sqrt(w) * (answers @ whitening) / (gain * w + 1.0)
+        return cls(features, whitening, gain, basis, values, weights)
 
     def at(self, places: ArrayLike) -> tuple[Array, Array]:
         """Mean and variance (n, C) each of the independent maps at places (n, 2) [m]."""
         phi = self.features(places)
-        turned, gain = phi @ self.basis, self.covariance.gain
+        turned, gain = phi @ self.basis, self.gain
         known = (turned**2) @ (gain / (gain * self.values[:, None] + 1.0))
         missing = np.maximum(self.features.kernel.variance(places) - np.sum(phi**2, axis=1), 0.0)
         return turned @ self.weights, known + missing[:, None] * gain
@@ -321,9 +273,9 @@ class ChannelMaps:
         """
         root = np.sqrt(presses.weight)[:, None]
         phi = self.features(presses.places) * presses.strength[:, None] * root @ self.basis
-        seen = presses.answers * root @ self.covariance.whitening
+        seen = presses.answers * root @ self.whitening
         residual = seen - phi @ self.weights
-        gain = self.covariance.gain
+        gain = self.gain
         shrunk = gain / (gain * self.values[:, None] + 1.0)
         own = np.flatnonzero(presses.weight == 1.0)
         mean, variance = np.empty((2, len(own), len(gain)))
@@ -344,38 +296,48 @@ class ChannelMaps:
         """Log predictive density of the answers of other presses (n,)."""
         mean, variance = self.at(presses.places)
         s = presses.strength[:, None]
-        off = presses.answers @ self.covariance.whitening - s * mean
+        off = presses.answers @ self.whitening - s * mean
         return self._density(off, s**2 * variance + 1.0)
 
     def _density(self, off: Array, variance: Array) -> Array:
         """Log density of deviations (n, C) of independent answers, in the channels' unit (n,)."""
         density = -0.5 * np.sum(off**2 / variance + np.log(2.0 * np.pi * variance), axis=1)
-        return np.asarray(density + self.covariance.log_determinant, dtype=np.float64)
+        return np.asarray(density + np.linalg.slogdet(self.whitening)[1], dtype=np.float64)
 
     def left_out_density(self, presses: Presses) -> Array:
         """Log predictive density of each press of weight one, it left out of the fit (k,)."""
         mean, variance = self.left_out(presses)
         own = presses.weight == 1.0
-        return self._density(presses.answers[own] @ self.covariance.whitening - mean, variance)
+        return self._density(presses.answers[own] @ self.whitening - mean, variance)
 
 
-def _learned(normal: _Normal, noise: float) -> ChannelCovariance:
-    """Covariances between channels at the maximum of their posterior, by EM."""
-    m, channels = normal.answers.shape
-    prior_signal, prior_noise = np.eye(channels), noise * np.eye(channels)
-    signal, error, count = prior_signal, prior_noise, float(channels)
-    w = normal.values[:, None]
-    for _ in range(ITERATIONS):
-        now = ChannelCovariance.of(signal, error)
-        back = np.linalg.inv(now.whitening)
-        seen = normal.answers @ now.whitening
-        variance = w * now.gain / (w * now.gain + 1.0)
-        mean = variance * seen
-        maps = (mean / w).T @ mean + np.diag(np.sum(variance / w, axis=0))
-        off = seen - mean
-        rest = now.whitening.T @ normal.rest @ now.whitening
-        errors = off.T @ off + np.diag(np.sum(variance, axis=0)) + rest
-        signal = (back.T @ maps @ back + count * prior_signal) / (m + count)
-        error = (back.T @ errors @ back + count * prior_noise) / (normal.presses + count)
-        signal, error = 0.5 * (signal + signal.T), 0.5 * (error + error.T)
-    return ChannelCovariance.of(signal, error)
+def _diagonalise(signal: Array, noise: Array) -> tuple[Array, Array]:
+    """Gain (C,) and whitening (C, C) by the generalised eigenvalues of both covariances (C, C)."""
+    gain, whitening = eigh(signal, noise)
+    return np.maximum(gain, 0.0), np.ascontiguousarray(whitening)
+
+
+def _normal_equations(
+    features: KernelFeatures, presses: Presses
+) -> tuple[Array, Array, Array, Array]:
+    """Normal equations of presses in the eigenbasis of their features, summed block by block.
+
+    Returns:
+        values: eigenvalues w of sum weight s^2 phi phi' (m,).
+        basis: their eigenvectors V (m, m).
+        answers: w^-1/2 V' sum weight s phi y' (m, C).
+        rest: scatter of what no map explains (C, C).
+    """
+    m, channels = len(features.chosen), presses.answers.shape[1]
+    gram, moment = np.zeros((m, m)), np.zeros((m, channels))
+    scatter = np.zeros((channels, channels))
+    for begin in range(0, len(presses.strength), BLOCK):
+        part = presses.select(np.arange(begin, min(begin + BLOCK, len(presses.strength))))
+        root = np.sqrt(part.weight)[:, None]
+        phi = features(part.places) * part.strength[:, None] * root
+        y = part.answers * root
+        gram, moment, scatter = gram + phi.T @ phi, moment + phi.T @ y, scatter + y.T @ y
+    values, basis = eigh(gram)
+    values = np.maximum(values, 1e-9 * values[-1])
+    answers = (basis.T @ moment) / np.sqrt(values)[:, None]
+    return values, basis, answers, scatter - answers.T @ answers

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
+from eitskin.training.adaptation.channel_maps import PlaceKernel
 
 Array = NDArray[np.float64]
 
@@ -300,11 +301,10 @@ class PositionRegressor(Locator):
         """
         logs = log_ratio(ratio)
         self.require_channels(logs.shape[-1])
-        directions = _directions(logs / self.channel_scale)
-        inner = directions @ self.directions.T
-        square = np.sum(directions**2, axis=1)[:, None] + np.sum(self.directions**2, axis=1)
-        d = np.sqrt(5.0 * np.maximum(square - 2.0 * inner, 0.0)) / self.length
-        covariance = self.variance * (1.0 + d + d**2 / 3.0) * np.exp(-d)
+        vectors = logs / self.channel_scale
+        norm = np.linalg.norm(vectors, axis=1, keepdims=True)
+        directions = vectors / np.where(norm > 0, norm, 1.0)
+        covariance = self.variance * PlaceKernel(self.length)(directions, self.directions)
         places: Array = covariance @ self.weights + self.centre
         return places
 
@@ -331,13 +331,6 @@ def log_ratio(ratio: ArrayLike) -> Array:
     size = np.abs(np.asarray(ratio))
     usable = np.isfinite(size) & (size > 0)
     return np.log(np.where(usable, size, 1.0))
-
-
-def _directions(vectors: Array) -> Array:
-    """Vectors (n, C) divided by their norms."""
-    norm = np.linalg.norm(vectors, axis=1, keepdims=True)
-    directions: Array = vectors / np.where(norm > 0, norm, 1.0)
-    return directions
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -176,7 +176,7 @@ def learned_strength(kernel: PlaceKernel, presses: Presses) -> Array:
         scaled = replace(scaled, answers=scaled.answers / scaled.unit_scale)
         maps = ChannelMaps.fit(kernel, scaled, NOISE)
         mean, variance = maps.left_out(scaled)
-        seen = scaled.answers @ maps.covariance.whitening
+        seen = scaled.answers @ maps.whitening
         map_mean, weight = mean / strength[:, None], 1.0 / variance
         prior = 1.0 / SPREAD**2
         best = np.sum(weight * seen * map_mean, axis=1) + prior
@@ -326,7 +326,7 @@ def _map_grids(
                 mean,
                 variance,
                 region.log_prior,
-                (units / gains)[:, None] * maps.covariance.whitening,
+                (units / gains)[:, None] * maps.whitening,
                 np.array([s.mean(), s.std() + 0.15 * s.mean()]),
             )
         )

@@ -24,8 +24,8 @@ def presses(count=30, channels=4, seed=0):
 
 def dense(maps, learned, at):
     """Mean and covariance of all channels at places, by the full covariance of all answers."""
-    back = np.linalg.inv(maps.covariance.whitening)
-    signal, noise = back.T @ np.diag(maps.covariance.gain) @ back, back.T @ back
+    back = np.linalg.inv(maps.whitening)
+    signal, noise = back.T @ np.diag(maps.gain) @ back, back.T @ back
     s, n = learned.strength, len(learned.strength)
     full = np.kron(KERNEL(learned.places, learned.places) * np.outer(s, s), signal)
     full += np.kron(np.diag(1.0 / learned.weight), noise)
@@ -72,7 +72,7 @@ def test_left_out_presses_are_predicted_as_by_a_fit_without_them():
 def test_learned_noise_is_that_of_the_presses():
     learned = presses(400)
     maps = ChannelMaps.fit(KERNEL, learned, 0.05)
-    back = np.linalg.inv(maps.covariance.whitening)
+    back = np.linalg.inv(maps.whitening)
     np.testing.assert_allclose(np.diag(back.T @ back), 0.01, rtol=0.3)
 
 
