@@ -41,6 +41,13 @@ def require_length(name: str, value: float, longest: float = LONGEST) -> None:
         )
 
 
+def require_within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Raise ConfigurationError unless `value` is a number from `low` to `high`."""
+    if not low <= value <= high:
+        limits = f"from {low:g} to {high:g} {unit}".rstrip()
+        raise ConfigurationError(f"{name} must be {limits}, got {value}")
+
+
 def require_count(name: str, value: int, least: int, most: int) -> None:
     """Raise ConfigurationError unless `value` is from `least` to `most`."""
     if not least <= value <= most:

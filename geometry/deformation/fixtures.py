@@ -1,13 +1,13 @@
 """Bending fixtures: flexure of a sensor about y, and its limits."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from eitskin.bounds import LONGEST
+from eitskin.bounds import LONGEST, require_positive, require_within
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
 from eitskin.geometry.design.sensor import SensorDesign
@@ -79,8 +79,63 @@ class Clamp:
         return self.span
 
 
+class _Kinematic(ABC):
+    """Fixture whose bends are flexures in closed form."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def bent_length(self) -> float:
+        """Length of the bent part of the flat sensor [m]."""
+
+    @abstractmethod
+    def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
+        """Flexure by an angle [rad], possible or not."""
+
+    def _check_profile(self, transition: float, contraction: float) -> None:
+        half = 0.5 * self.bent_length
+        require_within("transition, to half the bent length,", transition, 0.0, half, "m")
+        require_within("contraction, of a plate to that of a beam,", contraction, 0.0, 1.0)
+
+    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
+        """Flexure of the bent sensor.
+
+        Raises ConfigurationError, naming the last possible angle, for an angle out of reach.
+        """
+        length = design.outline.length
+        if self.bent_length > length:
+            raise ConfigurationError(
+                f"the bent length of {self.bent_length:g} m must not exceed the sensor's length of "
+                f"{length:g} m"
+            )
+
+        def possible(degrees: float) -> bool:
+            theta = math.radians(degrees)
+            return abs(degrees) <= 360.0 and _possible(self._flexure(design, theta), design)
+
+        if possible(bend.angle_deg):
+            return self._flexure(design, math.radians(bend.angle_deg))
+        sign = math.copysign(1.0, bend.angle_deg)
+        good, bad = 0.0, min(abs(bend.angle_deg), 361.0)
+        for step in range(_SEARCH_STEP, math.ceil(bad), _SEARCH_STEP):
+            if not possible(sign * step):
+                bad = float(step)
+                break
+            good = float(step)
+        while bad - good > 1e-7:
+            middle = 0.5 * (good + bad)
+            good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
+        last = sign * math.floor(good * 10.0 + 1e-6) / 10.0
+        raise ConfigurationError(
+            f"a bend of {bend.angle_deg:g} deg is not possible with {self}; the last possible "
+            f"angle in this direction is {last:.1f} deg. Bend less, bend over a greater length, or "
+            "change the fixture"
+        )
+
+
 @dataclass(frozen=True, slots=True)
-class Hinge:
+class Hinge(_Kinematic):
     """Kinematic hinge: two plates clamp the ends and turn about one axis under the middle.
 
     The ends turn rigidly by +-theta/2 about the axis at distance d below mid-layer; their
@@ -107,51 +162,35 @@ class Hinge:
     transition: float = 0.0
     contraction: float = 0.0
 
+    def __post_init__(self) -> None:
+        require_positive("hinge span", self.span, "m")
+        require_within("hinge offset", self.offset, -LONGEST, LONGEST, "m")
+        require_within("hinge give", self.give, 0.0, LONGEST, "m")
+        self._check_profile(self.transition, self.contraction)
+
     @property
     def bent_length(self) -> float:
-        """Length of the bent part of the flat sensor [m]."""
         return self.span + 2.0 * self.give
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.span) and self.span > 0):
-            raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
-        if not abs(self.offset) <= LONGEST:
-            raise ConfigurationError(
-                f"hinge offset must be within {LONGEST:g} m, got {self.offset}"
-            )
-        if not (math.isfinite(self.give) and self.give >= 0):
-            raise ConfigurationError(f"hinge give must be a length in m, got {self.give}")
-        _check_profile("hinge", self.bent_length, self.transition, self.contraction)
-
-    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
-        """Flexure of the bent sensor.
-
-        Raises ConfigurationError, naming the last possible angle, for an angle out of reach.
-        """
-        return _within_limits(self, self._flexure, design, bend)
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
         centre, half = design.centre, 0.5 * theta
         length = self.bent_length
         clamp = 0.5 * length
-        unstretched = Flexure(centre, length, theta, 1.0, self.transition)
-        stretched = Flexure(centre, length, theta, 2.0, self.transition)
+        made = Flexure(centre, length, theta, 1.0, self.transition, self.contraction)
         straight, more = (
-            float(f.centre_line(np.array(clamp))[0]) for f in (unstretched, stretched)
+            float(replace(made, stretch=s, contraction=0.0).centre_line(np.array(clamp))[0])
+            for s in (1.0, 2.0)
         )
         # The extent of the centre line along x is linear in the stretch; its end is the clamp's.
         wanted = clamp * math.cos(half) + self.offset * math.sin(half)
-        stretch = 1.0 + (wanted - straight) / (more - straight)
-        made = Flexure(centre, length, theta, stretch, self.transition, self.contraction)
+        made = replace(made, stretch=1.0 + (wanted - straight) / (more - straight))
         down = float(made.centre_line(np.array(clamp))[1])
         height = -clamp * math.sin(half) + self.offset * (math.cos(half) - 1.0)
-        return Flexure(
-            centre, length, theta, stretch, self.transition, self.contraction, height + down
-        )
+        return replace(made, rise=height + down)
 
 
 @dataclass(frozen=True, slots=True)
-class FreeArc:
+class FreeArc(_Kinematic):
     """Pure bending without a fixture: moments bend a part of the sensor's length into an arc.
 
     Without forces at the ends, lambda_0^2 = sqrt(1 + (c h)^2) for a stack of thickness h, as for
@@ -167,23 +206,12 @@ class FreeArc:
     contraction: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.length) and self.length > 0):
-            raise ConfigurationError(
-                f"arc length must be a positive length in m, got {self.length}"
-            )
-        _check_profile("arc", self.length, self.transition, self.contraction)
+        require_positive("arc length", self.length, "m")
+        self._check_profile(self.transition, self.contraction)
 
     @property
     def bent_length(self) -> float:
-        """Length of the bent part of the flat sensor [m]."""
         return self.length
-
-    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
-        """Flexure of the bent sensor.
-
-        Raises ConfigurationError, naming the last possible angle, for an angle out of reach.
-        """
-        return _within_limits(self, self._flexure, design, bend)
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
         c = theta / (self.length - self.transition)
@@ -195,56 +223,6 @@ class FreeArc:
 
 # Tables with the keys of several fixtures stand for the first, as in files of version 0.1.
 Fixture = Hinge | FreeArc | Clamp
-
-
-def _check_profile(name: str, span: float, transition: float, contraction: float) -> None:
-    if not 0.0 <= transition <= 0.5 * span:
-        raise ConfigurationError(
-            f"{name} transition must be from 0 to half the bent length, {0.5 * span:g} m, got "
-            f"{transition}"
-        )
-    if not 0.0 <= contraction <= 1.0:
-        raise ConfigurationError(
-            f"{name} contraction must be from 0 (plate) to 1 (beam), got {contraction}"
-        )
-
-
-def _within_limits(
-    fixture: Hinge | FreeArc,
-    flexure: Callable[[SensorDesign, float], Flexure],
-    design: SensorDesign,
-    bend: Bend,
-) -> Flexure:
-    """Flexure of a possible bend; raises ConfigurationError where fibres vanish or ends cross."""
-    length = design.outline.length
-    if fixture.bent_length > length:
-        raise ConfigurationError(
-            f"the bent length of {fixture.bent_length:g} m must not exceed the sensor's length of "
-            f"{length:g} m"
-        )
-
-    def possible(degrees: float) -> bool:
-        theta = math.radians(degrees)
-        return abs(degrees) <= 360.0 and _possible(flexure(design, theta), design)
-
-    if possible(bend.angle_deg):
-        return flexure(design, math.radians(bend.angle_deg))
-    sign = math.copysign(1.0, bend.angle_deg)
-    good, bad = 0.0, min(abs(bend.angle_deg), 361.0)
-    for step in range(_SEARCH_STEP, math.ceil(bad), _SEARCH_STEP):
-        if not possible(sign * step):
-            bad = float(step)
-            break
-        good = float(step)
-    while bad - good > 1e-7:
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
-    last = sign * math.floor(good * 10.0 + 1e-6) / 10.0
-    raise ConfigurationError(
-        f"a bend of {bend.angle_deg:g} deg is not possible with {fixture}; the last possible "
-        f"angle in this direction is {last:.1f} deg. Bend less, bend over a greater length, or "
-        "change the fixture"
-    )
 
 
 def _possible(flexure: Flexure, design: SensorDesign) -> bool:

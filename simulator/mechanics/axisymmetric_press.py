@@ -10,7 +10,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError
+from eitskin.bounds import require_positive
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
@@ -142,7 +142,7 @@ class AxisymmetricPress:
         A rising force is followed in steps of depth: where a rough indenter sticks depends on the
         way to the force, and one step leaves 0.7 to 1 % of the depth.
         """
-        _check_positive("force", force, "N")
+        require_positive("the force of a press", force, "N")
         if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
         self._approach(force)
@@ -158,7 +158,7 @@ class AxisymmetricPress:
 
     def to_depth(self, depth: float) -> Indentation:
         """Equilibrium at a depth [m]; raises SolidError with the fraction reached otherwise."""
-        _check_positive("depth", depth, "m")
+        require_positive("the depth of a press", depth, "m")
         start = self.unknowns[-1]
         count = max(1, math.ceil(abs(depth - start) / self._longest))
         steps = np.linspace(start, depth, 1 + count)
@@ -263,8 +263,3 @@ def _contact_radius(radii: Array, pressure: Array) -> float:
     """Contact radius: between the last point with pressure and the next [m]."""
     last = np.flatnonzero(pressure > 0.0)[-1:]
     return float(radii[last[0] : last[0] + 2].mean()) if len(last) else 0.0
-
-
-def _check_positive(name: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ConfigurationError(f"a press needs a positive {name} in {unit}, got {value}")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import LONGEST
+from eitskin.bounds import LONGEST, require_positive
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign, Substrate
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
@@ -113,10 +113,7 @@ class Sheet:
     law: NeoHookean | Ogden
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.thickness) and self.thickness > 0):
-            raise ConfigurationError(
-                f"the thickness of a layer must be positive, in m, got {self.thickness}"
-            )
+        require_positive("the thickness of a layer", self.thickness, "m")
 
 
 @dataclass(frozen=True, slots=True)

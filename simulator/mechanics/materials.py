@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import require_positive
 from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ class NeoHookean(Law):
     shear_modulus: float
 
     def __post_init__(self) -> None:
-        _check_modulus(self.shear_modulus)
+        require_positive("shear_modulus", self.shear_modulus, "Pa")
 
     @property
     def alpha(self) -> float:
@@ -127,7 +128,7 @@ class Ogden(Law):
 
     def __post_init__(self) -> None:
         """Check the modulus and the exponent."""
-        _check_modulus(self.shear_modulus)
+        require_positive("shear_modulus", self.shear_modulus, "Pa")
         if not math.isfinite(self.alpha) or self.alpha == 0.0:
             raise ConfigurationError(
                 f"the Ogden exponent alpha must be finite and not zero, got {self.alpha}"
@@ -169,11 +170,6 @@ def determinant(F: Array, H: Array) -> Array:
     """Determinant J = det F from F and its cofactor H, (...)."""
     J: Array = np.einsum("...J,...J->...", F[..., 0, :], H[..., 0, :])
     return J
-
-
-def _check_modulus(mu: float) -> None:
-    if not (math.isfinite(mu) and mu > 0):
-        raise ConfigurationError(f"shear_modulus must be a positive number of Pa, got {mu}")
 
 
 def _principal(F: Array) -> tuple[Array, Array]:

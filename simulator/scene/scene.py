@@ -6,6 +6,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TypeAlias
 
+from eitskin.bounds import require_positive
 from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc
@@ -44,11 +45,9 @@ class Touch:
         """Check the numbers; the largest possible force depends on the sensor."""
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
             raise ConfigurationError(f"touch position must be finite, got ({self.x}, {self.y})")
-        if not (math.isfinite(self.force) and self.force > 0.0):
-            raise ConfigurationError(f"touch force must be above 0 N, got {self.force} N")
+        require_positive("touch force", self.force, "N")
         if self.depth is not None:
-            if not (math.isfinite(self.depth) and self.depth > 0.0):
-                raise ConfigurationError(f"touch depth must be above 0 m, got {self.depth} m")
+            require_positive("touch depth", self.depth, "m")
             if self.force != DEFAULT_FORCE:
                 raise ConfigurationError(
                     f"a touch has a force or a depth, got {self.force} N and {self.depth} m"

@@ -301,9 +301,9 @@ def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"force": 0.0}, "above 0 N"),
-        ({"force": math.nan}, "above 0 N"),
-        ({"depth": -1e-3}, "above 0 m"),
+        ({"force": 0.0}, "force must be a positive number of N"),
+        ({"force": math.nan}, "force must be a positive number of N"),
+        ({"depth": -1e-3}, "depth must be a positive number of m"),
         ({"force": 3.0, "depth": 1e-3}, "a force or a depth"),
         ({"held": -1.0}, "held"),
         ({"held": 1.0, "released": math.inf}, "released"),
