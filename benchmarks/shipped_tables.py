@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Polygon
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.bends import bend_store

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.placement import grid, uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME

@@ -30,7 +30,7 @@ from eitskin.benchmarks.layouts.search import (
 from eitskin.benchmarks.layouts.store import Judge, Watch, judging
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware.protocol.frame_parts import PER_PACKET
 from eitskin.provenance import Provenance
 

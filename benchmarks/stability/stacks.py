@@ -13,7 +13,7 @@ import numpy as np
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.geometry.deformation.fixtures import Bend, Clamp
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation

@@ -14,10 +14,9 @@ from eitskin.cli.page.plan import arc_of, pieces_of
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.contact_areas import Pad, Strip
+from eitskin.geometry.design.contact_areas import ContactArea, Pad, Strip, placed
 from eitskin.geometry.design.outline import PlaneOutline, Rectangle
 from eitskin.geometry.design.patches import area_vectors, on_boundary
-from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.geometry.design.contact_areas import Strip
+from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
 from eitskin.geometry.design.outline import Disc
-from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Polygon, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 
 from style import circle, figure, save, sensor, wanted

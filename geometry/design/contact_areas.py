@@ -1,6 +1,7 @@
 """Contact areas of electrodes: strips on the side of a layer, pads on top, inside, on surfaces."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc, PlaneOutline
+from eitskin.geometry.design.outline import Disc, Outline, PlaneOutline
 from eitskin.geometry.design.patches import Patch, Region, area_vectors, on_boundary
 from eitskin.geometry.design.surface import Surface
 
@@ -20,6 +21,7 @@ _SAME = 1e-9  # distance of points that count as one, relative to the size of th
 _LEVEL = 0.9  # of a normal's z, above which a surface counts as level
 _COVERED = 0.9  # share of a pad that must lie on the surface
 _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+_TOUCHING = 1e-9  # overlap of electrodes that only touch [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,3 +313,88 @@ def _area(corners: Array) -> float:
     """Area of a polygon (k, 2) [m2], by the shoelace formula."""
     x, y = corners.T
     return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+
+
+ContactArea = Strip | Pad
+
+
+def placed(
+    electrodes: Sequence[Electrode], outline: Outline, thickness: float
+) -> list[ContactArea]:
+    """Contact areas of electrodes on a body.
+
+    Raises ConfigurationError, naming the electrode, for the first one that is off the body.
+    """
+    contacts = []
+    for number, electrode in enumerate(electrodes):
+        try:
+            contacts.append(_placed(electrode, outline, thickness))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"electrode {number}: {error}") from error
+    return contacts
+
+
+def require_apart(contacts: Sequence[ContactArea]) -> None:
+    """Raise ConfigurationError, naming both, for the first two contacts that overlap.
+
+    Strips are compared in the unrolled side, pads in their common plane; a surface is taken as
+    flat between two pads.
+    """
+    centres = np.array([contact.centre for contact in contacts])
+    reach = np.array([contact.reach for contact in contacts])
+    apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
+    near = np.argwhere(np.triu(apart < reach[:, None] + reach, k=1))
+    for i, j in near.tolist():
+        overlap = _overlap(contacts[i], contacts[j])
+        if overlap > _TOUCHING:
+            where = "along the outline" if isinstance(contacts[i], Strip) else "in their plane"
+            raise ConfigurationError(
+                f"electrodes {i} and {j} overlap by {overlap * 1e3:.4g} mm {where}; move them "
+                "apart or make them narrower"
+            )
+
+
+def _placed(electrode: Electrode, outline: Outline, thickness: float) -> ContactArea:
+    if isinstance(outline, Surface) != (electrode.on == "surface"):
+        raise ConfigurationError(
+            'on = "surface" goes with the surface of a file as outline and with nothing else; got '
+            f'on = "{electrode.on}" with a {type(outline).__name__}'
+        )
+    if isinstance(outline, Surface):
+        return on_surface(electrode, outline)
+    if electrode.on == "side":
+        return on_side(electrode, outline, thickness)
+    return on_plane(electrode, outline, thickness)
+
+
+def _overlap(first: ContactArea, second: ContactArea) -> float:
+    """Overlap of two contacts [m]; not above 0 where they are apart."""
+    if isinstance(first, Strip) and isinstance(second, Strip):
+        return _strips_overlap(first, second)
+    if isinstance(first, Pad) and isinstance(second, Pad) and first.on == second.on:
+        return _pads_overlap(first, second)
+    return 0.0
+
+
+def _strips_overlap(first: Strip, second: Strip) -> float:
+    perimeter = first.outline.perimeter
+    between = abs(first.start + first.end - second.start - second.end) / 2.0 % perimeter
+    widths = (first.end - first.start + second.end - second.start) / 2.0
+    around = widths - min(between, perimeter - between)
+    upwards = min(first.high, second.high) - max(first.low, second.low)
+    return min(around, upwards)
+
+
+def _pads_overlap(first: Pad, second: Pad) -> float:
+    """Smallest shift in the first pad's plane that parts two pads (separating axes) [m]."""
+    apart = second.centre - first.centre
+    if first.normal @ second.normal < 0.5 or abs(apart @ first.normal) > (
+        _TOUCHING if first.on == "inside" else first.depth + second.depth
+    ):
+        return 0.0
+    axes = tangents(first.normal)
+    a, b = ((pad.corners - first.centre) @ axes.T for pad in (first, second))
+    outward = np.concatenate([half_planes(a), half_planes(b)])[:, :2]
+    high = np.minimum((a @ outward.T).max(axis=0), (b @ outward.T).max(axis=0))
+    low = np.maximum((a @ outward.T).min(axis=0), (b @ outward.T).min(axis=0))
+    return float((high - low).min())

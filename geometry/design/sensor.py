@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import MOST_ELECTRODES, require_count, require_length, require_positive
 from eitskin.config import Location, build, choose, read, read_toml, to_toml, write_toml
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.contact_areas import placed, require_apart
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Outline, Rectangle
 from eitskin.geometry.design.patches import Patch
-from eitskin.geometry.design.placement import grid, placed, require_apart, uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.contact_areas import Strip
+from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.patches import electrode_contacts
-from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated

@@ -10,7 +10,7 @@ from eitskin.benchmarks.layouts import bound as layouts_bound
 from eitskin.benchmarks.layouts.bound import own_mirrors, sheet_bound, touch_derivatives
 from eitskin.benchmarks.layouts.candidates import paper, sweeps, with_electrodes
 from eitskin.geometry import Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 

@@ -14,7 +14,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Scene, Simulator
 
 IDLE = SceneGroup("idle", count=30)

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.geometry import Disc, Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 
 NOMINAL = SensorDesign.reference()
 

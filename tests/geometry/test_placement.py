@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Polygon, Rectangle, SensorDesign, Surface
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 
 SLAB = Rectangle(0.1, 0.05)
 TRIANGLE = Polygon(((0.02, 0.0), (0.06, 0.03), (0.0, 0.04)))

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign, Surface
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import volumes
 from eitskin.geometry.meshing.mesh_design import triangulated_mesh

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Polygon, Rectangle, SensorDesign, Surface
-from eitskin.geometry.design.placement import grid, uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 
 L_SHAPE = Polygon(((0, 0), (0.09, 0), (0.09, 0.03), (0.04, 0.03), (0.04, 0.06), (0, 0.06)))
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eitskin.config import parse_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign, Surface
-from eitskin.geometry.design.placement import grid, uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "sensor-design.md"
 SLAB = Rectangle(0.1, 0.05)

@@ -16,7 +16,7 @@ from eitskin.geometry import (
     SensorDesign,
     Substrate,
 )
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 
 REFERENCE = SensorDesign.reference()
 SUPPORTS = (Rigid(), Plates(), Plates(0.03), Substrate(0.01, 5e3), Free())

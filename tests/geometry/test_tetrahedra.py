@@ -9,7 +9,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Electrode, Polygon, SensorDesign, Surface
 from eitskin.geometry.design.patches import boundary_faces
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import quality, volumes
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh

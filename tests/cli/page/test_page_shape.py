@@ -14,11 +14,11 @@ from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.cli.page.state import filled, relative_change
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
-from eitskin.geometry.design.contact_areas import Pad
+from eitskin.geometry.design.contact_areas import Pad, placed
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc, Polygon
 from eitskin.geometry.design.patches import area_vectors
-from eitskin.geometry.design.placement import placed, uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator import Frame, Mechanics
 from eitskin.simulator.bends import bend_store

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Script, Step, open_board
 from eitskin.hardware.protocol.messages import Ack, GetTable, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode

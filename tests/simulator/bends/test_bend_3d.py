@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Disc, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Disc, FreeArc, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends import bend_3d, bend_store, bend_table

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import grid
+from eitskin.geometry.design.regular_layouts import grid
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 

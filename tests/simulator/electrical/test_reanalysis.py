@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Hinge, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import EXACT, Cylinder, ForwardModel, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.electrical.reanalysis import ElementProducts, Reanalysis

@@ -10,7 +10,7 @@ import pytest
 from eitskin.benchmarks.accuracy.deformed import sheared
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.placement import grid, uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.function_space import estimated_memory

@@ -6,7 +6,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.outline import Disc
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
 

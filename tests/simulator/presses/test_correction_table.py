@@ -11,7 +11,7 @@ import pytest
 from eitskin.benchmarks.world.reference import cases
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Substrate
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.materials import NeoHookean

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.mechanics.materials import NeoHookean

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, SensorDesign
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Instrument, Scene, Simulator, Sphere
 from eitskin.simulator.robots.mujoco_skin import MujocoSkin
 from eitskin.simulator.robots.touch_table import TouchRules, TouchTable

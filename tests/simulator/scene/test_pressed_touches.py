@@ -21,7 +21,7 @@ from eitskin.geometry import (
     SensorDesign,
     Twist,
 )
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
 from eitskin.simulator.layer.pressed_touches import pressed_touches

@@ -10,7 +10,7 @@ from eitskin.geometry import Bend, Disc, Electrode, Hinge, Rectangle, SensorDesi
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Displaced
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import (
     Frame,

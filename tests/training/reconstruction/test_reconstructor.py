@@ -9,7 +9,7 @@ from eitskin.errors import ConfigurationError, FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.outline import Disc
-from eitskin.geometry.design.placement import uniform
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
 from eitskin.training.reconstruction.figures_of_merit import figures_of_merit
