@@ -1,8 +1,9 @@
 """Compiled kernels: loops that numba compiles, used for many scenes where numba is installed.
 
-Every kernel has a plain twin in numpy beside the place where it is used, which runs for single
-scenes, without numba (extra `fast`), or where the environment variable EITSKIN_PLAIN is set. Both
-agree to rounding.
+A module of kernels either has a plain twin in numpy beside the place where it is used (`kernel`,
+`compiled`), or is written so that it runs in both ways (`either`, `implementation`). Plain code
+runs for single scenes, without numba (extra `fast`), or where the environment variable
+EITSKIN_PLAIN is set. Both agree to rounding.
 """
 
 import os
@@ -11,13 +12,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec
 from types import ModuleType
 from typing import TypeVar, cast
 
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 _wanted: ContextVar[bool] = ContextVar("_wanted", default=False)
+_compiling: ContextVar[bool] = ContextVar("_compiling", default=False)
 
 
 @contextmanager
@@ -39,6 +41,16 @@ def compiled(module: str) -> ModuleType | None:
     return loaded(module) if _wanted.get() else None
 
 
+def implementation(module: str) -> ModuleType:
+    """Module of `either` functions by its name, compiled where `compiled` would be."""
+    copy = _compiled_copy(module) if _wanted.get() else None
+    return copy or import_module(module)
+
+
+def _has_numba() -> bool:
+    return not os.environ.get("EITSKIN_PLAIN") and find_spec("numba") is not None
+
+
 @cache
 def loaded(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
@@ -46,9 +58,23 @@ def loaded(module: str) -> ModuleType | None:
     The first import compiles them, in some seconds; what it compiles is kept on the disk beside the
     module, or in the user's cache folder.
     """
-    if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
+    return import_module(module) if _has_numba() else None
+
+
+@cache
+def _compiled_copy(module: str) -> ModuleType | None:
+    """Second copy of a module, whose `either` functions are compiled; None without numba."""
+    import_module(module)  # plain, before what numba does asks for it
+    spec = find_spec(module) if _has_numba() else None
+    if spec is None or spec.loader is None:
         return None
-    return import_module(module)
+    copy = module_from_spec(spec)
+    before = _compiling.set(True)
+    try:
+        spec.loader.exec_module(copy)
+    finally:
+        _compiling.reset(before)
+    return copy
 
 
 def kernel(types: str) -> Callable[[Loop], Loop]:
@@ -63,3 +89,8 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
     flags = {"contract", "reassoc", "nsz", "arcp"}
     made = njit(types, cache=True, error_model="numpy", fastmath=flags)
     return cast("Callable[[Loop], Loop]", made)
+
+
+def either(types: str) -> Callable[[Loop], Loop]:
+    """Decorator of a function in numpy that runs as it is, and as `kernel` in a compiled copy."""
+    return kernel(types) if _compiling.get() else lambda function: function

@@ -50,7 +50,14 @@ def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
         change = change + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
     told = replace(RESPONSE, mismatch=mismatch).of(())
     combined = MEASUREMENTS.combined(change, 2.0, 0.0)
-    return TouchObjective.of(combined, reference_deg, told, CURVE, TOUCH_PRIOR)
+    return TouchObjective(combined, reference_deg, told, CURVE, TOUCH_PRIOR)
+
+
+def residual(objective, unknowns):
+    """Measured minus modelled change by the plain formula."""
+    bend = objective.curve.value([unknowns.angle_deg, objective.reference_deg])
+    left = objective.combined.change - bend[0] + bend[1]
+    return left - objective.response(unknowns.touches, unknowns.angle_deg).sum(axis=0)
 
 
 def changed(objective, change):

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
 RANDOM_POWERS = 5  # in a specimen's departure from the mean (random effects); 3 in version 0.1
 EM_ITERATIONS = 15
+BEYOND_DEG = 5.0  # by which an estimated angle may lie outside of those learned from
 LEAST_SPREAD = 1e-3  # of a feature
 TRUSTED = 4.0
 """Standard deviations up to which features move the mean curve of a sensor whose curve is known at

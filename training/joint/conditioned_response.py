@@ -137,7 +137,7 @@ class Evidence:
         cls, prior: SpecimenResponse, now: SpecimenResponse, strength: float, known: KnownTouches
     ) -> "Evidence":
         """Evidence about a response `now`, of this strength beside the prior one."""
-        changes, _ = now.with_derivatives(known.places, known.angle_deg, np.ones(3))
+        changes = now.with_derivatives(known.places, known.angle_deg)
         left = known.seen.change - changes[0].sum(axis=0)
         latent_changes = strength * prior.latent_changes(known.places, known.angle_deg)
         rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])

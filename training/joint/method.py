@@ -25,9 +25,10 @@ from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
 from eitskin.training.joint.conditioned_response import response_given
 from eitskin.training.joint.fit.channel_faults import possible_faults
+from eitskin.training.joint.fit.kernels import STILL_DEG
 from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
-from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
-from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
+from eitskin.training.joint.fit.objective import TouchObjective
+from eitskin.training.joint.fit.touch_search import TOUCH_THRESHOLD
 from eitskin.training.joint.own_response import own_output, own_response, twin_trial
 from eitskin.training.joint.place_errors import ErrorScale, own_error_scale
 from eitskin.training.joint.prior import TouchPrior
@@ -230,7 +231,7 @@ class JointMethod(Method):
 
         def fit(curve: BendCurve) -> FrameFit:
             parts = (specimen.response, curve, self.touch_prior)
-            objective = TouchObjective.of(change, angle_deg, *parts)
+            objective = TouchObjective(change, angle_deg, *parts)
             return fit_frame(objective, candidates, proposed, specimen.faults, bend_deg)
 
         if specimen.usual is None:

@@ -6,7 +6,6 @@ pipeline keeps it in the arrays `bounds` and `scalars`. The constants below hold
 
 import math
 from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ class TouchPrior:
     high: Array
     mean: Array = field(init=False)
     stiffness: Array = field(init=False)
-    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit_kernels`
+    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit.kernels`
 
     def __post_init__(self) -> None:
         """Derive mean and stiffness."""
@@ -111,53 +110,3 @@ class TouchPrior:
         """
         low, high = (0.0, 0.0, FORCE_MARGINS[0]), (*outline, FORCE_MARGINS[1])
         return cls(2 * radius, (1.0, SENSITIVITY_STD), np.array(low), np.array(high))
-
-    def add_to(self, products: Array, touches: Array, motion_deg: float) -> None:
-        """Add the negative log prior to the normal equations.
-
-        Args:
-            products: symmetric matrix (1 + n, 1 + n) of misfit, gradient and Hessian in unit steps
-                of the n unknowns, as `TouchObjective.quadratic` arranges them; changed in place.
-            touches: x [m], y [m] and force [N] of each (k, 3).
-            motion_deg: bend angle of the reference minus that of the frame [deg].
-        """
-        moved = motion_deg / ANGLE_PRIOR_STD_DEG
-        turn = ANGLE_UNIT / ANGLE_PRIOR_STD_DEG
-        penalty = moved**2
-        products[0, 1] += turn * moved
-        products[1, 1] += turn**2
-        if len(touches):
-            departure = (self.mean - touches) / TOUCH_UNITS
-            pull = departure * self.stiffness
-            products[0, 2:] += pull.reshape(-1)
-            penalty += float(np.vdot(departure, pull))
-            diagonal = products.reshape(-1)[2 * len(products) + 2 :: len(products) + 1]
-            diagonal.reshape(-1, 3)[:] += self.stiffness
-        if len(touches) > 1:
-            penalty += self._repulsion(touches, products[0, 1:], products[1:, 1:])
-        products[0, 0] += penalty
-
-    def _repulsion(self, touches: Array, gradient: Array, hessian: Array) -> float:
-        """Penalty of touches closer than `separation`; adds to gradient and Hessian in place."""
-        softness, penalty = 0.1 * self.separation, 0.0
-        places = touches[:, :2].tolist()
-        for (i, (xi, yi)), (j, (xj, yj)) in combinations(enumerate(places), 2):
-            distance = math.hypot(xi - xj, yi - yj)
-            lacking = (self.separation - distance) / softness
-            if lacking <= 0.0:
-                continue
-            # Two touches at one position part along x.
-            towards = (
-                ((xi - xj) / distance, (yi - yj) / distance) if distance > 1e-9 else (1.0, 0.0)
-            )
-            direction = np.array(towards) * TOUCH_UNITS[0] / softness
-            a, b = slice(1 + 3 * i, 3 + 3 * i), slice(1 + 3 * j, 3 + 3 * j)
-            gradient[a] += lacking * direction
-            gradient[b] -= lacking * direction
-            square = np.outer(direction, direction)
-            hessian[a, a] += square
-            hessian[b, b] += square
-            hessian[a, b] -= square
-            hessian[b, a] -= square
-            penalty += lacking**2
-        return penalty

@@ -21,10 +21,9 @@ from eitskin.training.joint.angles.networks import (
 )
 from eitskin.training.joint.angles.posterior import posterior_angle
 from eitskin.training.joint.angles.usual import LOG_ODDS
-from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.fit.channel_faults import FAULT_THRESHOLD, PossibleFaults
-from eitskin.training.joint.fit.objective import BEYOND_DEG
 from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 

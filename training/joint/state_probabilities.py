@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.fit.model_selection import FrameFit
-from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
+from eitskin.training.joint.fit.touch_search import TOUCH_THRESHOLD
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
+from eitskin.training.joint.fit.kernels import respond
+from eitskin.training.joint.prior import TOUCH_UNITS
+
 Array = NDArray[np.float64]
 
 LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
@@ -87,7 +90,6 @@ class TouchResponse:
     _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
     _biases: tuple[Array, ...] = field(init=False, repr=False)
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
-    _stacked: tuple[Array, Array] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Fold the input scales into the first layer."""
@@ -98,11 +100,6 @@ class TouchResponse:
         object.__setattr__(self, "_layers", tuple(map(np.ascontiguousarray, layers)))
         object.__setattr__(self, "_biases", biases)
         object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
-        width, stacked = len(first), None
-        if all(weight.shape == (width, width) for weight in self.weights[1:]):
-            inner = np.array(layers[1:]).reshape(-1, width, width)
-            stacked = inner, np.array(biases)
-        object.__setattr__(self, "_stacked", stacked)
 
     def hidden(self, touches: Array, angle_deg: float) -> Array:
         """Input of the last layer, [h, 1] F / F0 scale, for touches (k, 3): (k, hidden + 1)."""
@@ -113,28 +110,6 @@ class TouchResponse:
             hidden = before * expit(before)
         factor = self.unit * touches[:, 2:]
         return np.concatenate([factor * hidden, factor], axis=1)
-
-    def network(self, touches: Array, angle_deg: float, units: Array) -> Array:
-        """Output h of the network and its derivatives by x, y and force (4, k, hidden).
-
-        Forward-mode differentiation: one matrix product a layer for values and derivatives.
-
-        Args:
-            touches: x [m], y [m] and force [N] of each (k, 3).
-            angle_deg: of the bend [deg].
-            units: steps of x, y [m] and force [N] that derivatives are by (3,).
-        """
-        count, first = len(touches), self._layers[0]
-        rows = np.empty((4, count, first.shape[1]))
-        value = np.dot(touches, first, out=rows[0])
-        value += self._biases[0] + angle_deg * self._bias_by_angle
-        np.multiply(_activated(value), (first * units[:, None])[:, None], out=rows[1:])
-        for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
-            rows = rows.reshape(4 * count, -1).dot(layer).reshape(4, count, -1)
-            value = rows[0]
-            value += bias
-            rows[1:] *= _activated(value)
-        return rows
 
     @classmethod
     def none(cls, features: int, channels: int, size: tuple[float, float]) -> "TouchResponse":
@@ -210,67 +185,36 @@ class SpecimenResponse:
         object.__setattr__(self, "_constant", self.output[:, -1].copy())
 
     @property
-    def stacked(self) -> tuple[Array, ...] | None:
-        """Weights as `fit_kernels` takes them; None where the layers differ in width."""
-        response = self.response
-        if response._stacked is None:
-            return None
-        inner, biases = response._stacked
-        first, by_angle = response._layers[0], response._bias_by_angle
-        return first, inner, biases, by_angle, self._weights, self._constant
+    def stacked(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Weights as `fit.kernels` takes them: those of its `SENSOR` but for the bend curve."""
+        response, size = self.response, len(self._weights)
+        layers, biases = response._layers, np.array(response._biases)
+        inner = np.array(layers[1:]).reshape(-1, size, size)
+        return layers[0], inner, biases, response._bias_by_angle, self._weights, self._constant
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""
         change: Array = self.response.hidden(touches, angle_deg) @ self.output.T
         return change
 
-    def with_derivatives(
-        self, touches: Array, angle_deg: float, units: Array
-    ) -> tuple[Array, Array]:
-        """Changes by touches (k, 3), their derivatives, and the network's output.
+    def with_derivatives(self, touches: Array, angle_deg: float) -> Array:
+        """Changes by touches (k, 3), and their derivatives by x and y [1/m] and force [1/N].
 
         Args:
             touches: x [m], y [m] and force [N] of each (k, 3).
             angle_deg: of the bend [deg].
-            units: steps of x, y [m] and force [N] that derivatives are by (3,).
 
         Returns:
-            changes and their derivatives by x, y and force (4, k, K).
-            output h of the network, as `uncertainty` takes it (k, hidden).
+            (4, k, K).
         """
-        rows, unit = self.response.network(touches, angle_deg, units), self.response.unit
-        changes = rows.reshape(-1, rows.shape[2]).dot(self._weights).reshape(4, len(touches), -1)
-        changes[0] += self._constant
-        by_force = (unit * units[2]) * changes[0]
-        changes *= unit * touches[:, 2:]
-        changes[3] += by_force
-        return changes, rows[0]
-
-    def uncertainty(self, touches: Array, hidden: Array) -> Array:
-        """Covariance (K, K) of the touches' summed change, by unknown q.
-
-        Args:
-            touches: x [m], y [m] and force [N] of each (k, 3).
-            hidden: output h of the network for them (k, hidden).
-        """
-        factor, latent_output = self.response.unit * touches[:, 2], self.response.latent_output
-        latent = latent_output[:, :, :-1] @ (factor @ hidden)
-        latent += factor.sum() * latent_output[:, :, -1]
-        covariance: Array = latent.T @ latent
-        return covariance
+        sensor = (*self.stacked, np.zeros((0, len(self._constant))))
+        changes = respond(touches, angle_deg, self.response.unit, sensor)[0]
+        units = np.append(1.0, TOUCH_UNITS)[:, None, None]
+        derivatives: Array = changes.reshape(4, len(touches), -1) / units
+        return derivatives
 
     def latent_changes(self, touches: Array, angle_deg: float) -> Array:
         """Derivative of the touches' summed change by each q (Q, K)."""
         hidden = self.response.hidden(touches, angle_deg).sum(axis=0)
         change: Array = self.response.latent_output @ hidden
         return change
-
-
-def _activated(values: Array) -> Array:
-    """Apply SiLU, v / (1 + exp(-v)), in place and return its derivative."""
-    gate: Array = expit(values)
-    values *= gate
-    slope = 1.0 - values
-    slope *= gate
-    slope += values
-    return slope

@@ -55,7 +55,7 @@ def fitted(combinations, change, mismatch=0.0):
     specimen, bend = model(combinations, mismatch)
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
     candidates = TouchCandidates(places(), RANGES.middle_force, specimen(touches, 15.0))
-    objective = TouchObjective.of(
+    objective = TouchObjective(
         combinations.combined(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
     )
     faults = possible_faults(PROTOCOL, FLAT, combinations)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.training.joint.fit.linearisation import Unknowns
-from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
+from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.prior import TouchPrior
 
 from smooth_sensor import MEASUREMENTS, SIZE, TOUCH_PRIOR, curve, response
@@ -44,6 +43,6 @@ def test_changed_prior_pulls_forces(mean):
     true = Unknowns(np.array([[0.060, 0.030, 8.0]]), 0.0)
     change = one(true.touches, 0.0)[0]
     combined = MEASUREMENTS.combined(change, 2.0 * 30**2, 0.0)
-    objective = TouchObjective.of(combined, 0.0, one, curve(), prior)
+    objective = TouchObjective(combined, 0.0, one, curve(), prior)
     found = levenberg_marquardt(objective, objective.linearised(true), 30, 1e-9)
     assert found.unknowns.touches[0, 2] == pytest.approx(mean, abs=0.3)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.fit import lapack
 from eitskin.training.joint.fit.channel_faults import (
@@ -18,7 +18,7 @@ from eitskin.training.joint.fit.channel_faults import (
     PossibleFaults,
     most_likely_fault,
 )
-from eitskin.training.joint.fit.objective import BEYOND_DEG, misfit_sigma
+from eitskin.training.joint.fit.objective import misfit_sigma
 
 Array = NDArray[np.float64]
 
@@ -128,15 +128,22 @@ def _judged(
     return AngleEstimate(angle, deviation, sigma, (), evidence), residual, whitening
 
 
+def grid_log_densities(curve: BendCurve, angles: Array, change: Array, noise: Array) -> Array:
+    """Logarithms of the densities of a change at angles (n,) [deg], but for a constant (n,).
+
+    Further arguments are those of `estimate_angle`.
+    """
+    factors = np.linalg.cholesky(noise + curve.uncertainties(angles))
+    residuals = (change - curve.value(angles))[:, :, None]
+    white = np.linalg.solve(factors, residuals)[:, :, 0]
+    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+    return np.asarray(-widths - 0.5 * np.sum(white**2, axis=1))
+
+
 def likeliest_angle(curve: BendCurve, change: Array, noise: Array) -> float:
     """The likeliest of a grid of angles [deg]; arguments as of `estimate_angle`."""
-    angles, values = curve.grid(GRID)
-    logs = []
-    for angle, value in zip(angles, values, strict=True):
-        whitening = lapack.whitening(noise + curve.uncertainty(float(angle)))
-        residual = whitening @ (change - value)
-        logs.append(np.sum(np.log(np.diagonal(whitening))) - 0.5 * residual @ residual)
-    return float(angles[int(np.argmax(logs))])
+    angles, _ = curve.grid(GRID)
+    return float(angles[grid_log_densities(curve, angles, change, noise).argmax()])
 
 
 def estimate_angle(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from eitskin.training.joint.fit.objective import BEYOND_DEG
+from eitskin.training.joint.bend_curve import BEYOND_DEG
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from eitskin.training.joint.angles.estimate import AngleEstimate
-from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.angles.estimate import AngleEstimate, grid_log_densities
+from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.fit.objective import BEYOND_DEG
 
 STEP_DEG = 1.0  # of the angles over which posteriors are summed
 DECAY_DEG = 1.0  # beyond the angles learned, in which the prior falls by a factor of e
@@ -46,10 +45,7 @@ def posterior_angle(
     fewer = combined.without(likeliest.left_out) if likeliest.faults else combined
     low, high = curve.angle_deg
     angles = np.arange(low - BEYOND_DEG, high + BEYOND_DEG + STEP_DEG / 2, STEP_DEG)
-    factor = np.linalg.cholesky(fewer.noise + curve.uncertainties(angles))
-    white = np.linalg.solve(factor, (fewer.change - curve.value(angles))[:, :, None])[:, :, 0]
-    widths = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-    logs = -(widths + 0.5 * np.sum(white**2, axis=1)) / excess
+    logs = grid_log_densities(curve, angles, fewer.change, fewer.noise) / excess
     logs -= np.maximum(np.maximum(low - angles, angles - high), 0.0) / DECAY_DEG
     share = np.exp(logs - logs.max())
     share /= share.sum()

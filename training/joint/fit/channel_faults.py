@@ -15,7 +15,7 @@ from eitskin.training.joint.fit.objective import (
     levenberg_marquardt,
     misfit_sigma,
 )
-from eitskin.training.joint.fit.pruning import gains_of, pruned
+from eitskin.training.joint.fit.touch_search import gains_of, pruned
 
 Array = NDArray[np.float64]
 
@@ -144,8 +144,8 @@ def fit_with_fault(
         fewer = objective.without_measurements(fault.members)
         if fewer.combined.count < len(fewer.combined.good) // 2:
             continue
-        start = fewer.linearised(alternative.unknowns)
-        again = pruned(fewer, levenberg_marquardt(fewer, start, STEPS, TOLERANCE))
+        again = levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE)
+        again = pruned(fewer, again)
         if again.whole_sigma < ACCEPTED_SIGMA:
             return FaultFit(fault, fewer, again)
     return None
@@ -168,7 +168,7 @@ def _alternatives(
         directions, gains = _directions(found, possible), gains_of(found)
         for i in np.argsort(gains)[:2].tolist():
             if _gain_instead(found, i, directions, possible) > LEAST_SHARE * gains[i]:
-                others = objective.linearised(found.unknowns.without_touch(i))
+                others = found.unknowns.without_touch(i)
                 yield levenberg_marquardt(objective, others, STEPS, TOLERANCE)
     if touches and found.whole_sigma > SUSPICIOUS_SIGMA:
         yield found

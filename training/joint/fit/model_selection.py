@@ -7,7 +7,7 @@ than chance would.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -20,22 +20,25 @@ from eitskin.training.joint.fit.channel_faults import (
     PossibleFaults,
     fit_with_fault,
 )
-from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
-from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective, levenberg_marquardt
-from eitskin.training.joint.fit.pruning import (
+from eitskin.training.joint.fit.objective import (
+    Linearisation,
+    MapEstimate,
+    TouchObjective,
+    Unknowns,
+    levenberg_marquardt,
+)
+from eitskin.training.joint.fit.touch_search import (
     FINE,
     TOUCH_THRESHOLD,
+    TouchCandidates,
     gain_of,
     gains_of,
     improbability,
+    initial_touches,
+    pair_starts,
     price,
     price_of_next,
     pruned,
-)
-from eitskin.training.joint.fit.touch_search import (
-    TouchCandidates,
-    initial_touches,
-    pair_starts,
     single_starts,
 )
 from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
@@ -121,11 +124,11 @@ def fit_frame(
             break
         faults.append(better.fault)
         objective, found = better.objective, better.found
-        untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
+        untouched = levenberg_marquardt(objective, untouched.unknowns, *FINE)
         evidence = gain_of(objective, untouched, found)
     if bend_deg and found.misfit_sigma > REPORTED_SIGMA:
         nothing = Unknowns(np.zeros((0, 3)), bend_deg())
-        alone = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
+        alone = levenberg_marquardt(objective, nothing, *FINE)
         if alone.improbability < improbability(found):
             found, evidence = alone, 0.0
     return _frame_fit(found, evidence, tuple(faults))
@@ -143,7 +146,7 @@ def _likeliest(
     and only where it leads elsewhere.
     """
     nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))
-    untouched = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
+    untouched = levenberg_marquardt(objective, nothing, *FINE)
 
     def proposal(at: Linearisation) -> list[Unknowns]:
         if proposed is None or not len(proposed):
@@ -151,7 +154,7 @@ def _likeliest(
         return [initial_touches(objective, proposed, at)]
 
     def started(start: Unknowns) -> MapEstimate:
-        return levenberg_marquardt(objective, objective.linearised(start), *COARSE)
+        return levenberg_marquardt(objective, start, *COARSE)
 
     begun = [started(start) for start in proposal(untouched.at)] or [untouched]
     seen: Seen = []
@@ -160,9 +163,9 @@ def _likeliest(
     least = NEAR_DEG if found.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
     if not len(found.unknowns.touches) or moved < least:
         return untouched, found, evidence
-    still = replace(nothing, angle_deg=objective.reference_deg)
-    starts = [replace(found.unknowns, angle_deg=objective.reference_deg)]
-    starts += proposal(objective.linearised(still))
+    still = objective.reference_deg
+    starts = [found.unknowns._replace(angle_deg=still)]
+    starts += proposal(objective.linearised(nothing._replace(angle_deg=still)))
     begun = [each for each in map(started, starts) if _met(each, seen) is None]
     if not begun:
         return untouched, found, evidence
@@ -196,9 +199,7 @@ def _fit(
         starts = single_starts(objective, found, candidates, START_THRESHOLD * least)
         if not starts:
             break
-        trials = [
-            levenberg_marquardt(objective, objective.linearised(start), *COARSE) for start in starts
-        ]
+        trials = [levenberg_marquardt(objective, start, *COARSE) for start in starts]
         more = min(trials, key=lambda trial: trial.misfit)
         gain = gain_of(objective, found, more)
         evidence = max(evidence, gain)

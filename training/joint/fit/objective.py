@@ -11,33 +11,115 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
-from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.compiled import implementation
+from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
-from eitskin.training.joint.fit.quadratic_model import (
-    GOOD,
-    GROWTH,
-    POOR,
-    RADIUS,
-    SHRINKING,
-    QuadraticModel,
-)
-from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
+from eitskin.training.joint.fit.kernels import RADIUS
+from eitskin.training.joint.prior import ANGLE_UNIT, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
 
 Array = NDArray[np.float64]
 
-KERNELS = "eitskin.training.joint.fit.fit_kernels"
-BEYOND_DEG = 5.0  # by which an angle may lie outside of those the bend curve was learned from
-OPTIMISM = 10.0
-"""Most that is hoped for, in decreases of the misfit that its quadratic model promises."""
-STILL_DEG = 0.01  # motion below which the uncertainty of the bend curve is negligible
+KERNELS = "eitskin.training.joint.fit.kernels"
+
+
+class Unknowns(NamedTuple):
+    """Values of the unknowns.
+
+    Attributes:
+        touches: x [m], y [m] and force [N] of each (k, 3).
+        angle_deg: of the bend [deg].
+    """
+
+    touches: Array
+    angle_deg: float
+
+    def without_touch(self, number: int) -> "Unknowns":
+        """The same values less one touch."""
+        others = np.concatenate([self.touches[:number], self.touches[number + 1 :]])
+        return Unknowns(others, self.angle_deg)
+
+    def with_touches(self, touches: Array) -> "Unknowns":
+        """The same values and further touches (n, 3)."""
+        return Unknowns(np.concatenate([self.touches, touches]), self.angle_deg)
+
+
+class Linearisation(NamedTuple):
+    """The model linearised at some unknowns, not whitened.
+
+    Attributes:
+        touches, angle_deg: the unknowns.
+        rows: the residual, then the derivative of the model by a unit step of each of the n
+            unknowns (1 + n, K).
+        changes: by each touch (k, K).
+        hidden: output of the response network, from which its uncertainty follows (k, hidden).
+    """
+
+    touches: Array
+    angle_deg: float
+    rows: Array
+    changes: Array
+    hidden: Array
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """Where the model is linearised."""
+        return Unknowns(self.touches, self.angle_deg)
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus modelled change (K,)."""
+        residual: Array = self.rows[0]
+        return residual
+
+    @property
+    def bend_slope(self) -> Array:
+        """Derivative of the bend curve (K,) [1/deg]."""
+        slope: Array = self.rows[1] / ANGLE_UNIT
+        return slope
+
+
+class QuadraticModel(NamedTuple):
+    """Gauss-Newton model of the misfit in unit steps: the angle, then x, y, force of each touch.
+
+    Attributes:
+        products: misfit, minus half its gradient and half its Hessian, as blocks (1 + n, 1 + n).
+        white: residual and Jacobian, whitened (1 + n, K).
+    """
+
+    products: Array
+    white: Array
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares of the whitened residual and of the prior's terms."""
+        return float(self.products[0, 0])
+
+    @property
+    def gradient(self) -> Array:
+        """Minus half the gradient of the misfit (n,)."""
+        return np.asarray(self.products[0, 1:])
+
+    @property
+    def hessian(self) -> Array:
+        """Half the Gauss-Newton Hessian (n, n)."""
+        return np.asarray(self.products[1:, 1:])
+
+    @property
+    def residual(self) -> Array:
+        """Whitened residual (K,)."""
+        return np.asarray(self.white[0])
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives of the model, whitened (K, n)."""
+        return np.asarray(self.white[1:].T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,123 +129,74 @@ class TouchObjective:
     Attributes:
         combined: of the change since the reference.
         reference_deg: bend angle at which the reference was taken [deg].
-        reference_bend: value of the bend curve at that angle (K,).
         response: of the specimen to touches.
         curve: of the specimen's bending.
         prior: of touches.
-        kernels: `fit_kernels` where they are wanted, installed, and can evaluate the response.
+        reference_bend: value of the bend curve at that angle (K,).
+        kernels: functions of `fit.kernels`, compiled where they are wanted.
     """
 
     combined: CombinedChange
     reference_deg: float
-    reference_bend: Array
     response: SpecimenResponse
     curve: BendCurve
     prior: TouchPrior
-    kernels: ModuleType | None = field(init=False, repr=False)
-    _arrays: tuple[tuple[Array, ...], tuple[Array, ...]] = field(init=False, repr=False)
-    _spread: tuple[Array | float, ...] = field(init=False, repr=False)  # `SPREAD` of the kernels
-
-    @classmethod
-    def of(
-        cls,
-        combined: CombinedChange,
-        reference_deg: float,
-        response: SpecimenResponse,
-        curve: BendCurve,
-        prior: TouchPrior,
-    ) -> "TouchObjective":
-        """The objective of a combined."""
-        bend = curve.value(reference_deg)
-        return cls(combined, reference_deg, bend, response, curve, prior)
+    reference_bend: Array = field(init=False, repr=False)
+    kernels: ModuleType = field(init=False, repr=False)
+    _sensor: tuple[Array, ...] = field(init=False, repr=False)  # as the kernels take it
+    _frame: tuple[Array, Array, Array] = field(init=False, repr=False)
+    _spread: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Arrange the arrays that the kernels take, where these are wanted."""
-        weights, curve, prior = self.response.stacked, self.curve, self.prior
-        kernels = compiled(KERNELS) if weights is not None else None
-        object.__setattr__(self, "kernels", kernels)
-        if weights is None or kernels is None:
-            return
-        low, high = curve.angle_deg
-        numbers = [self.response.response.unit, self.reference_deg, low - BEYOND_DEG]
-        numbers += [high + BEYOND_DEG, prior.separation]
-        frame = self.combined.change + self.reference_bend, np.array(numbers), prior.box
-        object.__setattr__(self, "_arrays", ((*weights, curve.coefficients), frame))
-        response, combinations = self.response.response, self.combined.combinations
-        latent_output = np.ascontiguousarray(response.latent_output)
-        spread = (self.combined.noise, curve.blocks, combinations.lateness, latent_output)
-        both = combinations.both_ways
-        object.__setattr__(self, "_spread", (*spread, *both, response.mismatch))
+        """Arrange the arrays that the kernels take."""
+        curve, prior, response = self.curve, self.prior, self.response.response
+        bend, (low, high) = curve.value(self.reference_deg), curve.angle_deg
+        limits = [low - BEYOND_DEG, high + BEYOND_DEG, prior.separation]
+        numbers = np.array([response.unit, self.reference_deg, *limits])
+        combinations = self.combined.combinations
+        latent = np.ascontiguousarray(response.latent_output)
+        spread = (self.combined.noise, curve.blocks, combinations.lateness, latent)
+        for name, value in {
+            "reference_bend": bend,
+            "kernels": implementation(KERNELS),
+            "_sensor": (*self.response.stacked, curve.coefficients),
+            "_frame": (self.combined.change + bend, numbers, prior.box),
+            "_spread": (*spread, *combinations.both_ways, response.mismatch),
+        }.items():
+            object.__setattr__(self, name, value)
 
     def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
         """The objective with some measurements left out."""
         return replace(self, combined=self.combined.without(measurements))
 
-    def residual(self, unknowns: Unknowns) -> Array:
-        """Measured minus modelled change (K,)."""
-        bend = self.curve.value(unknowns.angle_deg)
-        residual: Array = self.combined.change - bend + self.reference_bend
-        if len(unknowns.touches):
-            residual -= self.response(unknowns.touches, unknowns.angle_deg).sum(axis=0)
-        return residual
-
     def linearised(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
-        if self.kernels is not None:
-            touches = np.ascontiguousarray(unknowns.touches)
-            point = self.kernels.linearise(touches, unknowns.angle_deg, *self._arrays)
-            return Linearisation.of(point)
-        touches, angle = unknowns.touches, unknowns.angle_deg
-        change = self.combined.change
-        rows = np.empty((2 + touches.size, len(change)))
-        value, slope = self.curve.value_and_slope(angle)
-        np.subtract(change + self.reference_bend, value, out=rows[0])
-        np.multiply(slope, ANGLE_UNIT, out=rows[1])
-        if not len(touches):
-            return Linearisation(unknowns, rows, touches, touches)
-        modelled, hidden = self.response.with_derivatives(touches, angle, TOUCH_UNITS)
-        changes = modelled[0]
-        rows[0] -= np.add.reduce(changes)
-        rows[2:].reshape(len(touches), 3, -1)[:] = modelled[1:].transpose(1, 0, 2)
-        return Linearisation(unknowns, rows, changes, hidden)
+        touches = np.ascontiguousarray(unknowns.touches)
+        point = self.kernels.linearise(touches, unknowns.angle_deg, self._sensor, self._frame)
+        return Linearisation(*point)
+
+    def covariance(self, at: Linearisation) -> Array:
+        """Covariance (K, K) of the residual.
+
+        The sum of those of the noise, of the bend curve's change since the reference, of measuring
+        one after the other while the sensor bends (`scan_skew`), and of the touch response.
+        """
+        covariance: Array = self.kernels.covariance(tuple(at), self._frame, self._spread)
+        return covariance
 
     def whitening(self, at: Linearisation) -> Array:
         """L^-1 (K, K) of the residual's covariance L L^T."""
         return lapack.whitening(self.covariance(at))
 
-    def covariance(self, at: Linearisation) -> Array:
-        """Covariance (K, K) of the residual.
-
-        The sum of those of the noise, of the bend curve's change since the reference, and of the
-        touch response.
-        """
-        if self.kernels is not None:
-            summed: Array = self.kernels.covariance(at.point, self._arrays[1], self._spread)
-            return summed
-        covariance, unknowns = self.combined.noise, at.unknowns
-        moved = unknowns.angle_deg - self.reference_deg
-        if abs(moved) > STILL_DEG:
-            covariance = covariance + self.curve.uncertainty(unknowns.angle_deg, self.reference_deg)
-            covariance += self.scan_skew(at.bend_slope, moved)
-        if len(unknowns.touches):
-            covariance = covariance + self.response.uncertainty(unknowns.touches, at.hidden)
-            mismatch = self._mismatch_variance(at.changes)
-            self.combined.combinations.add_independent(covariance, mismatch)
-        return covariance
-
-    def _mismatch_variance(self, changes: Array) -> Array:
-        """Variance (C,) of each measurement's error of the response, by touches' changes (k, K)."""
-        mismatch = self.response.response.mismatch
-        return self.combined.combinations.share_variance(changes, mismatch)
-
     def remainder_scale(self, at: Linearisation) -> Array:
         """Standard deviation (C,) of `CombinedChange.rest`, in its units."""
-        combined = self.combined
-        if combined.combinations.basis is None:
+        combined, combinations = self.combined, self.combined.combinations
+        if combinations.basis is None:
             return np.ones(0)
         variance = np.full(len(combined.measured), combined.frames)
-        if len(at.unknowns.touches):
-            variance += self._mismatch_variance(at.changes) / combined.combinations.noise**2
+        if len(at.touches):
+            mismatch = self.response.response.mismatch
+            variance += combinations.share_variance(at.changes, mismatch) / combinations.noise**2
         scale: Array = np.sqrt(variance)
         return scale
 
@@ -178,70 +211,36 @@ class TouchObjective:
             moved_deg: motion since the reference [deg].
         """
         late = moved_deg * self.combined.combinations.late(slope)
-        covariance: Array = late[:, None] * late
-        return covariance
+        return np.outer(late, late)
+
+    def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:
+        """Misfit, gradient and Hessian, in the metric of `whitening`."""
+        metric = np.ascontiguousarray(whitening.T)
+        return QuadraticModel(*self.kernels.quadratic(tuple(at), metric, self._frame))
 
     def misfit(self, at: Linearisation, whitening: Array) -> float:
         """Value of the objective, in the metric of `whitening`."""
         return self.quadratic(at, whitening).misfit
 
-    def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:
-        """Misfit, gradient and Hessian, in the metric of `whitening`."""
-        if self.kernels is not None:
-            metric = np.ascontiguousarray(whitening.T)
-            return QuadraticModel.of(*self.kernels.quadratic(at.point, metric, self._arrays[1]))
-        white = at.rows @ whitening.T
-        # Inner products of residual and Jacobian: misfit, gradient and Hessian are its blocks.
-        products = white @ white.T
-        unknowns = at.unknowns
-        self.prior.add_to(products, unknowns.touches, self.reference_deg - unknowns.angle_deg)
-        return QuadraticModel.of(products, white)
-
-    def held(self, unknowns: Unknowns, gradient: Array) -> NDArray[np.bool_]:
-        """Which unknowns are at a bound that their gradient (n,), downhill, would cross (n,)."""
-        touches, prior = unknowns.touches, self.prior
-        below = np.concatenate([[False], (touches <= prior.low).ravel()])
-        above = np.concatenate([[False], (touches >= prior.high).ravel()])
-        held: NDArray[np.bool_] = (below & (gradient < 0.0)) | (above & (gradient > 0.0))
-        return held
-
     def stepped(self, unknowns: Unknowns, step: Array) -> Unknowns:
         """Unknowns after a step (n,) in unit steps, clipped to their bounds."""
-        low, high = self.curve.angle_deg
-        angle = min(
-            max(unknowns.angle_deg + ANGLE_UNIT * float(step[0]), low - BEYOND_DEG),
-            high + BEYOND_DEG,
-        )
-        moved = unknowns.touches + step[1:].reshape(-1, 3) * TOUCH_UNITS
-        clipped = np.minimum(np.maximum(moved, self.prior.low), self.prior.high)
-        return Unknowns(clipped, angle)
+        return Unknowns(*self.kernels.apply_step(*unknowns, step, self._frame))
 
     def minimised(
         self, start: Linearisation, whitening: Array, steps: int, tolerance: float, goal: float
     ) -> tuple[Linearisation, QuadraticModel]:
         """End of the iterations of `levenberg_marquardt`."""
-        if self.kernels is not None:
-            metric = np.ascontiguousarray(whitening.T)
-            found = self.kernels.minimise(
-                start.point, metric, *self._arrays, steps, tolerance, goal
-            )
-            return Linearisation.of(found[0]), QuadraticModel.of(*found[1:])
-        at, now, radius = start, self.quadratic(start, whitening), RADIUS
-        for _ in range(steps):
-            step = now.step(radius, self.held(at.unknowns, now.gradient))
-            promised = now.promised(step)
-            if promised < tolerance or now.misfit - OPTIMISM * promised > goal:
-                break
-            moved = self.linearised(self.stepped(at.unknowns, step))
-            trial = self.quadratic(moved, whitening)
-            gain, length = now.misfit - trial.misfit, float(np.abs(step).max())
-            if gain < POOR * promised:
-                radius = SHRINKING * length
-            elif gain > GOOD * promised:
-                radius = max(radius, GROWTH * length)
-            if gain > 0.0:
-                at, now = moved, trial
-        return at, now
+        metric, arrays = np.ascontiguousarray(whitening.T), (self._sensor, self._frame)
+        at, *quadratic = self.kernels.minimise(
+            tuple(start), metric, *arrays, steps, tolerance, goal
+        )
+        return Linearisation(*at), QuadraticModel(*quadratic)
+
+    def final_step(self, at: Linearisation, quadratic: QuadraticModel) -> tuple[Array, float]:
+        """The step (n,) that a fit which ends here would take next, and its promise."""
+        free = self.kernels.free_unknowns(quadratic.products, at.touches, self._frame)
+        step, promised = self.kernels.trust_step(quadratic.products, free, RADIUS)
+        return step, promised
 
 
 def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:
@@ -281,11 +280,10 @@ class MapEstimate:
 
         A fit does not evaluate that step. Where it ended for another reason, the estimate itself.
         """
-        held = self.objective.held(self.unknowns, self.quadratic.gradient)
-        step = self.quadratic.step(RADIUS, held)
-        if self.quadratic.promised(step) > tolerance:
-            return self.unknowns
-        return self.objective.stepped(self.unknowns, step)
+        step, promised = self.objective.final_step(self.at, self.quadratic)
+        return (
+            self.unknowns if promised > tolerance else self.objective.stepped(self.unknowns, step)
+        )
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -323,7 +321,7 @@ class MapEstimate:
 
 def levenberg_marquardt(
     objective: TouchObjective,
-    start: Linearisation,
+    start: Unknowns | Linearisation,
     steps: int,
     tolerance: float,
     whitening: Array | None = None,
@@ -337,13 +335,14 @@ def levenberg_marquardt(
 
     Args:
         objective: that is minimised.
-        start: the model where the search begins.
+        start: where the search begins.
         steps: most iterations.
         tolerance: of the misfit.
         whitening: metric of the residual (K, K); that of the start by default.
         goal: misfit above which the result is of no use.
     """
+    at = objective.linearised(start) if isinstance(start, Unknowns) else start
     if whitening is None:
-        whitening = objective.whitening(start)
-    at, now = objective.minimised(start, whitening, steps, tolerance, goal)
+        whitening = objective.whitening(at)
+    at, now = objective.minimised(at, whitening, steps, tolerance, goal)
     return MapEstimate(objective, at, now, whitening)

@@ -1,5 +1,6 @@
-"""Initial values of the fit: greedy search of touches in the residual, to first order."""
+"""Touches to begin a fit with, found in the residual, and touches that a fit does not need."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -7,15 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.linearisation import Linearisation, Unknowns
-from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective
-from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG
+from eitskin.training.joint.fit.objective import (
+    Linearisation,
+    MapEstimate,
+    TouchObjective,
+    Unknowns,
+    levenberg_marquardt,
+)
+from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 
 LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
 RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
+TOUCH_THRESHOLD = 25.0
+"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
+of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
+FURTHER_THRESHOLD = 20.0
+"""The same of a touch beside others: above this once in 100 frames. Several touches are missed more
+often than one is made up."""
+
+FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
+USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
+PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +142,6 @@ def pair_starts(
     gram = shapes @ shapes.T
     limits = objective.prior.low[2], objective.prior.high[2]
     least, most = (limit / candidates.force for limit in limits)
-    best_pair = _best_pair if objective.kernels is None else objective.kernels.best_pair
     pairs = []
     for touch in replaced:
         unknowns, residual = found.unknowns, found.quadratic.residual
@@ -134,7 +149,7 @@ def pair_starts(
             unknowns = unknowns.without_touch(touch)
             residual = residual + found.whitening @ found.at.changes[touch]
         free = _is_apart(objective, places, unknowns)
-        gain, *pair = best_pair(gram, shapes @ residual, apart, free, least, most)
+        gain, *pair = _best_pair(gram, shapes @ residual, apart, free, least, most)
         if gain <= 0.0:
             continue
         touches = [[*places[i], candidates.force * strength] for i, strength in pair]
@@ -153,23 +168,23 @@ def _best_pair(
     """The pair of shapes that lowers the misfit most, each of a strength within limits.
 
     Args:
-        gram: products of the shapes (n, n).
-        projections: products of the shapes with the residual (n,).
-        apart: whether two places are far enough from each other (n, n).
-        free: whether a place is far enough from other touches (n,).
+        gram: products of the shapes (m, m).
+        projections: products of the shapes with the residual (m,).
+        apart: whether two places are far enough from each other (m, m).
+        free: whether a place is far enough from other touches (m,).
         least, most: strengths.
 
     Returns:
         decrease of the misfit, zero for no pair; number and strength of each shape.
     """
-    size, p = np.diagonal(gram), projections
-    sizes = size[:, None] * size
-    first = (p[:, None] * size - gram * p) / np.maximum(sizes - gram**2, 1e-9 * sizes)
-    allowed = apart & (first > least) & (first < most)
-    gain = first * p[:, None]
-    gain = np.where(allowed & allowed.T & free[:, None] & free, gain + gain.T, 0.0)
-    a, b = map(int, np.unravel_index(int(gain.argmax()), gain.shape))
-    return float(gain[a, b]), (a, float(first[a, b])), (b, float(first[b, a]))
+    size, p = np.diag(gram).copy(), projections
+    sizes = np.outer(size, size)
+    first = (np.outer(p, size) - gram * p) / np.maximum(sizes - gram * gram, 1e-9 * sizes)
+    allowed = apart & (first > least) & (first < most) & free
+    gain = (first.T * p).T
+    gain = np.where(allowed & allowed.T, gain + gain.T, 0.0)
+    a, b = divmod(int(gain.argmax()), len(p))
+    return gain[a, b], (a, first[a, b]), (b, first[b, a])
 
 
 def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> NDArray[np.bool_]:
@@ -180,3 +195,71 @@ def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> N
     for at_x, at_y, _ in unknowns.touches.tolist():
         apart &= (x - at_x) ** 2 + (y - at_y) ** 2 > least
     return apart
+
+
+def price(touches: int) -> float:
+    """Decrease of the misfit that is asked of so many touches together."""
+    return TOUCH_THRESHOLD + FURTHER_THRESHOLD * (touches - 1) if touches else 0.0
+
+
+def price_of_next(touches: int) -> float:
+    """Decrease of the misfit that is asked of a touch beside so many others."""
+    return price(touches + 1) - price(touches)
+
+
+def improbability(found: MapEstimate) -> float:
+    """Minus twice the logarithm of a model's posterior density, but for a constant."""
+    return found.improbability + price(len(found.unknowns.touches))
+
+
+def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
+    """The converged estimate without touches that the others make superfluous."""
+    while len(found.unknowns.touches):
+        found = levenberg_marquardt(objective, found.at, *FINE)
+        # A touch that is held at the least force would rather be weaker, or not there.
+        faint = found.unknowns.touches[:, 2] <= objective.prior.low[2]
+        gains = np.where(faint, 0.0, gains_of(found))
+        weakest, threshold = int(gains.argmin()), threshold_of(found)
+        if gains[weakest] > PRUNING_LIMIT * threshold:
+            break
+        fewer = _without(objective, found, weakest, threshold)
+        if gain_of(objective, fewer, found) > threshold:
+            break
+        found = fewer
+    return found
+
+
+def threshold_of(found: MapEstimate) -> float:
+    """Least gain of the weakest touch of an estimate.
+
+    Where the estimate leaves more misfit than chance would, errors are larger than the model has
+    them, and further touches gain more by chance in proportion (Birge 1932). That anything touches
+    at all needs no more evidence: without the touch still more would be left.
+    """
+    if len(found.unknowns.touches) < 2:
+        return TOUCH_THRESHOLD
+    usual = found.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * found.degrees_of_freedom)
+    return FURTHER_THRESHOLD * max(found.misfit / usual, 1.0)
+
+
+def _without(
+    objective: TouchObjective, found: MapEstimate, touch: int, threshold: float
+) -> MapEstimate:
+    """The estimate without one touch; one that has not converged where the touch is needed."""
+    others = objective.linearised(found.unknowns.without_touch(touch))
+    whitening = objective.whitening(others)
+    goal = found.misfit + threshold  # in the metric of `found`
+    goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
+    return levenberg_marquardt(objective, others, *FINE, whitening, goal)
+
+
+def gain_of(objective: TouchObjective, before: MapEstimate, after: MapEstimate) -> float:
+    """Decrease of the misfit from one estimate to another, in the metric of the latter."""
+    return objective.misfit(before.at, after.whitening) - after.misfit
+
+
+def gains_of(found: MapEstimate) -> Array:
+    """Rise of the misfit, to second order, were each touch's force zero (k,)."""
+    variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
+    gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
+    return gains

@@ -17,14 +17,13 @@ from one_frame import (
     explained,
     frame,
     matched,
+    residual,
 )
 
-from eitskin.training.joint.fit import model_selection
-from eitskin.training.joint.fit.linearisation import Unknowns
+from eitskin.training.joint.fit import kernels, model_selection
 from eitskin.training.joint.fit.model_selection import apart, fit_frame
-from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
-from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD, pruned
-from eitskin.training.joint.fit.touch_search import TouchCandidates
+from eitskin.training.joint.fit.objective import Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.touch_search import TOUCH_THRESHOLD, TouchCandidates, pruned
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 
 from smooth_sensor import (
@@ -54,7 +53,7 @@ def test_gradient_is_that_of_finite_differences(kind):
     whitening = objective.whitening(at)
     quadratic = objective.quadratic(at, whitening)
     assert quadratic.misfit == pytest.approx(objective.misfit(at, whitening), rel=1e-12)
-    np.testing.assert_allclose(at.residual, objective.residual(unknowns), rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(at.residual, residual(objective, unknowns), rtol=1e-12, atol=1e-16)
     for i in range(len(quadratic.gradient)):
         step = 1e-4 * np.eye(len(quadratic.gradient))[i]
         up, down = (
@@ -118,13 +117,13 @@ def test_two_touches_at_one_place_can_be_told_apart():
 def test_fits_end_where_their_goal_is_out_of_reach_and_nowhere_else(monkeypatch):
     """One touch cannot explain two; two that start a few millimetres off can."""
     objective = frame(TOUCHES[2], 0.0, 0.0, np.random.default_rng(12))
-    counted, linearised = [], TouchObjective.linearised
+    counted, linearise = [], kernels.linearise
 
-    def counting(self, unknowns):
-        counted.append(unknowns)
-        return linearised(self, unknowns)
+    def counting(*told):
+        counted.append(told)
+        return linearise(*told)
 
-    monkeypatch.setattr(TouchObjective, "linearised", counting)
+    monkeypatch.setattr(kernels, "linearise", counting)
     for touches, reached in ((TOUCHES[2][:1], False), (np.array(TOUCHES[2]) + 0.003, True)):
         start = objective.linearised(Unknowns(np.array(touches), 0.0))
         counted.clear()
@@ -153,7 +152,7 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     wrong = wrong + rng.standard_normal((4000, 1)) * late
     wrong = wrong + mismatch * size * rng.standard_normal((4000, 28))
     change = objective.combined.change
-    left = np.array([whitening @ changed(objective, change + w).residual(unknowns) for w in wrong])
+    left = np.array([whitening @ residual(changed(objective, change + w), unknowns) for w in wrong])
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
 
 

@@ -4,10 +4,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from one_frame import residual
 
 from eitskin.training.joint.fit.channel_faults import most_likely_fault, possible_faults
-from eitskin.training.joint.fit.linearisation import Unknowns
-from eitskin.training.joint.fit.objective import TouchObjective, levenberg_marquardt
+from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.fit.touch_search import (
     LEAST_DISTANCE,
     PAIR_STRIDE,
@@ -41,7 +41,7 @@ def objective():
     change = change + NOISE * np.random.default_rng(0).standard_normal(28)
     change[BAD] = np.nan
     combined = MEASUREMENTS.combined(change, 2.0, 1e-8)
-    return TouchObjective.of(combined, 10.0, ONE, CURVE, TOUCH_PRIOR)
+    return TouchObjective(combined, 10.0, ONE, CURVE, TOUCH_PRIOR)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_quadratic_is_that_of_the_plain_formula(objective):
             up, down = (ONE((touch + sign * step)[None], angle)[0] for sign in (1, -1))
             J.append((up - down) / 2e-5)
     J = expected @ np.array(J)[:, good].T
-    r = expected @ objective.residual(at.unknowns)[good]
+    r = expected @ residual(objective, at.unknowns)[good]
     mean, size = (
         0.5 * (TOUCH_PRIOR.low + TOUCH_PRIOR.high),
         (TOUCH_PRIOR.high - TOUCH_PRIOR.low) / np.sqrt(12.0),
@@ -92,9 +92,6 @@ def test_quadratic_is_that_of_the_plain_formula(objective):
     gradient, hessian = J.T @ r - scale * off, J.T @ J + np.diag(scale**2)
     np.testing.assert_allclose(said.gradient, gradient, atol=1e-6 * np.abs(gradient).max())
     np.testing.assert_allclose(said.hessian, hessian, atol=1e-6 * np.abs(hessian).max())
-    damped = hessian + 0.1 * (np.eye(7) + np.diag(np.diag(hessian)))
-    step = said.damped_step(0.1, np.zeros(7, bool))
-    np.testing.assert_allclose(step, np.linalg.solve(damped, gradient), rtol=1e-5)
 
 
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
@@ -105,7 +102,7 @@ def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
     tried = candidates.places[::PAIR_STRIDE]
     shapes = found.whitening @ candidates.change[::PAIR_STRIDE].T
     for unknowns, (promise, pair) in zip(rest, said, strict=True):
-        left, best = found.whitening @ objective.residual(unknowns), (np.inf, None)
+        left, best = found.whitening @ residual(objective, unknowns), (np.inf, None)
         taken = unknowns.touches[:, :2]
         for i, j in combinations(range(len(tried)), 2):
             near = np.linalg.norm(taken - tried[[i, j], None], axis=-1) <= LEAST_DISTANCE * 0.030
@@ -131,7 +128,7 @@ def test_forces_are_the_least_squares_with_their_prior(objective):
     shapes = whitening @ ONE(unit, 13.0).T / mean
     A = np.vstack([shapes, np.eye(2) / deviation])
     b = np.concatenate(
-        [whitening @ objective.residual(untouched.unknowns), np.full(2, mean / deviation)]
+        [whitening @ residual(objective, untouched.unknowns), np.full(2, mean / deviation)]
     )
     np.testing.assert_allclose(said[:, 2], np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-8)
 
