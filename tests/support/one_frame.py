@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from eitskin.training.joint.fit.channel_faults import possible_faults
-from eitskin.training.joint.fit.model_selection import fit_frame
-from eitskin.training.joint.fit.objective import TouchObjective
-from eitskin.training.joint.fit.touch_search import TouchCandidates
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import TouchObjective
+from eitskin.training.joint.touch_search import TouchCandidates
 
 from smooth_sensor import (
     FLAT,

@@ -10,8 +10,8 @@ from eitskin.training.joint.bend_curve import (
     BendCurve,
     BendCurvePrior,
 )
-from eitskin.training.joint.bent_frames import SCALE
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from eitskin.training.joint.bent_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
 
 Array = NDArray[np.float64]
 
@@ -59,23 +59,6 @@ class BendCurve:
         blocks = powers.transpose(0, 2, 1, 3).reshape(random**2, channels**2)
         object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "blocks", blocks)
-
-    def arrays(self) -> dict[str, Array]:
-        """Arrays from which `from_arrays` restores the curve, by name."""
-        ends = np.array(self.angle_deg)
-        return {
-            "mean": self.mean,
-            "own": self.effects,
-            "covariance": self.covariance,
-            "angle_deg": ends,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurve":
-        """Restore the curve that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        low, high = values["angle_deg"].tolist()
-        return cls(values["mean"], values["own"], values["covariance"], (low, high))
 
     def value(self, angle_deg: ArrayLike) -> Array:
         """Expected change of log V (..., K) at angles (...) [deg]."""
@@ -295,20 +278,6 @@ class BendCurvePrior:
         strangeness = float(np.mean(features**2 / spread)) if len(features) else 0.0
         curve = self.of(np.clip(features, -TRUSTED, TRUSTED))
         return replace(curve, covariance=max(1.0, rate * strangeness) * curve.covariance)
-
-    def arrays(self) -> dict[str, Array]:
-        """Arrays from which `from_arrays` restores the distribution, by name."""
-        ends = np.array(self.angle_deg)
-        arrays = {"mean": self.mean, "covariance": self.covariance, "angle_deg": ends}
-        return {**arrays, "spread": self.spread}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurvePrior":
-        """Restore the distribution that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        low, high = values["angle_deg"].tolist()
-        spread = values.get("spread", np.ones(len(values["mean"]) - 1))
-        return cls(values["mean"], values["covariance"], (low, high), spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.training.method.input_spec import Mirror
 
 Array = NDArray[np.float64]
 
@@ -17,6 +19,12 @@ MOST = 0.5
 """Share of the measurements beyond which combinations save too little to be made."""
 LEFT_OUT = 1e8
 """Variance of a combination that no measurement tells, in units of its variance where all do."""
+
+RESPONSE_FEATURES = (
+    8  # features of responses and curves; each costs weights that the specimens must determine
+)
+ANGLE_FEATURES = 20  # that networks of the angle are told
+CLIP_SIGMA = 5.0  # standard deviations of the training specimens
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +172,6 @@ class Combinations:
         covariance = 0.5 * (covariance + covariance.T)
         return covariance @ (known / self.noise[:, None]).T, covariance
 
-    def arrays(self) -> dict[str, Array]:
-        """Arrays from which `from_arrays` restores the combinations, beside the noise."""
-        return {} if self.basis is None else {"basis": self.basis}
-
 
 @dataclass(frozen=True, eq=False)
 class CombinedChange:
@@ -269,3 +273,64 @@ def log_change(difference: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.log1p(difference)
     return np.where(np.isfinite(change), change, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenFeatures:
+    """Linear features of the logarithms of the flat resistances, without their common factor.
+
+    The common factor holds conductivity, thickness and the board's gain, none of which alters
+    relative changes. The features describe contacts and positions of the electrodes and the errors
+    of signal paths.
+
+    Attributes:
+        middle: mean logarithms of the flat magnitudes, less their common factor (C,).
+        directions: principal directions of the specimens' departures, each divided by the standard
+            deviation along it, so that features have unit variance (P, C).
+    """
+
+    middle: Array
+    directions: Array
+
+    @classmethod
+    def fit(
+        cls, flat: ArrayLike, mirrors: Sequence[Mirror], count: int = ANGLE_FEATURES
+    ) -> "SpecimenFeatures":
+        """Principal component analysis of specimens and their mirror images.
+
+        Args:
+            flat: magnitudes of S specimens, flat and untouched (S, C) [ohm].
+            mirrors: symmetries of the sensor.
+            count: most features; there is at most one for five specimens.
+        """
+        logs = _without_common(np.log(np.asarray(flat, dtype=float)))
+        images = np.concatenate([logs[:, mirror.order] for mirror in mirrors])
+        middle = images.mean(axis=0)
+        _, sizes, directions = np.linalg.svd(images - middle, full_matrices=False)
+        deviations = sizes / np.sqrt(max(len(images), 1))
+        kept = min(count, len(logs) // 5, int(np.sum(deviations > 1e-9)))
+        return cls(middle, directions[:kept] / deviations[:kept, None])
+
+    def first(self, count: int = RESPONSE_FEATURES) -> "SpecimenFeatures":
+        """The features along which specimens differ most, `count` of them."""
+        return SpecimenFeatures(self.middle, self.directions[:count])
+
+    def apply(self, flat: ArrayLike) -> Array:
+        """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) are ignored."""
+        departure = _without_common(np.log(np.asarray(flat, dtype=float)) - self.middle)
+        return np.where(np.isfinite(departure), departure, 0.0) @ self.directions.T
+
+    def bounded(self, flat: ArrayLike) -> Array:
+        """Features (..., P), each at most `CLIP_SIGMA` standard deviations from the middle.
+
+        Bend curves are linear in the features and networks smooth, so far outside of the training
+        specimens both are wrong without a sign of it; at the bound they are merely of another
+        specimen, as their standard errors tell.
+        """
+        return np.clip(self.apply(flat), -CLIP_SIGMA, CLIP_SIGMA)
+
+
+def _without_common(logs: Array) -> Array:
+    """Logarithms (..., C) minus their mean over the channels."""
+    departure: Array = logs - np.nanmean(logs, axis=-1, keepdims=True)
+    return departure

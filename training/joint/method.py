@@ -1,7 +1,7 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,33 +13,42 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
+    ErrorScale,
     adapted_curve,
     calibration_of,
     curve_priors,
     noise_scale,
+    own_error_scale,
 )
-from eitskin.training.joint.angles.estimate import AngleEstimate
-from eitskin.training.joint.angles.networks import AngleNetworks
-from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
-from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
-from eitskin.training.joint.conditioned_response import response_given
-from eitskin.training.joint.fit.channel_faults import possible_faults
-from eitskin.training.joint.fit.kernels import STILL_DEG
-from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
-from eitskin.training.joint.fit.objective import TouchObjective
-from eitskin.training.joint.fit.touch_search import TOUCH_THRESHOLD
-from eitskin.training.joint.own_response import own_output, own_response, twin_trial
-from eitskin.training.joint.place_errors import ErrorScale, own_error_scale
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.combinations import (
+    Combinations,
+    CombinedChange,
+    SpecimenFeatures,
+    log_change,
+)
+from eitskin.training.joint.fit_kernels import STILL_DEG
+from eitskin.training.joint.frame_predictions import (
+    calibration_problems,
+    disc_map,
+    fit_problems,
+    state_probabilities,
+)
+from eitskin.training.joint.model_selection import FrameFit, fit_frame
+from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, network_inputs
+from eitskin.training.joint.objective import TouchObjective
+from eitskin.training.joint.own_response import own_output, own_response, response_given, twin_trial
 from eitskin.training.joint.prior import TouchPrior
-from eitskin.training.joint.problems import calibration_problems, fit_problems
-from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
-from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
-from eitskin.training.joint.state_probabilities import state_probabilities
+from eitskin.training.joint.specimen_model import (
+    LOG_ODDS,
+    AngleEstimate,
+    CandidateRows,
+    SpecimenModel,
+)
 from eitskin.training.joint.stored_method import restored_fields, stored_arrays
-from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
+from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, LearningCurve, Method
@@ -383,7 +392,7 @@ class JointMethod(Method):
 
     def arrays(self) -> Arrays:
         """Arrays from which `from_arrays` restores the method, by name."""
-        return stored_arrays({each.name: getattr(self, each.name) for each in fields(self)})
+        return stored_arrays(self)
 
     @classmethod
     def from_arrays(

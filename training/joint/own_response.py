@@ -4,16 +4,17 @@ Which layer explains the presses of known frames better, the learned or the twin
 those frames where there are any.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.combinations import Combinations, log_change
+from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
 from eitskin.training.joint.prior import MARGIN, TouchPrior
-from eitskin.training.joint.touch_response import SpecimenResponse
+from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, SpecimenResponse
 from eitskin.training.method.interface import TwinTrial
-from eitskin.training.method.known_frames import KnownFrames, TwinPresses
+from eitskin.training.method.known_frames import KnownFrames, TwinPresses, held_numbers
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,13 @@ BENDS = 3
 MISMATCH = 0.05  # error of each change relative to itself, beside the noise of a frame
 LATENT_LEFT = 0.5  # of what latent variables describe: the twin tells the rest
 RIDGE = 1e-5  # of the largest eigenvalue: combinations of features below are not resolved
+Combined = Callable[[Array, float, float], CombinedChange]
+
+FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
+PLACE_ERROR = 0.0003  # m, of known places
+MOST_CHANGE = (-0.5, 1.0)  # of an unknown force in one round, relative
+SHARES = (1.0, 0.25, 0.06, 0.0)  # of the information of known touches, that are tried
+ROUNDS = 3  # of finding latent variables and unknown forces in turn
 
 
 def own_output(
@@ -133,3 +141,203 @@ def relative_residual(
         left += float(np.sum((change - strength * modelled) ** 2))
         size += float(change @ change)
     return float(np.sqrt(left / size))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownTouches:
+    """Known touches of one frame.
+
+    Attributes:
+        seen: combinations of the change by them.
+        places: x [m], y [m] and force [N] of each (k, 3); of an unknown force a guess.
+        told: whether each force is known (k,).
+        angle_deg: of the bend [deg].
+    """
+
+    seen: CombinedChange
+    places: Array
+    told: NDArray[np.bool_]
+    angle_deg: float
+
+    @property
+    def force_errors(self) -> Array:
+        """Standard deviation of each force (k,), relative to it."""
+        return np.where(self.told, FORCE_ERROR, UNKNOWN_FORCE)
+
+    def errors(self, response: SpecimenResponse, changes: Array) -> Array:
+        """Covariance (K, K) of noise, errors of the response, and of places and forces.
+
+        Args:
+            response: of the sensor.
+            changes: by each touch, and their derivatives by x, y and force (4, k, K).
+        """
+        combinations = self.seen.combinations
+        total: Array = self.seen.noise.copy()
+        variance = combinations.share_variance(changes[0], response.response.mismatch)
+        combinations.add_independent(total, variance)
+        moved = PLACE_ERROR * changes[1:3].reshape(-1, len(total))
+        forces = self.force_errors[:, None] * changes[0]
+        total += moved.T @ moved + forces.T @ forces
+        return total
+
+    def pressed_by(self, more: Array, bounds: tuple[float, float]) -> "KnownTouches":
+        """The touches with unknown forces that are larger by shares `more` (k,), in bounds [N]."""
+        force = np.clip(self.places[:, 2] * (1.0 + np.clip(more, *MOST_CHANGE)), *bounds)
+        force = np.where(self.told, self.places[:, 2], force)
+        return replace(self, places=np.column_stack([self.places[:, :2], force]))
+
+
+def response_given(
+    prior: SpecimenResponse,
+    touched: KnownFrames,
+    combined: Combined,
+    touches: TouchPrior,
+    forces: bool,
+) -> SpecimenResponse:
+    """Response of a sensor given frames with known touches.
+
+    Args:
+        prior: response before.
+        touched: frames with touches at known places.
+        combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
+            frames in both means that are compared, and the time between these [s].
+        touches: prior of touches, which bounds forces.
+        forces: whether known forces count.
+    """
+    seen, known = touched.observations, []
+    for rows in _held(touched):
+        labels = touched.touches[rows[0]]
+        places = labels[np.isfinite(labels[:, 0])]
+        told = np.isfinite(places[:, 2]) & forces
+        places[~told, 2] = prior.response.ranges.middle_force
+        share = 1.0 / seen.frames[rows].sum() + 1.0 / seen.dynamic_frames[rows[0]]
+        age = float(seen.dynamic_age[rows].mean())
+        change = combined(_mean_change(seen.dynamic[rows]), float(share), age)
+        angle_deg = float(np.nan_to_num(touched.reference_deg[rows[0]]))
+        known.append(KnownTouches(change, places, told, angle_deg))
+    return conditioned_response(prior, known, (float(touches.low[2]), float(touches.high[2])))
+
+
+def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
+    """Rows of frames in succession that see the same touches from the same reference."""
+    places = touched.touches.reshape(len(touched), -1)
+    numbers = held_numbers(np.column_stack([places, np.nan_to_num(touched.reference_deg)]))
+    return np.split(np.arange(len(touched)), 1 + np.flatnonzero(np.diff(numbers)))
+
+
+def _mean_change(dynamic: Array) -> Array:
+    """Mean of log(V / reference) (C,) of frames dV (n, C); NaN where no frame has it."""
+    changes = np.array([log_change(each) for each in dynamic])
+    good = np.isfinite(changes)
+    total = np.where(good, changes, 0.0).sum(axis=0)
+    return np.where(good.any(axis=0), total / np.maximum(good.sum(axis=0), 1), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Evidence of known touches of one frame on strength and latent variables, to first order.
+
+    Attributes:
+        left: change that the response leaves of the measured one (K,).
+        rows: derivatives of the change by the unknowns (n, K).
+        weight: inverse of the covariance of the errors (K, K).
+        pull: by which the errors of the forces explain what is left, relative (k,).
+    """
+
+    left: Array
+    rows: Array
+    weight: Array
+    pull: Array
+
+    @classmethod
+    def of(
+        cls, prior: SpecimenResponse, now: SpecimenResponse, strength: float, known: KnownTouches
+    ) -> "Evidence":
+        """Evidence about a response `now`, of this strength beside the prior one."""
+        changes = now.with_derivatives(known.places, known.angle_deg)
+        left = known.seen.change - changes[0].sum(axis=0)
+        latent_changes = strength * prior.latent_changes(known.places, known.angle_deg)
+        rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])
+        weight: Array = np.asarray(np.linalg.inv(known.errors(now, changes)), dtype=float)
+        return cls(left, rows, weight, known.force_errors**2 * (changes[0] @ weight @ left))
+
+    @property
+    def information(self) -> Array:
+        """Information (n, n) on the unknowns."""
+        found: Array = self.rows @ self.weight @ self.rows.T
+        return found
+
+    def gradient(self, found: Array) -> Array:
+        """Information times the unknowns (n,) that explain the touches, from an estimate."""
+        told: Array = self.rows @ self.weight @ (self.left + found @ self.rows)
+        return told
+
+    def misfit(self, step: Array) -> float:
+        """Square of what is left after a step of the unknowns (n,), over its variance."""
+        left = self.left - step @ self.rows
+        return float(left @ self.weight @ left)
+
+
+def conditioned_response(
+    prior: SpecimenResponse, known: list[KnownTouches], bounds: tuple[float, float]
+) -> SpecimenResponse:
+    """Response of a sensor given known touches.
+
+    A touch of a sensor of strength e^s, with latent variables q, changes
+
+        y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
+
+    which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
+    freedom where that is above one (Birge 1932): a response that explains the touches badly tells
+    little of the sensor. Unknown forces are found with them. Errors that touches share are larger
+    than the response has them, so the touches count by the share that lets them tell each other
+    best (`trusted_share`).
+
+    Args:
+        prior: response before.
+        known: touches.
+        bounds: of forces [N].
+    """
+    latent = prior.response.latent_output
+    precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
+    share = trusted_share(precision, [Evidence.of(prior, prior, 1.0, each) for each in known])
+    found: Array = np.zeros(1 + len(latent))
+    response, strength, output = prior, 1.0, prior.output
+    for _ in range(ROUNDS):
+        told = [Evidence.of(prior, response, strength, each) for each in known]
+        information = precision + share * sum(each.information for each in told)
+        gradient = share * sum(each.gradient(found) for each in told)
+        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        known = [each.pressed_by(by.pull, bounds) for each, by in zip(known, told, strict=True)]
+        strength = float(np.exp(found[0]))
+        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
+        response = own_response(prior, output, latent)
+    misfit = sum(each.misfit(np.zeros(len(found))) for each in told)
+    size = sum(each.seen.told - int(np.sum(~each.told)) for each in known)
+    covariance = np.linalg.inv(information)[1:, 1:] * max(share * misfit / max(size, 1), 1.0)
+    spread = strength * np.linalg.cholesky(covariance)
+    return own_response(prior, output, np.tensordot(spread.T, latent, axes=1))
+
+
+def trusted_share(precision: Array, told: list[Evidence]) -> float:
+    """Share of the information of touches by which the others tell each of them best.
+
+    Args:
+        precision: of the unknowns before (n, n).
+        told: evidence about the response before.
+    """
+    nothing = np.zeros(len(precision))
+    information = [each.information for each in told]
+    gradients = [each.gradient(nothing) for each in told]
+    total, gradient = sum(information), sum(gradients)
+
+    def missed(share: float) -> float:
+        """Misfit of the touches, each by what all others tell."""
+        misfit = 0.0
+        for each, own, pull in zip(told, information, gradients, strict=True):
+            others = precision + share * (total - own)
+            step: Array = np.asarray(np.linalg.solve(others, share * (gradient - pull)), float)
+            misfit += each.misfit(step)
+        return misfit
+
+    return min(SHARES, key=missed)

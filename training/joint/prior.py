@@ -43,7 +43,7 @@ class TouchPrior:
     high: Array
     mean: Array = field(init=False)
     stiffness: Array = field(init=False)
-    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit.kernels`
+    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit_kernels`
 
     def __post_init__(self) -> None:
         """Derive mean and stiffness."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from eitskin.training.joint.fit.kernels import respond
+from eitskin.training.joint.fit_kernels import respond
 from eitskin.training.joint.prior import TOUCH_UNITS
 
 Array = NDArray[np.float64]
@@ -134,36 +134,6 @@ class TouchResponse:
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         return SpecimenResponse(self, np.tensordot(p, self.output, axes=1))
 
-    def arrays(self) -> dict[str, NDArray[np.floating]]:
-        """Arrays from which `from_arrays` restores the response; weights in single precision."""
-        arrays: dict[str, NDArray[np.floating]] = {
-            "output": self.output.astype(np.float32),
-            "hidden_output": self.latent_output.astype(np.float32),
-            "scale": np.array([self.scale, self.mismatch]),
-        }
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays[f"weight{i}"] = weight.astype(np.float32)
-            arrays[f"bias{i}"] = bias.astype(np.float32)
-        ranges = self.ranges
-        return arrays | {"ranges": np.array([ranges.size, ranges.force, ranges.angle_deg])}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "TouchResponse":
-        """Restore the response that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        layers = range(sum(name.startswith("weight") for name in values))
-        size, force, angle = (tuple(row) for row in values["ranges"].tolist())
-        scale, mismatch = values["scale"].tolist()
-        return cls(
-            tuple(values[f"weight{i}"] for i in layers),
-            tuple(values[f"bias{i}"] for i in layers),
-            values["output"],
-            values["hidden_output"],
-            scale,
-            InputRanges(size, force, angle),
-            mismatch,
-        )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenResponse:
@@ -186,7 +156,7 @@ class SpecimenResponse:
 
     @property
     def stacked(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Weights as `fit.kernels` takes them: those of its `SENSOR` but for the bend curve."""
+        """Weights as `fit_kernels` takes them: those of its `SENSOR` but for the bend curve."""
         response, size = self.response, len(self._weights)
         layers, biases = response._layers, np.array(response._biases)
         inner = np.array(layers[1:]).reshape(-1, size, size)

@@ -1,8 +1,11 @@
-"""Training of the joint method: its model of the sensor, learned from a dataset."""
+"""Training of the joint method: its model of the sensor, learned from a dataset.
+
+Networks are trained by `touch_training` and `angle_training`, which import torch.
+"""
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,27 +13,31 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
 from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_torch_thread
-from eitskin.training.joint.angles.bends import fit_bends
-from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.clamps import usual_curves
+from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.mirrored_frames import (
+    BentFrames,
     MirroredFrames,
     is_touched,
     is_untouched,
     log_ratio,
     noise_of,
 )
+from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork
 from eitskin.training.joint.prior import TouchPrior
-from eitskin.training.joint.proposal_model import ProposalNetwork
-from eitskin.training.joint.specimen_features import SpecimenFeatures
+from eitskin.training.joint.specimen_model import estimate_angle
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 from eitskin.training.method.input_spec import InputSpec, mirrors
 from eitskin.training.method.interface import LearningCurve
+from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
 from eitskin.training.method.targets import NOMINAL_RADIUS
 
 if TYPE_CHECKING:
-    from eitskin.training.joint.response_training import TouchFrames
+    from eitskin.training.joint.touch_training import TouchFrames
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
@@ -45,6 +52,8 @@ LEAST_PROPOSALS = 0.25
 """Share of the epochs that the proposals are trained for at least."""
 HOLD_OUT = 8  # every how many-th specimen is held out, to tell how far errors are larger there
 CHECKED = 500  # frames of these, by which standard errors of places are scaled
+FEWEST_SPECIMENS = 100  # from which on networks of the angle are tried
+COMPARED = 2000  # frames, by which networks and bend curves are compared
 
 
 @one_torch_thread()
@@ -58,7 +67,7 @@ def fit_joint(
 ) -> Made:
     """Learn features, response, bend curves, priors and proposals from all frames of a dataset.
 
-    They make the method: `make`, `JointMethod`, is called with its fields in their order.
+    They make the method: `make`, `JointMethod`, is called with its fields by name.
 
     A dataset without any bend gives a method without bend curves, for a sensor that stays flat; one
     without positions of touches a method of the bend alone, and one without forces a method whose
@@ -67,84 +76,172 @@ def fit_joint(
     """
     forces = bool(np.isfinite(dataset.touch_force).any())
     data = _usable(dataset)
-    if not is_touched(data).any():
-        return _bend_method(make, data, spec, settings, seed, progress)
-    from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
-
     images = mirrors(spec.design, spec.protocol)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     features = every.first()
     touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
     kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
     combinations = Combinations.fit(kinds, noise_of(data, images))
-    touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
     bends = fit_bends(bent, every, combinations, settings, seed, progress)
-    response, response_curve = _response(
-        touched, features, combinations, ranges, settings, seed, progress
-    )
-    frames = len(touched.change) // len(images)
-    proposals, proposals_curve = fit_proposals(
-        SyntheticFrames(response, bends.curves, touch_prior, combinations),
-        settings.proposals.shortened(min(max(frames / TOUCHED_FRAMES, LEAST_PROPOSALS), 1.0)),
-        seed,
-        progress,
-    )
-    radius = float(np.nanmedian(data.touch_radius))
+    if len(touched.change):
+        touches = _fit_touches(
+            data, touched, features, combinations, bends.curves, spec, settings, seed, progress
+        )
+    else:  # a method of the bend alone
+        none = TouchResponse.none(len(features.directions), len(combinations), spec.outline)
+        touches = {
+            "response": none,
+            "proposals": ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
+            "touch_prior": TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
+            "places": np.zeros((0, 2)),
+            "radius": NOMINAL_RADIUS,
+            "learning_curves": {},
+        }
+    curves = {**touches.pop("learning_curves"), "angles": bends.losses}
     return make(
-        features,
-        response,
-        bends.curves,
-        proposals,
-        touch_prior,
-        combinations,
-        settings.drift,
-        _places(spec, touch_prior),
-        radius,
-        spec.outline,
-        spec.pixels,
-        spec.protocol,
-        {"response": response_curve, "proposals": proposals_curve, "angles": bends.losses},
+        features=features,
+        bend_prior=bends.curves,
+        combinations=combinations,
+        drift=settings.drift,
+        size=spec.outline,
+        shape=spec.pixels,
+        protocol=spec.protocol,
+        learning_curves=curves,
         angles=bends.networks,
         angle_features=every if bends.networks else None,
         usual=bends.usual,
         forces=forces,
+        **touches,
     )
 
 
-def _bend_method(
-    make: Callable[..., Made],
+def _fit_touches(
     data: Dataset,
+    touched: MirroredFrames,
+    features: SpecimenFeatures,
+    combinations: Combinations,
+    curves: BendCurvePrior,
     spec: InputSpec,
     settings: JointSettings,
     seed: int,
     progress: Progress,
-) -> Made:
-    """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
-    images = mirrors(spec.design, spec.protocol)
-    every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    features = every.first()
-    bent = MirroredFrames.bent(data, images)
-    combinations = Combinations.fit([(bent.change, bent.noise)], noise_of(data, images))
-    bends = fit_bends(bent, every, combinations, settings, seed, progress)
-    return make(
-        features,
-        TouchResponse.none(len(features.directions), len(combinations), spec.outline),
-        bends.curves,
-        ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
-        TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
-        combinations,
-        settings.drift,
-        np.zeros((0, 2)),
-        NOMINAL_RADIUS,
-        spec.outline,
-        spec.pixels,
-        spec.protocol,
-        {"angles": bends.losses},
-        angles=bends.networks,
-        angle_features=every if bends.networks else None,
-        usual=bends.usual,
-        forces=False,
+) -> dict[str, Any]:
+    """Fields of the method that touched frames and their mirror images tell, by name."""
+    from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
+
+    rows, images = is_touched(data), len(np.unique(touched.image))
+    x, y, force = (values[rows] for values in (data.touch_x, data.touch_y, data.touch_force))
+    prior = TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
+    response, response_curve = _response(
+        touched, features, combinations, _ranges(data, spec), settings, seed, progress
     )
+    share = max(len(touched.change) // images / TOUCHED_FRAMES, LEAST_PROPOSALS)
+    proposals, proposals_curve = fit_proposals(
+        SyntheticFrames(response, curves, prior, combinations),
+        settings.proposals.shortened(min(share, 1.0)),
+        seed,
+        progress,
+    )
+    return {
+        "response": response,
+        "proposals": proposals,
+        "touch_prior": prior,
+        "places": _places(spec, prior),
+        "radius": float(np.nanmedian(data.touch_radius)),
+        "learning_curves": {"response": response_curve, "proposals": proposals_curve},
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedBends:
+    """Parts of the joint method that tell the bend.
+
+    Attributes:
+        curves: distribution of the bend curves of all specimens.
+        usual: distribution of those of the usual clamp, if there is one.
+        networks: of the angle, where they tell it better than the curves.
+        losses: of the networks.
+    """
+
+    curves: BendCurvePrior
+    usual: BendCurvePrior | None = None
+    networks: AngleNetworks | None = None
+    losses: LearningCurve = field(default_factory=LearningCurve)
+
+
+def fit_bends(
+    bent: MirroredFrames,
+    features: SpecimenFeatures,
+    combinations: Combinations,
+    settings: JointSettings,
+    seed: int,
+    progress: Progress,
+) -> LearnedBends:
+    """Learn from bent frames and the references of touches on the bent sensor, if there are any.
+
+    Curves depend on the first of the features, networks on all of them.
+    """
+    first = features.first()
+    if not len(bent.change):
+        return LearnedBends(BendCurvePrior.flat(len(first.directions), len(combinations)))
+    frames = BentFrames(
+        combinations.of(bent.change),
+        bent.angle_deg,
+        first.apply(bent.flat),
+        bent.specimen,
+        bent.image,
+        combinations,
+        _noise(bent, combinations, settings.drift),
+        bent.clamp,
+    )
+    progress("bend curve", 0, 2)
+    curves = BendCurvePrior.fit(frames)
+    progress("bend curve", 1, 2)
+    usual = usual_curves(frames, curves)
+    progress("bend curve", 2, 2)
+    told = features.apply(bent.flat)
+    networks, losses = fit_networks(frames, told, curves, settings, seed, progress)
+    return LearnedBends(curves, usual, networks, losses)
+
+
+def _noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Array:
+    """Covariance (K, K) of the noise of one bent frame's change."""
+    noise = np.diag(bent.noise * combinations.unit**2)
+    shared = drift**2 * UNKNOWN_AGE / DRIFT_TIME
+    noise += np.outer(combinations.drift, combinations.drift) * shared
+    return noise
+
+
+def fit_networks(
+    frames: BentFrames,
+    features: Array,
+    curves: BendCurvePrior,
+    settings: JointSettings,
+    seed: int,
+    progress: Progress,
+) -> tuple[AngleNetworks | None, LearningCurve]:
+    """Networks of the bend angle, where they tell it better than the bend curves.
+
+    They are compared by the likelihood of the angles of specimens that they were trained without;
+    the curves were not fitted without these, and are a little the better for it.
+
+    Args:
+        frames: n frames of all specimens.
+        features: that the networks are told (n, Q).
+        curves: distribution of the bend curves.
+        settings: of the training.
+        seed: of everything random.
+        progress: called after every epoch.
+    """
+    if frames.specimens < FEWEST_SPECIMENS:
+        return None, LearningCurve()
+    from eitskin.training.joint.angle_training import fit_angles, loss_of_estimates
+
+    networks, losses = fit_angles(frames, features, curves, settings.angles, seed, progress)
+    few = frames[:: -(-len(frames.change) // COMPARED)]
+    pairs = zip(few.change, few.features, strict=True)
+    by_curves = np.array([estimate_angle(curves.of(p), change, few.noise) for change, p in pairs])
+    return networks if losses.validation[-1] < loss_of_estimates(few, by_curves) else None, losses
 
 
 def _usable(dataset: Dataset) -> Dataset:
@@ -221,13 +318,6 @@ def _is_held_out(specimen: NDArray[np.int64]) -> NDArray[np.bool_]:
     return held_out
 
 
-def _touch_prior(data: Dataset, spec: InputSpec) -> TouchPrior:
-    """Prior of touches, from the touched frames."""
-    columns = (data.touch_x, data.touch_y, data.touch_force)
-    x, y, force = (values[is_touched(data)] for values in columns)
-    return TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
-
-
 def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
     """Ranges of force and angle that the dataset covers."""
     force, angle = data.touch_force, data.bend_angle_deg
@@ -248,7 +338,7 @@ def _response(
     progress: Progress,
 ) -> "tuple[TouchResponse, LearningCurve]":
     """Touch response, from touched frames and their mirror images."""
-    from eitskin.training.joint.response_training import TouchFrames, fit_response
+    from eitskin.training.joint.touch_training import TouchFrames, fit_response
 
     frames = TouchFrames(
         touched.touches,

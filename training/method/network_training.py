@@ -3,13 +3,15 @@
 Stages import this module inside the functions that need it, so that torch stays optional.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
 from typing import TypeVar
 
+import numpy as np
 import torch  # noqa: TID253  see above
+from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.errors import ConfigurationError
@@ -28,6 +30,25 @@ def seeded_network(make: Callable[[], Network], seed: int) -> Network:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return make()
+
+
+def as_tensor(values: NDArray[np.floating]) -> Tensor:
+    """Tensor (...) of an array (...), in single precision."""
+    return torch.as_tensor(np.ascontiguousarray(values, dtype=np.float32))
+
+
+def as_array(tensor: Tensor) -> NDArray[np.float64]:
+    """Array (...) of a tensor (...), in double precision."""
+    array: NDArray[np.float64] = tensor.detach().numpy().astype(float)
+    return array
+
+
+def linear_layers(
+    layers: Iterable[nn.Module],
+) -> tuple[tuple[NDArray[np.float64], ...], tuple[NDArray[np.float64], ...]]:
+    """Weights (outputs, inputs) and biases (outputs,) of the linear ones among some layers."""
+    linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+    return tuple(as_array(x.weight) for x in linear), tuple(as_array(x.bias) for x in linear)
 
 
 def dense_layers(sizes: Sequence[int]) -> nn.Sequential:

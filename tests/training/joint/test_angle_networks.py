@@ -9,25 +9,25 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.threads import one_torch_thread
-from eitskin.training.joint import specimen_model
-from eitskin.training.joint.angles import training as angle_training
-from eitskin.training.joint.angles.bends import fit_bends
-from eitskin.training.joint.angles.estimate import AngleEstimate, estimate_angle
-from eitskin.training.joint.angles.networks import (
-    FAR_DEG,
-    NEAR_DEG,
+from eitskin.training.joint import angle_training, specimen_model
+from eitskin.training.joint.angle_training import fit_angles, groups_of_specimens
+from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurvePrior
+from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.mirrored_frames import BentFrames, MirroredFrames
+from eitskin.training.joint.networks import (
     UNIT_DEG,
     AngleNetworks,
-    blended,
 )
-from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
-from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.bent_frames import BentFrames
-from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.fit.objective import BEYOND_DEG
-from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.mirrored_frames import MirroredFrames
-from eitskin.training.joint.specimen_features import SpecimenFeatures
+from eitskin.training.joint.specimen_model import (
+    FAR_DEG,
+    NEAR_DEG,
+    AngleEstimate,
+    blended,
+    estimate_angle,
+)
+from eitskin.training.joint.stored_method import part_arrays, restored_part
+from eitskin.training.joint.training import fit_bends
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 
 from smooth_sensor import FLAT
@@ -182,7 +182,7 @@ def test_a_large_bend_by_the_curve_alone_does_not_count(monkeypatch):
 @pytest.mark.slow
 def test_stored_networks_estimate_the_same(trained):
     networks = trained[0]
-    again = AngleNetworks.from_arrays(networks.arrays())
+    again = restored_part(AngleNetworks, part_arrays(networks))
     change = frames(1, seed=5).change[0]
     np.testing.assert_allclose(
         again.estimate(change, np.zeros(0), 1e-4),

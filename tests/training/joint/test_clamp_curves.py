@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.training.joint.angles import clamps
-from eitskin.training.joint.angles.clamps import DRAWN, ClampCurves
+from eitskin.training.joint import clamps
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.bent_frames import SCALE, BentFrames
+from eitskin.training.joint.clamps import DRAWN, ClampCurves
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
 
 CHANNELS = 3
 NOISE = 1e-5

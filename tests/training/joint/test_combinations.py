@@ -7,11 +7,11 @@ import pytest
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurve
+from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.fit.channel_faults import possible_faults
-from eitskin.training.joint.fit.model_selection import fit_frame
-from eitskin.training.joint.fit.objective import TouchObjective
-from eitskin.training.joint.fit.touch_search import TouchCandidates
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import TouchObjective
+from eitskin.training.joint.touch_search import TouchCandidates
 
 from smooth_sensor import RANGES, TOUCH_PRIOR, curve, places, response
 

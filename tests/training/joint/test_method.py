@@ -10,9 +10,9 @@ from smooth_joint import LAYOUT, smooth_method
 from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.session import DRIFT_TIME
+from eitskin.training.joint.adaptation import ErrorScale
+from eitskin.training.joint.combinations import CLIP_SIGMA
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.place_errors import ErrorScale
-from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
 
 from smooth_sensor import FLAT, NOISE, PROTOCOL, TOUCH_PRIOR, powers
@@ -90,7 +90,9 @@ def test_idle_bent_and_touched_frames(method):
 def test_curves_do_not_extrapolate_to_sensors_far_from_all_that_were_learned(method):
     direction = np.linalg.pinv(method.features.directions)[:, 0]
     middle = np.exp(method.features.middle)
-    far, bound = (method._specimen(middle * np.exp(size * direction)) for size in (12.0, FARTHEST))
+    far, bound = (
+        method._specimen(middle * np.exp(size * direction)) for size in (12.0, CLIP_SIGMA)
+    )
     np.testing.assert_allclose(far.features, bound.features, atol=1e-9)
     np.testing.assert_allclose(far.curve.value(30.0), bound.curve.value(30.0), atol=1e-12)
 

@@ -7,8 +7,8 @@ import pytest
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.errors import DataError
+from eitskin.training.joint.adaptation import STRANGEST, ErrorScale, own_error_scale
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.place_errors import STRANGEST, ErrorScale, own_error_scale
 from eitskin.training.method.predictions import FoundTouches
 
 

@@ -5,10 +5,14 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from eitskin.training.joint.angles.estimate import AngleEstimate, estimate_angle
-from eitskin.training.joint.angles.posterior import NORMAL_DEG, posterior_angle
 from eitskin.training.joint.bend_curve import MEAN_POWERS, RANDOM_POWERS, BendCurve
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.specimen_model import (
+    NORMAL_DEG,
+    AngleEstimate,
+    estimate_angle,
+    posterior_angle,
+)
 
 CHANNELS, NOISE = 6, 2e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.prior import TouchPrior
 
 from smooth_sensor import MEASUREMENTS, SIZE, TOUCH_PRIOR, curve, response

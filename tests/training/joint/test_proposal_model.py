@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from eitskin.threads import one_torch_thread
-from eitskin.training.joint import proposal_training as proposal_network
+from eitskin.training.joint import touch_training
+from eitskin.training.joint.networks import ProposalNetwork, network_inputs
 from eitskin.training.joint.prior import MOST_TOUCHES
-from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
-from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
+from eitskin.training.joint.stored_method import part_arrays, restored_part
+from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
 
 from smooth_sensor import MEASUREMENTS, TOUCH_PRIOR, curves, response
@@ -24,7 +25,7 @@ def trained():
     """Smaller network trained for seconds, its learning curve and reported progress."""
     said = []
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(proposal_network, "HIDDEN", (128, 128))
+        patch.setattr(touch_training, "PROPOSAL_HIDDEN", (128, 128))
         settings = NetworkSettings(1e-2, epochs=5, batch=96)
         proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))
     return proposals, history, said
@@ -62,12 +63,10 @@ def test_made_up_changes_are_those_of_the_response():
     change = MODEL.touch_changes(touches, angle, features, rng)
     expected = MODEL.response.of([0.0])(touches[0, :1], 20.0)[0]
     strong = expected > 0.3 * expected.max()
-    mean = change.mean(axis=0) / np.exp(0.5 * proposal_network.LOG_SENSITIVITY_STD**2)
+    mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
     spread = np.std(change / expected, axis=0)[strong]
-    np.testing.assert_allclose(
-        spread, np.hypot(proposal_network.LOG_SENSITIVITY_STD, 0.05), rtol=0.1
-    )
+    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.05), rtol=0.1)
 
 
 def test_same_seed_makes_the_same_frames():
@@ -108,7 +107,7 @@ def test_training_tells_its_losses_and_progress(trained):
 @pytest.mark.slow
 def test_arrays_make_them_again(trained):
     proposals = trained[0]
-    again = ProposalNetwork.from_arrays(proposals.arrays())
+    again = restored_part(ProposalNetwork, part_arrays(proposals))
     for inputs in frames(5)[0]:
         np.testing.assert_array_equal(again.map(inputs), proposals.map(inputs))
         assert proposals.map(inputs).shape == (len(proposals.rows), len(proposals.columns))

@@ -5,7 +5,12 @@ import pytest
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.joint.specimen_features import COUNT, FARTHEST, MOST, SpecimenFeatures
+from eitskin.training.joint.combinations import (
+    ANGLE_FEATURES,
+    CLIP_SIGMA,
+    RESPONSE_FEATURES,
+    SpecimenFeatures,
+)
 from eitskin.training.method.input_spec import mirrors
 
 IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
@@ -38,17 +43,17 @@ def test_features_are_uncorrelated_and_of_variance_one(rng):
     flat = specimens(120, rng)
     features = SpecimenFeatures.fit(flat, IMAGES)
     said = np.concatenate([features.apply(flat[:, mirror.order]) for mirror in IMAGES])
-    assert said.shape == (480, MOST)
+    assert said.shape == (480, ANGLE_FEATURES)
     np.testing.assert_allclose(said.mean(axis=0), 0.0, atol=1e-9)
-    np.testing.assert_allclose(said.T @ said / 480, np.eye(MOST), atol=1e-9)
+    np.testing.assert_allclose(said.T @ said / 480, np.eye(ANGLE_FEATURES), atol=1e-9)
 
 
 def test_the_first_features_are_those_of_an_analysis_of_fewer(rng):
     flat = specimens(200, rng)
     few, every = SpecimenFeatures.fit(flat, IMAGES, 5), SpecimenFeatures.fit(flat, IMAGES)
-    assert len(every.directions) == MOST
+    assert len(every.directions) == ANGLE_FEATURES
     np.testing.assert_array_equal(every.first(5).apply(flat), few.apply(flat))
-    assert every.first().apply(flat).shape == (200, COUNT)
+    assert every.first().apply(flat).shape == (200, RESPONSE_FEATURES)
 
 
 def test_mirrors_make_specimens(rng):
@@ -111,4 +116,4 @@ def test_bounded_features_are_those_of_a_specimen_at_the_bound(rng):
     np.testing.assert_array_equal(features.bounded(near), features.apply(near))
     far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
     assert features.apply(far)[0] == pytest.approx(12.0)
-    assert features.bounded(far)[0] == FARTHEST
+    assert features.bounded(far)[0] == CLIP_SIGMA

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from eitskin.training.joint.touch_map import disc_map
+from eitskin.training.joint.frame_predictions import disc_map
 
 SIZE, RADIUS = (0.150, 0.060), 0.0075
 FINE = (240, 600)  # pixels of 0.25 mm

@@ -7,15 +7,16 @@ import pytest
 import torch
 
 from eitskin.threads import one_torch_thread
-from eitskin.training.joint import response_training as response_network
-from eitskin.training.joint.response_training import (
+from eitskin.training.joint import touch_training
+from eitskin.training.joint.stored_method import part_arrays, restored_part
+from eitskin.training.joint.touch_response import TouchResponse
+from eitskin.training.joint.touch_training import (
     ResponseNetwork,
     TouchFrames,
     fit_response,
     folded_response,
     packed_inputs,
 )
-from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.settings import NetworkSettings, silent
 
 from smooth_sensor import RANGES, TOUCH_PRIOR, response, touch_change
@@ -97,7 +98,7 @@ def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
     hidden = learned.hidden(three, angle).sum(axis=0)
     drawn = output @ hidden - one.output @ hidden
     np.testing.assert_allclose(drawn, q @ shapes, atol=1e-12)
-    again = TouchResponse.from_arrays(learned.arrays()).of([0.5, 0.0])
+    again = restored_part(TouchResponse, part_arrays(learned)).of([0.5, 0.0])
     changes = again.latent_changes(three, angle)
     np.testing.assert_allclose(changes, shapes, atol=1e-5 * np.abs(shapes).max())
 
@@ -105,11 +106,11 @@ def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
 def test_arrays_make_it_again(learned, touches):
     """Copies agree to single precision, in which weights are saved."""
     told = replace(learned, mismatch=0.07)
-    again = TouchResponse.from_arrays(told.arrays())
+    again = restored_part(TouchResponse, part_arrays(told))
     expected = told.of([1.0, 2.0])(touches, -5.0)
     said = again.of([1.0, 2.0])(touches, -5.0)
     np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
-    twice = TouchResponse.from_arrays(again.arrays())
+    twice = restored_part(TouchResponse, part_arrays(again))
     np.testing.assert_array_equal(twice.of([1.0, 2.0])(touches, -5.0), said)
     assert again.mismatch == 0.07
     assert again.ranges.size == told.ranges.size
@@ -142,8 +143,8 @@ def frames(count, seed):
 def trained():
     """Smaller network trained for seconds, accurate to a tenth of the change."""
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(response_network, "HIDDEN", 48)
-        patch.setattr(response_network, "LAYERS", 2)
+        patch.setattr(touch_training, "HIDDEN", 48)
+        patch.setattr(touch_training, "LAYERS", 2)
         settings = NetworkSettings(1e-2, epochs=50, batch=32)
         yield fit_response(frames(800, 0), RANGES, 1e-5, settings, 0, silent)
 

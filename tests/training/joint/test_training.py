@@ -11,17 +11,12 @@ from eitskin.datasets import Dataset, State
 from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.threads import one_torch_thread
-from eitskin.training.joint import (
-    proposal_training as proposal_network,
-)
-from eitskin.training.joint import (
-    response_training as response_network,
-)
+from eitskin.training.joint import touch_training
 from eitskin.training.joint import (
     training as joint_training,
 )
+from eitskin.training.joint.adaptation import ErrorScale
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.place_errors import ErrorScale
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
@@ -84,10 +79,10 @@ def dataset(count=900, specimens=24, seed=0):
 def small_networks(steps=40):
     """Context with smaller networks, and fewer steps of the proposals in an epoch."""
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(response_network, "HIDDEN", 48)
-        patch.setattr(response_network, "LAYERS", 2)
-        patch.setattr(proposal_network, "HIDDEN", (96, 96))
-        patch.setattr(proposal_network, "STEPS_PER_EPOCH", steps)
+        patch.setattr(touch_training, "HIDDEN", 48)
+        patch.setattr(touch_training, "LAYERS", 2)
+        patch.setattr(touch_training, "PROPOSAL_HIDDEN", (96, 96))
+        patch.setattr(touch_training, "STEPS_PER_EPOCH", steps)
         patch.setattr(joint_training, "PITCH", 0.008)
         yield
 

@@ -7,13 +7,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from eitskin.protocol import Protocol
-from eitskin.training.joint.angles.estimate import AngleEstimate, mixed
-from eitskin.training.joint.angles.usual import usual_curves
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
-from eitskin.training.joint.bent_frames import SCALE, BentFrames
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.clamps import usual_curves
 from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.fit.channel_faults import possible_faults
-from eitskin.training.joint.specimen_model import SpecimenModel
+from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.specimen_model import AngleEstimate, SpecimenModel, mixed
 
 CHANNELS, NOISE = 6, 2e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))

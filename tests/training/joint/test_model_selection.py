@@ -20,11 +20,11 @@ from one_frame import (
     residual,
 )
 
-from eitskin.training.joint.fit import kernels, model_selection
-from eitskin.training.joint.fit.model_selection import apart, fit_frame
-from eitskin.training.joint.fit.objective import Unknowns, levenberg_marquardt
-from eitskin.training.joint.fit.touch_search import TOUCH_THRESHOLD, TouchCandidates, pruned
+from eitskin.training.joint import fit_kernels, model_selection
+from eitskin.training.joint.model_selection import apart, fit_frame
+from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
+from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates, pruned
 
 from smooth_sensor import (
     RANGES,
@@ -117,13 +117,13 @@ def test_two_touches_at_one_place_can_be_told_apart():
 def test_fits_end_where_their_goal_is_out_of_reach_and_nowhere_else(monkeypatch):
     """One touch cannot explain two; two that start a few millimetres off can."""
     objective = frame(TOUCHES[2], 0.0, 0.0, np.random.default_rng(12))
-    counted, linearise = [], kernels.linearise
+    counted, linearise = [], fit_kernels.linearise
 
     def counting(*told):
         counted.append(told)
         return linearise(*told)
 
-    monkeypatch.setattr(kernels, "linearise", counting)
+    monkeypatch.setattr(fit_kernels, "linearise", counting)
     for touches, reached in ((TOUCHES[2][:1], False), (np.array(TOUCHES[2]) + 0.003, True)):
         start = objective.linearised(Unknowns(np.array(touches), 0.0))
         counted.clear()

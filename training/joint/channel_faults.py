@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.combinations import Combinations, CombinedChange
-from eitskin.training.joint.fit.lapack import orthonormal
-from eitskin.training.joint.fit.objective import (
+from eitskin.training.joint.lapack import orthonormal
+from eitskin.training.joint.objective import (
     MapEstimate,
     TouchObjective,
     levenberg_marquardt,
     misfit_sigma,
 )
-from eitskin.training.joint.fit.touch_search import gains_of, pruned
+from eitskin.training.joint.touch_search import gains_of, pruned
 
 Array = NDArray[np.float64]
 

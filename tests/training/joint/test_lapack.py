@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.joint.fit import lapack
+from eitskin.training.joint import lapack
 
 
 @pytest.fixture

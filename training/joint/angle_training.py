@@ -7,16 +7,18 @@ import numpy as np
 import torch  # noqa: TID253  see above
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
-from torch import Tensor, nn  # noqa: TID253  see above
+from torch import Tensor  # noqa: TID253  see above
 
-from eitskin.training.joint.angles.clamps import ClampCurves
-from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.bent_frames import SCALE, BentFrames
+from eitskin.training.joint.clamps import ClampCurves
+from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     Samples,
+    as_tensor,
     dense_layers,
+    linear_layers,
     seeded_network,
     train_network,
 )
@@ -90,16 +92,11 @@ def fit_angles(
             )
         )
         trained.append(network)
-    layers = [[x for x in network if isinstance(x, nn.Linear)] for network in trained]
-    networks = replace(
-        empty,
-        weights=tuple(
-            np.stack([_plain(x.weight) for x in each]) for each in zip(*layers, strict=True)
-        ),
-        biases=tuple(
-            np.stack([_plain(x.bias) for x in each]) for each in zip(*layers, strict=True)
-        ),
+    weights, biases = (
+        tuple(map(np.stack, zip(*each, strict=True)))
+        for each in zip(*map(linear_layers, trained), strict=True)
     )
+    networks = replace(empty, weights=weights, biases=biases)
     losses = (
         np.mean([each for each in one if each], axis=0).tolist()
         for one in ([x.training for x in learned], [x.validation for x in learned])
@@ -160,18 +157,18 @@ class _Inputs:
         """Inputs from bent frames and their curves, for networks without layers."""
         still = np.full(len(frames.change), DRIFT[0])
         return cls(
-            _tensor(empty.inputs(frames.change, features, still)),
-            _tensor(frames.angle_deg[:, None] / UNIT_DEG),
-            _tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit),
-            _tensor(empty.drift),
-            _tensor(empty.filter),
+            as_tensor(empty.inputs(frames.change, features, still)),
+            as_tensor(frames.angle_deg[:, None] / UNIT_DEG),
+            as_tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit),
+            as_tensor(empty.drift),
+            as_tensor(empty.filter),
             torch.as_tensor(frames.curve),
-            _tensor(bends / empty.unit),
-            _tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
-            _tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None]),
+            as_tensor(bends / empty.unit),
+            as_tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
+            as_tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None]),
             torch.as_tensor(frames.specimen),
-            _tensor(clamps.own / empty.unit),
-            _tensor(clamps.drawn / empty.unit),
+            as_tensor(clamps.own / empty.unit),
+            as_tensor(clamps.drawn / empty.unit),
         )
 
     def plain(self, rows: Tensor, chosen: Tensor, _: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -240,19 +237,12 @@ def loss_of_estimates(frames: BentFrames, estimates: Array) -> float:
         estimates: angle and its standard error (n, 2) [deg].
     """
     output = np.column_stack([estimates[:, 0], UNIT_DEG * np.log(estimates[:, 1] / UNIT_DEG)])
-    return _loss(_tensor(output / UNIT_DEG), _tensor(frames.angle_deg[:, None] / UNIT_DEG)).item()
+    return _loss(
+        as_tensor(output / UNIT_DEG), as_tensor(frames.angle_deg[:, None] / UNIT_DEG)
+    ).item()
 
 
 def _loss(output: Tensor, angle: Tensor) -> Tensor:
     """Mean negative log-likelihood of angles (n, 1) under normal distributions (n, 2)."""
     logs = output[:, 1].clamp(*LOG_DEVIATION)
     return (0.5 * ((output[:, 0] - angle[:, 0]) / logs.exp()).square() + logs).mean()
-
-
-def _tensor(values: Array) -> Tensor:
-    return torch.as_tensor(np.ascontiguousarray(values, dtype=np.float32))
-
-
-def _plain(tensor: Tensor) -> Array:
-    array: Array = tensor.detach().numpy().astype(float)
-    return array

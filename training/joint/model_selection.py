@@ -13,21 +13,22 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.channel_faults import (
+from eitskin.training.joint import lapack
+from eitskin.training.joint.channel_faults import (
     MOST_FAULTS,
     ChannelFault,
     PossibleFaults,
     fit_with_fault,
 )
-from eitskin.training.joint.fit.objective import (
+from eitskin.training.joint.objective import (
     Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
     levenberg_marquardt,
 )
-from eitskin.training.joint.fit.touch_search import (
+from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
+from eitskin.training.joint.touch_search import (
     FINE,
     TOUCH_THRESHOLD,
     TouchCandidates,
@@ -41,7 +42,6 @@ from eitskin.training.joint.fit.touch_search import (
     pruned,
     single_starts,
 )
-from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]

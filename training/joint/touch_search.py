@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.objective import (
+from eitskin.training.joint import lapack
+from eitskin.training.joint.objective import (
     Linearisation,
     MapEstimate,
     TouchObjective,

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from one_frame import residual
 
-from eitskin.training.joint.fit.channel_faults import most_likely_fault, possible_faults
-from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
-from eitskin.training.joint.fit.touch_search import (
+from eitskin.training.joint.channel_faults import most_likely_fault, possible_faults
+from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
+from eitskin.training.joint.touch_search import (
     LEAST_DISTANCE,
     PAIR_STRIDE,
     TouchCandidates,
     initial_touches,
     pair_starts,
 )
-from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 
 from smooth_sensor import (
     FLAT,

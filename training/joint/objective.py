@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import implementation
+from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.fit import lapack
-from eitskin.training.joint.fit.kernels import RADIUS
+from eitskin.training.joint.fit_kernels import RADIUS
 from eitskin.training.joint.prior import ANGLE_UNIT, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
 
 Array = NDArray[np.float64]
 
-KERNELS = "eitskin.training.joint.fit.kernels"
+KERNELS = "eitskin.training.joint.fit_kernels"
 
 
 class Unknowns(NamedTuple):
@@ -133,7 +133,7 @@ class TouchObjective:
         curve: of the specimen's bending.
         prior: of touches.
         reference_bend: value of the bend curve at that angle (K,).
-        kernels: functions of `fit.kernels`, compiled where they are wanted.
+        kernels: functions of `fit_kernels`, compiled where they are wanted.
     """
 
     combined: CombinedChange

@@ -9,8 +9,8 @@ from one_frame import FAULTS, RESPONSE, TOUCHES, candidates, frame
 from eitskin import compiled
 from eitskin.compiled import kernels
 from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.fit.model_selection import fit_frame
-from eitskin.training.joint.fit.objective import Unknowns, levenberg_marquardt
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 
 from smooth_sensor import TOUCH_PRIOR
 

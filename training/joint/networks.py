@@ -6,26 +6,26 @@ networks tell the angle from the shape of the change. They estimate it as long a
 calibrated; the curve of a calibrated one is known better than that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from eitskin.training.joint.bend_curve import BEYOND_DEG
+from eitskin.training.joint.prior import MOST_TOUCHES
 
 Array = NDArray[np.float64]
 
 UNIT_DEG = 20.0  # deg, of the networks' outputs
 LOG_DEVIATION = (-5.0, 0.0)  # bounds of the logarithm of the standard deviation, in units
-NEAR_DEG = 5.0
-"""Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
-FAR_DEG = 20.0
-"""Angle by a bend curve beyond which it does not count where networks see no bend: curves of any
-clamp are so wide there that a large bend explains almost any frame."""
 DRIFT = (1e-4, 0.1)
 """Bounds of the standard deviation of the common change, from one of seconds to one of days."""
 FEATURE_LIMIT = 4.0  # standard deviations; features of stranger sensors count as so strange
+Single = NDArray[np.float32]
+
+THRESHOLD = 0.08  # least value of a cell from which a touch is proposed
+WIDTH = 0.004  # m, standard deviation of the bump that represents a touch in the target map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,40 +103,72 @@ class AngleNetworks:
         angle = min(max(float(np.mean(means)), low - BEYOND_DEG), high + BEYOND_DEG)
         return angle, float(np.sqrt(np.mean(deviations**2) + lacking))
 
-    def arrays(self) -> dict[str, NDArray[np.floating]]:
-        """Arrays from which `from_arrays` restores the networks; weights in single precision."""
-        parts = {"unit": self.unit, "drift": self.drift, "filter": self.filter}
-        arrays: dict[str, NDArray[np.floating]] = {**parts, "angle_deg": np.array(self.angle_deg)}
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays[f"weight{i}"] = weight.astype(np.float32)
-            arrays[f"bias{i}"] = bias.astype(np.float32)
-        return arrays
 
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "AngleNetworks":
-        """Restore the networks that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        layers = range(sum(name.startswith("weight") for name in values))
-        low, high = values["angle_deg"].tolist()
-        return cls(
-            tuple(values[f"weight{i}"] for i in layers),
-            tuple(values[f"bias{i}"] for i in layers),
-            values["unit"],
-            values["drift"],
-            values["filter"],
-            (low, high),
-        )
+@dataclass(frozen=True, slots=True, eq=False)
+class ProposalNetwork:
+    """Network from a frame's change of log V to a coarse map of touches.
 
-
-def blended(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
-    """Angle and its standard error [deg] from those by the bend curve and by the networks.
-
-    Near zero the curve counts; the networks alone do from `NEAR_DEG` by themselves on, or `FAR_DEG`
-    by the curve.
+    Attributes:
+        weights: of the layers (outputs, inputs) each.
+        biases: of the layers (outputs,) each.
+        columns, rows: x and y of the cells' centres, rising evenly [m].
     """
-    far = (abs(curve[0]) - NEAR_DEG) / (FAR_DEG - NEAR_DEG)
-    share = min(max(abs(networks[0]) / NEAR_DEG, far), 1.0)
-    angle, deviation = (
-        (1.0 - share) * one + share * other for one, other in zip(curve, networks, strict=True)
-    )
-    return angle, deviation
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    columns: Array
+    rows: Array
+    _centres: Array = field(init=False, repr=False)  # x, y of all cells (rows x columns, 2) [m]
+    _layers: tuple[tuple[Single, Single], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Compute the centres of the cells, and round the layers as they are saved."""
+        layers = zip(self.weights, self.biases, strict=True)
+        single = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
+        object.__setattr__(self, "_layers", single)
+        x, y = np.meshgrid(self.columns, self.rows)
+        object.__setattr__(self, "_centres", np.column_stack([x.ravel(), y.ravel()]))
+
+    def map(self, inputs: Array) -> Array:
+        """Map (rows, columns), 0 to 1, from `network_inputs` (inputs,)."""
+        hidden = inputs.astype(np.float32)
+        for weight, bias in self._layers[:-1]:
+            before = weight @ hidden + bias
+            hidden = before * expit(before)
+        weight, bias = self._layers[-1]
+        values: Array = expit(weight @ hidden + bias).astype(float)
+        return values.reshape(len(self.rows), len(self.columns))
+
+    def places(self, inputs: Array, separation: float) -> Array:
+        """Positions of the highest peaks (k, 2) [m], the highest first.
+
+        Args:
+            inputs: `network_inputs` of one frame (inputs,).
+            separation: smallest distance of two touches [m]; peaks keep 0.6 of it.
+        """
+        values = self.map(inputs).ravel()
+        remaining = values.copy()
+        found: list[Array] = []
+        while len(found) < MOST_TOUCHES and remaining[best := int(remaining.argmax())] > THRESHOLD:
+            x, y = self._centres.T
+            square = (x - x[best]) ** 2 + (y - y[best]) ** 2
+            around = values * (square < (2.0 * WIDTH) ** 2)
+            found.append(around @ self._centres / around.sum())
+            remaining[square < (0.6 * separation) ** 2] = 0.0
+        return np.array(found).reshape(-1, 2)
+
+
+def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: Array) -> Array:
+    """Inputs (..., K + 1 + P) of the network.
+
+    The change by a touch is one to a hundred times the noise: asinh is linear for small changes
+    and logarithmic for large ones.
+
+    Args:
+        change: combinations of the change of log V (..., K); those not finite count as unchanged.
+        noise: standard deviation of the change (K,).
+        angle_deg: of the reference (...) [deg].
+        features: of the specimen (..., P).
+    """
+    sizes = np.arcsinh(np.where(np.isfinite(change), change, 0.0) / (2.0 * noise))
+    return np.concatenate([sizes, np.asarray(angle_deg)[..., None] / 30.0, features], axis=-1)

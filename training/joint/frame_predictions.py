@@ -1,0 +1,129 @@
+"""Warnings about faulty measurements and frames that the model does not explain, in words."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from eitskin.training.joint.model_selection import REPORTED_SIGMA, FrameFit
+from eitskin.training.joint.objective import misfit_sigma
+from eitskin.training.joint.prior import MOST_TOUCHES
+from eitskin.training.joint.specimen_model import AngleEstimate
+from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
+
+SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
+Array = NDArray[np.float64]
+
+REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
+
+BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
+
+
+def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
+    """Warnings about one frame.
+
+    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
+    """
+    problems = [
+        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
+    ]
+    problems += [
+        f"{fault.name} since the session began and was left out of the angle: begin a new "
+        "session with the flat sensor"
+        for fault in bend.faults
+    ]
+    if bend.misfit_sigma > REPORTED_SIGMA:
+        problems.append(
+            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
+            "not rely on it, and begin a new session with the flat sensor"
+        )
+    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+        problems.append(
+            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
+            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
+            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
+        )
+    return tuple(problems)
+
+
+def calibration_problems(
+    flat: NDArray[np.float64], calibrated: NDArray[np.float64] | None
+) -> tuple[str, ...]:
+    """Warning for a sensor that is not the calibrated one; empty otherwise.
+
+    Args:
+        flat: magnitudes of the flat, untouched sensor (C,) [ohm].
+        calibrated: those of the calibrated sensor; None where no sensor was.
+    """
+    if calibrated is None:
+        return ()
+    spread = float(np.nanstd(np.log(flat / calibrated)))
+    if spread < SAME_SPECIMEN:
+        return ()
+    return (
+        f"the flat sensor differs by {spread:.1%} from the one that this pipeline was calibrated "
+        f"for (up to {SAME_SPECIMEN:.1%} are expected): calibrate again, or use the pipeline that "
+        "was not calibrated",
+    )
+
+
+def state_probabilities(
+    found: FrameFit, bend: AngleEstimate, bends: tuple[float, float] | None, touches: bool
+) -> Array:
+    """Probabilities of idle, touch and bend (3,); NaN for touch or bend where not learned.
+
+    Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over those
+    learned follows from Bayes' rule for one normal measurement: that by the bend curve, which meets
+    zero exactly, where there is one.
+
+    Args:
+        found: fit of the frame.
+        bend: angle of the sensor, if it is untouched.
+        bends: range of the angles learned [deg]; None where no bend was learned.
+        touches: whether touches were learned.
+    """
+    # A rejected touch must not make touch the most probable state.
+    evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
+    touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
+    if bends is None:
+        return np.array([1 - touched, touched, np.nan])
+    angle_deg, deviation_deg = bend.from_flat
+    bent = deviation_deg * np.sqrt(2 * np.pi) / (bends[1] - bends[0])
+    bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
+    flat = 1.0 / (1.0 + bent)
+    if not touches:
+        return np.array([flat, np.nan, 1 - flat])
+    return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
+
+
+def disc_map(
+    places: Array,
+    deviations: Array,
+    radius: float,
+    size: tuple[float, float],
+    shape: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Probability of each pixel's centre to lie under an indenter (rows, columns), 0 to 1.
+
+    A centre at distance d from a touch lies under its disc with probability Phi((radius - d) / s),
+    where s is the standard error of the position along one axis. That is exact for a straight edge,
+    and s is small beside the radius wherever the map is of use.
+
+    Args:
+        places: positions of the touches (k, 2) [m].
+        deviations: standard errors along one axis (k,) [m].
+        radius: of the indenters [m].
+        size: length and width of the sensor [m].
+        shape: rows along y, columns along x.
+    """
+    rows, columns = shape
+    x = (np.arange(columns) + 0.5) * size[0] / columns
+    y = (np.arange(rows) + 0.5) * size[1] / rows
+    free = np.ones(shape)
+    deviations = np.maximum(deviations, 1e-6)
+    for (px, py), deviation in zip(places.tolist(), deviations.tolist(), strict=True):
+        reach = radius + BLUR * deviation
+        across = slice(*np.searchsorted(x, [px - reach, px + reach]))
+        along = slice(*np.searchsorted(y, [py - reach, py + reach]))
+        distance = np.hypot(x[across] - px, y[along, None] - py)
+        free[along, across] *= 1.0 - ndtr((radius - distance) / deviation)
+    return (1.0 - free).astype(np.float32)
