@@ -14,12 +14,15 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec
 from types import ModuleType
-from typing import TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
+
+if TYPE_CHECKING:
+    from importlib.abc import Loader
+    from importlib.machinery import ModuleSpec
 
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 _wanted: ContextVar[bool] = ContextVar("_wanted", default=False)
-_compiling: ContextVar[bool] = ContextVar("_compiling", default=False)
 
 
 @contextmanager
@@ -41,16 +44,6 @@ def compiled(module: str) -> ModuleType | None:
     return loaded(module) if _wanted.get() else None
 
 
-def implementation(module: str) -> ModuleType:
-    """Module of `either` functions by its name, compiled where `compiled` would be."""
-    copy = _compiled_copy(module) if _wanted.get() else None
-    return copy or import_module(module)
-
-
-def _has_numba() -> bool:
-    return not os.environ.get("EITSKIN_PLAIN") and find_spec("numba") is not None
-
-
 @cache
 def loaded(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
@@ -58,22 +51,23 @@ def loaded(module: str) -> ModuleType | None:
     The first import compiles them, in some seconds; what it compiles is kept on the disk beside the
     module, or in the user's cache folder.
     """
-    return import_module(module) if _has_numba() else None
+    if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
+        return None
+    return import_module(module)
+
+
+def implementation(module: str) -> ModuleType:
+    """Module of `either` functions by its name, compiled where `compiled` would be."""
+    plain = import_module(module)
+    return _compiled_copy(module) if compiled("numba") else plain
 
 
 @cache
-def _compiled_copy(module: str) -> ModuleType | None:
-    """Second copy of a module, whose `either` functions are compiled; None without numba."""
-    import_module(module)  # plain, before what numba does asks for it
-    spec = find_spec(module) if _has_numba() else None
-    if spec is None or spec.loader is None:
-        return None
+def _compiled_copy(module: str) -> ModuleType:
+    spec = cast("ModuleSpec", find_spec(module))
     copy = module_from_spec(spec)
-    before = _compiling.set(True)
-    try:
-        spec.loader.exec_module(copy)
-    finally:
-        _compiling.reset(before)
+    vars(copy)["COMPILED"] = True
+    cast("Loader", spec.loader).exec_module(copy)
     return copy
 
 
@@ -93,4 +87,6 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
 
 def either(types: str) -> Callable[[Loop], Loop]:
     """Decorator of a function in numpy that runs as it is, and as `kernel` in a compiled copy."""
-    return kernel(types) if _compiling.get() else lambda function: function
+    return lambda function: (
+        kernel(types)(function) if "COMPILED" in function.__globals__ else function
+    )
