@@ -6,11 +6,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
-from slow_writers import die, slow_but_first
 
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset
@@ -27,7 +25,7 @@ from eitskin.geometry import Bend, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.threads import one_thread
 
-from killed_writers import killed_once, was_killed
+from killed_writers import die, killed_once, was_killed
 from shards_here import contents, in_this_process, made_here
 
 RECIPE = Recipe(
@@ -323,16 +321,3 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
     on_plates = dataclasses.replace(group, support=Plates())
     simulate_shard(Recipe("supports", scenes=(group, on_plates)), 0)
     assert asked == {(None, "tabulated"), (Plates(), "solved")}
-
-
-@pytest.mark.slow
-def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, monkeypatch):
-    def interrupt(finished, _total):
-        if finished:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(generation, "make_shard", slow_but_first)
-    start = time.perf_counter()
-    with pytest.raises(KeyboardInterrupt):
-        generate(RECIPE, tmp_path / "set", 1, interrupt)
-    assert time.perf_counter() - start < 30.0

@@ -94,26 +94,5 @@ def test_wrong_number_of_frames(folder):
     assert "must hold 11 frames, got 10" in problems(folder)["shard-000004.h5"]
 
 
-@pytest.mark.slow
-def test_every_flip_and_cut_at_random_places_is_found(tmp_path):
-    folder = tmp_path / "set"
-    save_dataset(make(20), folder, frames_per_shard=10)
-    rng = np.random.default_rng(0)
-    paths = sorted(folder.glob("shard-*.h5"))
-    for trial in range(60):
-        path = paths[rng.integers(len(paths))]
-        whole = path.read_bytes()
-        broken = bytearray(whole)
-        place = int(rng.integers(len(whole)))
-        if trial % 3:
-            broken[place] ^= 1 << int(rng.integers(8))
-        else:
-            del broken[place:]
-        path.write_bytes(broken)
-        assert list(problems(folder)) == [path.name]
-        path.write_bytes(whole)
-    assert problems(folder) == {}
-
-
 def test_a_folder_that_is_none_is_damage(tmp_path):
     assert "eitskin generate" in problems(tmp_path / "absent")["manifest.json"]

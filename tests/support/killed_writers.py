@@ -1,4 +1,4 @@
-"""Workers killed in the middle of writing a shard, once for each folder that is generated."""
+"""Workers that die: in the middle of writing a shard, once for each folder, or always."""
 
 import os
 import signal
@@ -12,6 +12,11 @@ def killed_once(recipe, folder: Path, shard: int):
     """Stands in for the task of a worker; the first to come is killed while it writes."""
     _be_killed_once(folder)
     return make_shard(recipe, folder, shard)
+
+
+def die(_recipe, _folder: Path, _shard: int) -> None:
+    """Stands in for the task of a worker: its process ends."""
+    os._exit(1)
 
 
 def was_killed(folder: Path) -> bool:
