@@ -3,17 +3,16 @@
 Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.shipped_tables [--bends]`.
 
 Solves the tables that neither the package nor `FOLDER` has, of the reference sensor and of its
-neighbours, and prints how long they took and how large each file is. In `simulator/presses/library`
-are presses by the 15 mm cylinder: corrections with neighbours in thickness and stiffness of the
-encapsulation, those beside one straight side, and dents on all stacks that the shipped recipes
-draw. In `simulator/bends/library` are bends by the default clamp, both faces held or the bottom,
-with neighbours in span and offset too. With `--bends`, bends only.
+neighbours, and prints how long they took and how large each file is. Those in the package's
+`simulator/deformation/library` are dents by the 15 mm cylinder on all stacks that the shipped
+recipes draw, their corrections with neighbours in thickness and stiffness of the encapsulation,
+those beside one straight side, and bends by the default clamp, both faces held or the bottom, with
+neighbours in span and offset too. With `--bends`, bends only.
 """
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import replace
 
 from eitskin.geometry.deformation.fixtures import Clamp
@@ -21,11 +20,13 @@ from eitskin.geometry.design.outline import Polygon
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends.bend_table import bend_problems
+from eitskin.simulator.deformation.corrections import correction_problems
+from eitskin.simulator.deformation.press_table import press_problems
+from eitskin.simulator.deformation.sensor_grid import SensorGrid
+from eitskin.simulator.deformation.solution_store import Problem, cache_folder, prepare
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.solved_files import folder
-from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.scene.indenters import Cylinder
 
 _VARIED = 1.02  # values that need all next neighbours, relative to the nominal ones
@@ -44,57 +45,39 @@ def main(only_bends: bool) -> None:
     )
     stiffer = replace(
         materials,
-        solved_thickness=reference.thickness,
         encapsulation=NeoHookean(_VARIED * materials.encapsulation.shear_modulus),
-        solved_ratio=materials.encapsulation.shear_modulus / materials.gel.shear_modulus,
     )
     clamp = Clamp()
-    moved = Clamp(
-        _VARIED * clamp.span,
-        _VARIED * clamp.offset,
-        solved_span=clamp.span,
-        solved_offset=clamp.offset,
-    )
-    for name, design, mechanics, fixture in (
-        ("held on both faces", reference, materials, clamp),
-        ("held below", reference, materials, replace(clamp, faces="bottom")),
-        ("neighbours in a clamp", varied, stiffer, moved),
-    ):
-        with _reported(name):
-            bend_store.prepare([(design, fixture, mechanics)], _progress)
+    moved = Clamp(_VARIED * clamp.span, _VARIED * clamp.offset)
+    grid = SensorGrid.about(reference, clamp, materials)
+    below = replace(clamp, faces="bottom")
+    _solve("bends held on both faces", bend_problems(reference, clamp, materials))
+    _solve("bends held below", bend_problems(reference, below, materials))
+    _solve("bends of neighbours", bend_problems(varied, moved, stiffer, grid))
     if only_bends:
         return
-    with _reported("reference"):
-        press_store.press_table(reference, materials, Cylinder())
-        correction_store.prepare(reference, materials, Cylinder(), _progress)
-    with _reported("presses on neighbours"):
-        spread = [
-            (
-                varied,
-                replace(stiffer, encapsulation=NeoHookean(f * stiffer.encapsulation.shear_modulus)),
-            )
-            for f in _SPREAD
-        ]
-        press_store.prepare(spread, Cylinder(), _progress)
+    _solve("dents of the reference", press_problems(reference, materials, Cylinder()))
+    for factor in _SPREAD:
+        law = NeoHookean(factor * materials.encapsulation.shear_modulus)
+        spread = varied, replace(materials, encapsulation=law), Cylinder(), grid
+        _solve(f"dents of neighbours, {factor:g} times as stiff", press_problems(*spread))
     square = Polygon(((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)))
-    with _reported("a straight side, for polygons"):
-        polygon = replace(reference, outline=square, electrodes=uniform(square, 8))
-        correction_store.prepare(polygon, materials, Cylinder(), _progress)
-    with _reported("neighbours"):
-        correction_store.prepare(varied, stiffer, Cylinder(), _progress)
+    polygon = replace(reference, outline=square, electrodes=uniform(square, 8))
+    _solve("reference", correction_problems(reference, materials, Cylinder()))
+    _solve("a straight side, for polygons", correction_problems(polygon, materials, Cylinder()))
+    _solve("neighbours", correction_problems(varied, stiffer, Cylinder(), grid))
     for factor in _FARTHER:
         around = NeoHookean(factor * materials.encapsulation.shear_modulus)
-        with _reported(f"encapsulation {factor:g} times as stiff"):
-            mechanics = replace(materials, encapsulation=around)
-            correction_store.prepare(reference, mechanics, Cylinder(), _progress)
+        mechanics = replace(materials, encapsulation=around)
+        farther = correction_problems(reference, mechanics, Cylinder())
+        _solve(f"encapsulation {factor:g} times as stiff", farther)
 
 
-@contextmanager
-def _reported(name: str) -> Iterator[None]:
-    """Print the time of the tables solved within, and the sizes of their files."""
-    start, before = time.perf_counter(), set(folder().glob("*.npz"))
-    yield
-    new = sorted(set(folder().glob("*.npz")) - before)
+def _solve(name: str, problems: Iterable[Problem]) -> None:
+    """Solve what is missing; print the time, and the sizes of the new files."""
+    start, before = time.perf_counter(), set(cache_folder().glob("*.npz"))
+    prepare(problems, _progress)
+    new = sorted(set(cache_folder().glob("*.npz")) - before)
     print(f"{name}: {len(new)} tables, {time.perf_counter() - start:.0f} s")
     for path in new:
         print(f"  {path.name}: {1e-3 * path.stat().st_size:.0f} kB")

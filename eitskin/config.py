@@ -232,7 +232,7 @@ def _plain(kind: Any, data: Any, location: Location) -> Any:
         known = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
         raise location.error(f"expected {known}, got {quoted(data)}")
     try:
-        value = msgspec.convert(data, kind)
+        value = msgspec.convert(data, getattr(kind, "type", kind))  # of an InitVar
     except (msgspec.ValidationError, OverflowError) as error:  # integers beyond the largest float
         raise location.error(error) from error
     for number in value if isinstance(value, tuple | list) else (value,):

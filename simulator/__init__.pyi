@@ -7,6 +7,7 @@ from eitskin.frame import (
     Status as Status,
 )
 from eitskin.protocol import Protocol as Protocol
+from eitskin.simulator.deformation.sensor_grid import SensorGrid as SensorGrid
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
 from eitskin.simulator.electrical.reanalysis import (
     EXACT as EXACT,

@@ -16,32 +16,33 @@ from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack
-from eitskin.simulator.bodies.body_bends import bent_by
-from eitskin.simulator.bodies.body_touches import (
+from eitskin.simulator.bodies.body_deformation import (
+    bent_by,
     pressed_body_touches,
     pressed_by,
     require_pressable,
 )
-from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
-from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
-from eitskin.simulator.electrical.reanalysis import TOLERANCE
-from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.layer.bent_presses import BentPresses
-from eitskin.simulator.layer.deformed_layer import DeformedLayer
-from eitskin.simulator.layer.dents import Dents
-from eitskin.simulator.layer.pressed_touches import (
+from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
+from eitskin.simulator.deformation.dents import BentPresses, Dents
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
+from eitskin.simulator.deformation.touches import (
+    PressedSensor,
     PressedTouch,
     TouchModel,
     bent_dents,
     dents,
     pressed_touches,
     require_model,
-    way_of,
+    resolve_touch_model,
 )
+from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
+from eitskin.simulator.electrical.reanalysis import TOLERANCE
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
+from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene, require_bendable
 
@@ -69,6 +70,7 @@ class Simulator:
         mechanics: Mechanics | None = None,
         touch_model: TouchModel | None = None,
         nominal: SensorDesign | None = None,
+        grid: SensorGrid | None = None,
     ) -> None:
         """Prepare the sensor; its mesh has faces where the fixture clamps it.
 
@@ -87,6 +89,9 @@ class Simulator:
             nominal: sensor whose mesh and factors `measure_all` takes, where this one differs from
                 it in electrode positions along the sides of a rectangle, in thickness, conductivity
                 and contacts: many such sensors share them.
+            grid: nominal values about which presses and bends are solved; those of this sensor are
+                interpolated, so that many similar sensors share solutions. The sensor's own values
+                when omitted.
 
         Raises:
             ConfigurationError: for an unknown resolution or touch model, or a fixture that does not
@@ -101,6 +106,7 @@ class Simulator:
                 f"touch_model must be one of {get_args(TouchModel)}, got {touch_model!r}"
             )
         self.touch_model: TouchModel | None = touch_model
+        self.grid = grid or OWN_GRID
         breaks = _breaks(design, self.fixture)
         self._impedances = SensorImpedances(
             design, resolution, breaks, nominal, self.deformed_layer
@@ -149,29 +155,30 @@ class Simulator:
         """Deformation by the bend; cached, since scenes of one bend follow each other."""
         wanted = (bend, design.support)
         if self._bent is None or self._bent[0] != wanted:
-            of_shape = bent_by if self._is_body else bend_store.bend
-            bent = of_shape(design, self.fixture, self.mechanics, bend)
+            fixed = design, self.fixture, self.mechanics, bend
+            bent = bent_by(*fixed) if self._is_body else bend_table.bend(*fixed, self.grid)
             self._bent = (wanted, bent)
         return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact radius and pressure of each touch, with error estimates."""
         self.check_scene(scene)
-        supported = self.supported(scene)
         if self._is_body:
-            return pressed_body_touches(scene.touches, supported, self.mechanics)
+            return pressed_body_touches(scene.touches, self.supported(scene), self.mechanics)
         bent = self._bent_state(scene)
-        then = scene.bends if bent is None else scene.twist is not None
-        sensor = (supported, self.mechanics)
-        return pressed_touches(scene.touches, *sensor, self.touch_model, bent, then)
+        bent_after = scene.bends if bent is None else scene.twist is not None
+        return pressed_touches(scene.touches, self._pressed(scene), bent, bent_after)
 
     def solves_presses(self, scene: Scene) -> bool:
         """Whether the touches of a scene are solved in 3D, which takes half a minute to minutes."""
         if not scene.touches or self._is_body:
             return False
+        return resolve_touch_model(scene.touches, self._pressed(scene)) == "solved"
+
+    def _pressed(self, scene: Scene) -> PressedSensor:
+        """The sensor on its support in a scene."""
         supported = self.supported(scene)
-        way = way_of(scene.touches, supported, self.mechanics, self.touch_model)
-        return way == "solved"
+        return PressedSensor(supported, self.mechanics, self.touch_model, self.grid)
 
     def _bent_state(self, scene: Scene) -> BentStack | None:
         """State in which plates that bend the sensor hold it; None for one that is pressed flat."""
@@ -180,7 +187,7 @@ class Simulator:
             return None
         if not scene.bend.angle_deg or scene.roll is not None:
             return None
-        return bend_store.equilibrium(supported, fixture, self.mechanics, scene.bend)
+        return bend_table.equilibrium(supported, fixture, self.mechanics, scene.bend)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
@@ -202,11 +209,11 @@ class Simulator:
                     "are the units metres?"
                 )
         supported = self.supported(scene)
-        require_model(scene.touches, supported, self.touch_model)
+        require_model(scene.touches, self._pressed(scene))
         if scene.bends:
             require_bendable(supported.support, self.fixture)
         if scene.bend.angle_deg and isinstance(self.fixture, Clamp):
-            bend_store.check_clamp(supported, self.fixture, self.mechanics)
+            bend_table.check_clamp(supported, self.fixture, self.mechanics)
         require_fit(supported.support, outline)
 
     def supported(self, scene: Scene) -> SensorDesign:
@@ -328,12 +335,11 @@ class Simulator:
         if self._is_body:
             pressed = pressed_by(scene.touches, self.design, self.mechanics)
             return None if pressed is None else pressed.field
-        supported, bent = self.supported(scene), self._bent_state(scene)
-        sensor = (scene.touches, supported, self.mechanics, self.touch_model)
+        sensor, bent = self._pressed(scene), self._bent_state(scene)
         if bent is not None:
-            bend = self._flexure(scene.bend, supported)
-            return bent_dents(*sensor, bend, bent)
-        return dents(*sensor)
+            bend = self._flexure(scene.bend, sensor.design)
+            return bent_dents(scene.touches, sensor, bend, bent)
+        return dents(scene.touches, sensor)
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.

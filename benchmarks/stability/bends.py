@@ -24,7 +24,7 @@ from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulle
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.layer.dents import closed_form_dents
+from eitskin.simulator.deformation.closed_form_dent import closed_form_dents
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 

@@ -17,7 +17,7 @@ from eitskin.geometry.design.electrode import Electrode, On, Shape
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
 from eitskin.geometry.design.sensor import Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.layer.dents import closed_form_dents
+from eitskin.simulator.deformation.closed_form_dent import closed_form_dents
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 

@@ -15,14 +15,13 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation.contact import ContactFrame, DentField
+from eitskin.simulator.deformation.finite_stack import FiniteStack
+from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.presses.contact_frame import ContactFrame
-from eitskin.simulator.presses.dent_field import DentField
-from eitskin.simulator.presses.finite_stack import FiniteStack
-from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Cylinder
 
 FAMILY = "whole stacks"
@@ -104,7 +103,7 @@ def _pressed(
     body = stack_mesh(_OUTLINE, stack, mechanics, design.support, contacts, _ONE_LAYER)
     bent, frame, normal = None, None, np.array([0.0, 0.0, 1.0])
     if angle:
-        bent = bend_store.equilibrium(design, Clamp(), mechanics, Bend(angle))
+        bent = bend_table.equilibrium(design, Clamp(), mechanics, Bend(angle))
         frame = ContactFrame.at(bent, *_PLACE, stack.levels[-1] - stack.levels[stack.gel])
         normal = frame.normal
     solved = FiniteStack(body, bent=bent)

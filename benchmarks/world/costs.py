@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation import corrections, press_table
+from eitskin.simulator.deformation.dents import Dents
+from eitskin.simulator.deformation.solution_store import LIBRARY
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.layer.dents import Dents
-from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
@@ -23,10 +24,10 @@ RESOLUTIONS: tuple[Resolution, ...] = ("fast", "standard")
 _REPEATED = 5
 _TOUCHES = (Touch(0.060, 0.030), Touch(0.090, 0.030))
 _LOOKED_UP = {
-    "press tables": press_store.press_table,
-    "correction tables": correction_store.corrections,
-    "pair tables": correction_store.pair_corrections,
-    "bend tables": bend_store.bend_table,
+    "press tables": press_table.press_table,
+    "correction tables": corrections.corrections,
+    "pair tables": corrections.pair_corrections,
+    "bend tables": bend_table.bend_table,
 }
 
 
@@ -85,7 +86,7 @@ def _cost(design: SensorDesign, resolution: Resolution) -> Cost:
                 unbounded.gradient(part)
 
     def bent(fixture: Fixture) -> None:
-        found = bend_store.bend(design, fixture, simulator.mechanics, Bend(20.0))
+        found = bend_table.bend(design, fixture, simulator.mechanics, Bend(20.0))
         for part in batches:
             found.gradient(part)
 
@@ -116,11 +117,10 @@ def _shortest(call: Callable[[], None]) -> float:
 
 def bytes_stored() -> dict[str, int]:
     """Size of all tables in the package, by kind [bytes]."""
-    folders = {"presses": press_store.LIBRARY, "bends": bend_store.SHIPPED}
-    return {
-        kind: sum(path.stat().st_size for path in folder.glob("*.npz"))
-        for kind, folder in folders.items()
-    }
+    sizes = {"presses": 0, "bends": 0}
+    for path in LIBRARY.glob("*.npz"):
+        sizes["bends" if path.name.startswith("bend-") else "presses"] += path.stat().st_size
+    return sizes
 
 
 def counted() -> dict[str, int]:

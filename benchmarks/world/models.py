@@ -6,18 +6,19 @@ from functools import partial
 from eitskin.benchmarks.world.reference import ReferenceCase
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
-from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.layer.pressed_touches import (
+from eitskin.simulator.deformation.dents import Dents, PlacedDent
+from eitskin.simulator.deformation.press_table import press_table
+from eitskin.simulator.deformation.solved_press import solved_presses
+from eitskin.simulator.deformation.touches import (
+    PressedSensor,
     TouchModel,
     bent_dents,
     dents,
     pressed_touches,
+    resolve_touch_model,
 )
-from eitskin.simulator.presses.correction_store import is_shipped, tabulable
-from eitskin.simulator.presses.press_store import press_table
-from eitskin.simulator.presses.solved_press import solved_presses
 
 KINEMATIC, TABULATED, SOLVED = "kinematic", "tabulated", "solved"
 """Names of models: unbounded dents or `Hinge()`; the tables; solutions in 3D."""
@@ -28,7 +29,7 @@ Model = Callable[[], Deformation]
 
 def deformations(case: ReferenceCase) -> dict[str, Model | None]:
     """Models of one case by name; None where the tables of the case are not shipped."""
-    scene, sensor = case.scene, (case.design, case.mechanics)
+    scene = case.scene
     if case.is_bend:
         return {
             KINEMATIC: partial(bend, case, KINEMATIC),
@@ -41,20 +42,23 @@ def deformations(case: ReferenceCase) -> dict[str, Model | None]:
             TABULATED: None,
             SOLVED: partial(_pressed_bent, case),
         }
-    shipped = tabulable(case.design) and all(
-        is_shipped(*sensor, touch.indenter) for touch in scene.touches
-    )
+    shipped = resolve_touch_model(scene.touches, _sensor(case, None)) == TABULATED
+    tabulated = partial(dents, scene.touches, _sensor(case, "tabulated"))
     return {
         KINEMATIC: partial(_unbounded, case),
-        TABULATED: partial(dents, scene.touches, *sensor, "tabulated") if shipped else None,
+        TABULATED: tabulated if shipped else None,
         SOLVED: partial(_pressed_3d, case),
     }
+
+
+def _sensor(case: ReferenceCase, model: TouchModel | None) -> PressedSensor:
+    return PressedSensor(case.design, case.mechanics, model)
 
 
 def bend(case: ReferenceCase, model: str) -> Deformation:
     """Bend of a case by a model: by `Hinge()` or, under solved presses too, by the tables."""
     fixture: Fixture = Hinge() if model == KINEMATIC else Clamp()
-    return bend_store.bend(case.design, fixture, case.mechanics, case.scene.bend)
+    return bend_table.bend(case.design, fixture, case.mechanics, case.scene.bend)
 
 
 def depth(case: ReferenceCase, model: str) -> float | None:
@@ -66,32 +70,30 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         found = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
         return float(found.depth)
     way: TouchModel = "tabulated" if model == TABULATED else "solved"
-    sensor = (case.scene.touches, case.design, case.mechanics)
-    return pressed_touches(*sensor, way, _bent_state(case))[0].depth
+    return pressed_touches(case.scene.touches, _sensor(case, way), _bent_state(case))[0].depth
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:
-    clamp = bend_store.on_support(Clamp(), case.design.support)
+    clamp = bend_table.on_support(Clamp(), case.design.support)
     stack = ClampedStack(case.design, clamp, mechanics=case.mechanics)
     return next(stack.equilibria([case.scene.bend.angle_deg]))
 
 
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    return dents(case.scene.touches, case.design, case.mechanics, "solved")
+    return dents(case.scene.touches, _sensor(case, "solved"))
 
 
 def _bent_state(case: ReferenceCase) -> BentStack | None:
     if not case.scene.bend.angle_deg:
         return None
-    return bend_store.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
+    return bend_table.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
 
 
 def _pressed_bent(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    state = bend_store.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
-    sensor = (case.scene.touches, case.design, case.mechanics)
-    return bent_dents(*sensor, "solved", bend(case, SOLVED), state)
+    state = bend_table.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
+    return bent_dents(case.scene.touches, _sensor(case, "solved"), bend(case, SOLVED), state)
 
 
 def _unbounded(case: ReferenceCase) -> Deformation:

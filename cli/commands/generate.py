@@ -144,20 +144,20 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output, shard: int | 
         prepare,
         solved_frames,
     )
-    from eitskin.simulator.mechanics.solved_files import folder
+    from eitskin.simulator.deformation.solution_store import cache_folder
 
     specimens = needed_specimens(recipe, shard)
     bends = len(missing_bend_tables(recipe, specimens))
     if bends:
         output.note(
             f"solving {bends} table{'s' * (bends > 1)} of bends that no clamped sensor has needed "
-            f"so far, once: about half a minute each; kept in {folder()}"
+            f"so far, once: about half a minute each; kept in {cache_folder()}"
         )
     missing = len(missing_press_tables(recipe, specimens))
     if missing:
         output.note(
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
-            f"so far, once: from ten seconds to a few minutes each; kept in {folder()}"
+            f"so far, once: from ten seconds to a few minutes each; kept in {cache_folder()}"
         )
     solved = solved_frames(recipe)
     if solved:

@@ -27,11 +27,10 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
-    from eitskin.geometry.deformation.fixtures import Fixture
     from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.deformation.touches import PressedTouch
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.instrument.instrument import Instrument
-    from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel
     from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.simulator import Simulator
     from eitskin.simulator.view.scene_pictures import Colour
@@ -259,22 +258,22 @@ def simulator(
 
     Raises ConfigurationError for options or files that do not fit.
     """
-    from eitskin.config import read_toml
-    from eitskin.geometry.deformation.fixtures import Fixture
     from eitskin.protocol import Protocol
-    from eitskin.simulator.layer.pressed_touches import TouchModel
-    from eitskin.simulator.mechanics.layer_stack import Mechanics
+    from eitskin.simulator.deformation.sensor_grid import read_fixed
+    from eitskin.simulator.deformation.touches import TouchModel
     from eitskin.simulator.simulator import Simulator
 
+    held, materials, grid = read_fixed(fixture, mechanics)
     return Simulator(
         design,
         resolution,
-        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
+        held,
         Protocol.named(protocol, len(design.electrodes)),
-        read_toml(Mechanics, mechanics) if mechanics else None,
+        materials,
         cast("TouchModel", one_of("--touch-model", touch_model, TouchModel))
         if touch_model
         else None,
+        grid=grid,
     )
 
 
@@ -294,18 +293,18 @@ def on_support(scene: "Scene", support: str | None) -> "Scene":
 
 def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
     """Note what has to be solved for a scene's touches first: dents, or presses in 3D."""
-    from eitskin.simulator.mechanics.solved_files import folder
-    from eitskin.simulator.presses.press_store import is_stored
+    from eitskin.simulator.deformation.press_table import press_problems
+    from eitskin.simulator.deformation.solution_store import cache_folder, missing
 
-    design, mechanics = simulator.supported(scene), simulator.mechanics
+    sensor = simulator.supported(scene), simulator.mechanics
     indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
-    missing = sum(not is_stored(design, mechanics, each) for each in indenters)
-    if missing:
-        several = missing > 1
+    unsolved = sum(bool(missing(press_problems(*sensor, i, simulator.grid))) for i in indenters)
+    if unsolved:
+        several = unsolved > 1
         output.note(
-            f"solving the presses of {missing} indenter{'s' * several} that "
+            f"solving the presses of {unsolved} indenter{'s' * several} that "
             f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
-            f"minutes each; kept in {folder()}"
+            f"minutes each; kept in {cache_folder()}"
         )
     if simulator.solves_presses(scene):
         output.note(

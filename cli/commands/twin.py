@@ -1,7 +1,7 @@
 """`eitskin twin`: the physical numbers behind one real sensor, fitted to labelled frames."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.console import Group
@@ -70,10 +70,9 @@ def fit(
     """
     from eitskin.config import read_toml
     from eitskin.datasets.store.folder import new_folder
-    from eitskin.geometry.deformation.fixtures import Fixture
     from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.deformation.sensor_grid import read_fixed
     from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.simulator.mechanics.layer_stack import Mechanics
     from eitskin.training.twin.files import as_plain, write_twin
     from eitskin.training.twin.parameters import TwinPrior
     from eitskin.training.twin.twin import Twin
@@ -82,8 +81,7 @@ def fit(
     new_folder(out)
     sensor = SensorDesign.from_toml(design)
     wide = read_toml(TwinPrior, prior) if prior else TwinPrior()
-    held = read_toml(cast("type[Any]", Fixture), fixture) if fixture else None
-    materials = read_toml(Mechanics, mechanics) if mechanics else None
+    held, materials, _ = read_fixed(fixture, mechanics)
     data = read_recorded(recording, values, protocol)
     data = data if specimen is None else of_specimen(data, specimen)
     fitted, rest = data, None

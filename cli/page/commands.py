@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.bodies.upper_side import require_above
+from eitskin.simulator.bodies.pressed_body import require_above
 from eitskin.simulator.scene.scene import Scene, Touch
 
 if TYPE_CHECKING:

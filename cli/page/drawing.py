@@ -20,10 +20,10 @@ from eitskin.geometry.design.patches import area_vectors, on_boundary
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated
-from eitskin.simulator.bends import bend_store
-from eitskin.simulator.layer.dents import closed_form_dents
+from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation.closed_form_dent import LARGEST_FORCE, closed_form_dents
+from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.presses.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]
@@ -353,9 +353,9 @@ def _near(one: Array, other: Array, tolerance: Array) -> bool:
 def _bent(design: SensorDesign, angle: float) -> Deformation:
     """Bend by the default clamp where that has been solved, by the kinematic hinge elsewhere."""
     plane = isinstance(design.outline, Rectangle)
-    solved = plane and not bend_store.missing(design, Clamp(), Mechanics())
+    solved = plane and not missing(bend_table.bend_problems(design, Clamp(), Mechanics()))
     fixture = Clamp() if solved else Hinge()
-    return bend_store.bend(design, fixture, Mechanics(), Bend(angle))
+    return bend_table.bend(design, fixture, Mechanics(), Bend(angle))
 
 
 def _farthest(design: SensorDesign, sign: int) -> float:

@@ -12,10 +12,17 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen, free_length
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.sensor import SensorDesign, Support
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends.bend_table import bend_problems, bend_table
+from eitskin.simulator.deformation.corrections import (
+    correction_problems,
+    corrections,
+    is_tabulable,
+)
+from eitskin.simulator.deformation.press_table import press_problems, press_table
+from eitskin.simulator.deformation.sensor_grid import SensorGrid
+from eitskin.simulator.deformation.solution_store import missing
+from eitskin.simulator.deformation.solution_store import prepare as solve_missing
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.presses import correction_store, press_store
-from eitskin.simulator.presses.correction_store import corrections, tabulable
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import AnyIndenter
 
@@ -27,10 +34,8 @@ _LEVELS = 6  # values of each property for which a specimen is taken
 
 def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
     """Paths of the bend tables that `prepare` would solve."""
-    found: set[Path] = set()
-    for bent in _clamped(recipe, specimens):
-        found |= bend_store.missing(*bent)
-    return found
+    clamped = _clamped(recipe, specimens)
+    return {path for bent in clamped for path in missing(bend_problems(*bent))}
 
 
 def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
@@ -38,9 +43,10 @@ def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None)
     found: set[Path] = set()
     pairs = _touches_together(recipe)
     for indenter in _indenters(recipe):
-        for design, mechanics in _pressed(recipe, indenter, specimens):
-            found |= press_store.missing(design, mechanics, indenter)
-            found |= correction_store.missing(design, mechanics, indenter, pairs=pairs)
+        for design, mechanics, grid in _pressed(recipe, indenter, specimens):
+            sensor = design, mechanics, indenter, grid
+            found |= missing(press_problems(*sensor)).keys()
+            found |= missing(correction_problems(*sensor, pairs)).keys()
     return found
 
 
@@ -49,7 +55,7 @@ def solved_frames(recipe: Recipe) -> int:
 
     def is_solved(support: Support | None) -> bool:
         sensor = recipe.sensor
-        return not tabulable(dataclasses.replace(sensor, support=support or sensor.support))
+        return not is_tabulable(dataclasses.replace(sensor, support=support or sensor.support))
 
     touched = [group for group in recipe.scenes if group.state == "touch"]
     frames = sum(group.frames for group in touched if is_solved(group.support))
@@ -80,19 +86,21 @@ def prepare(
     specimens = deciding_specimens(recipe) if specimens is None else specimens
     clamped = list(_clamped(recipe, specimens))
     for some in (clamped[:1], clamped[1:]):  # bends out of reach are told after the first table
-        bend_store.prepare(some, progress, workers)
+        solve_missing((each for bent in some for each in bend_problems(*bent)), progress, workers)
         for bent in some:
             for angle in recipe.extreme_angles:
-                bend_store.bend_table(*bent).check(angle)
+                bend_table(*bent).check(angle)
     pairs = _touches_together(recipe)
     for indenter, force in _indenters(recipe).items():
         pressed = list(_pressed(recipe, indenter, specimens))
-        press_store.prepare(pressed, indenter, progress, workers)
-        for design, mechanics in pressed:
-            deepest = press_store.press_table(design, mechanics, indenter).at_force(force).depth
-            if tabulable(design):
-                correction_store.prepare(design, mechanics, indenter, progress, pairs=pairs)
-                corrections(design, mechanics, indenter).check_depth(deepest)
+        sensors = [(design, mechanics, indenter, grid) for design, mechanics, grid in pressed]
+        problems = [each for sensor in sensors for each in press_problems(*sensor)]
+        solve_missing(problems, progress, workers)
+        for sensor in sensors:
+            deepest = press_table(*sensor).at_force(force).depth
+            if is_tabulable(sensor[0]):
+                solve_missing(correction_problems(*sensor, pairs), progress, workers)
+                corrections(*sensor).check_depth(deepest)
 
 
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
@@ -145,27 +153,28 @@ def _properties(made: Specimen) -> tuple[float, ...]:
 
 def _clamped(
     recipe: Recipe, specimens: Sequence[int] | None
-) -> Iterator[tuple[SensorDesign, Clamp, Mechanics]]:
-    """Designs, clamps and materials of specimens on all supports on which clamps bend them."""
+) -> Iterator[tuple[SensorDesign, Clamp, Mechanics, SensorGrid]]:
+    """Designs, clamps, materials and grids of specimens on all supports on which clamps bend."""
     given = [group.support for group in recipe.scenes if any(group.angle_deg)]
     given += [None for each in recipe.episodes if any(each.angles_deg)]
     for made in _specimens(recipe, specimens) if given else ():
         for support in dict.fromkeys(each or made.design.support for each in given):
             if isinstance(made.fixture, Clamp):
                 design = dataclasses.replace(made.design, support=support)
-                yield design, made.fixture, made.mechanics
+                yield design, made.fixture, made.mechanics, made.grid
 
 
 def _pressed(
     recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
-) -> Iterator[tuple[SensorDesign, Mechanics]]:
-    """Designs and materials of specimens on all supports on which the indenter presses them."""
+) -> Iterator[tuple[SensorDesign, Mechanics, SensorGrid]]:
+    """Designs, materials and grids of specimens on all supports on which the indenter presses."""
     touched = [group for group in recipe.scenes if group.state == "touch"]
     groups = [group.support for group in touched if group.pressed_by == indenter]
     given = [None] * (bool(recipe.episodes) and indenter == Cylinder()) + groups
     for made in _specimens(recipe, specimens):
         for support in dict.fromkeys(each or made.design.support for each in given):
-            yield dataclasses.replace(made.design, support=support), made.mechanics
+            design = dataclasses.replace(made.design, support=support)
+            yield design, made.mechanics, made.grid
 
 
 def _specimens(recipe: Recipe, specimens: Sequence[int] | None) -> Iterator[Specimen]:

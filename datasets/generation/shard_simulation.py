@@ -24,12 +24,12 @@ from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
-from eitskin.simulator.bends.bend_store import on_support
+from eitskin.simulator.bends.bend_table import on_support
+from eitskin.simulator.deformation.corrections import is_tabulable
+from eitskin.simulator.deformation.touches import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.layer.pressed_touches import TouchModel
-from eitskin.simulator.presses.correction_store import tabulable
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
@@ -183,7 +183,7 @@ def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool,
     groups: dict[bool, list[Scene]] = {}
     for scene in scenes:
         supported = dataclasses.replace(design, support=scene.support or design.support)
-        groups.setdefault(tabulable(supported), []).append(scene)
+        groups.setdefault(is_tabulable(supported), []).append(scene)
     return groups
 
 

@@ -21,8 +21,9 @@ from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_table import ANGLES_DEG
+from eitskin.simulator.deformation.sensor_grid import SensorGrid, with_grid
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
@@ -55,6 +56,8 @@ class Recipe:
         fixture: that bends the sensor; the default clamp when omitted. In TOML also as the table
             `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
+        grid: nominal values about which the presses and bends of all specimens are solved; those of
+            sensor, fixture and mechanics where omitted.
         instrument: errors and noise of the board; each specimen has one board and one session.
             Boards differ by `board_loads` of `specimens`.
         specimens: number of sensors and standard deviations between them.
@@ -74,6 +77,7 @@ class Recipe:
     protocol: Protocol | None = None
     fixture: Fixture = field(default_factory=Clamp)
     mechanics: Mechanics = field(default_factory=Mechanics)
+    grid: SensorGrid | None = None
     instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
     mounts: Mounts = field(default_factory=Mounts)
@@ -104,13 +108,14 @@ class Recipe:
 
     @classmethod
     def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
-        """TOML table `data` with the sensor and protocol that it names, and an old hinge.
+        """TOML table `data` with the sensor and protocol that it names, and in today's form.
 
-        The hinge of version 0.1 is a fixture.
+        The hinge of version 0.1 is a fixture; the grid of version 0.2 stood in the fixture and in
+        the mechanics.
         """
         if "hinge" in data and "fixture" in data:
             raise location.error("expected `fixture` or `hinge`, got both; leave `hinge` out")
-        made = {key: value for key, value in data.items() if key != "hinge"}
+        made = with_grid({key: value for key, value in data.items() if key != "hinge"})
         if "hinge" in data:
             made["fixture"] = read(Hinge, data["hinge"], location.under("hinge"))
         if "sensor" in data:
@@ -143,11 +148,12 @@ class Recipe:
 
     def nominal(self, specimen: int) -> Specimen:
         """Sensor, fixture and materials from which a specimen deviates."""
-        if not self.mounts.count:
-            return Specimen(self.sensor, self.fixture, self.mechanics)
-        mount = specimen % self.mounts.count
-        mechanics = self.mounts.mechanics(mount, self.mechanics)
-        return Specimen(self.sensor, self.mounts.clamp(mount), mechanics)
+        fixture, mechanics = self.fixture, self.mechanics
+        if self.mounts.count:
+            mount = specimen % self.mounts.count
+            fixture, mechanics = self.mounts.clamp(mount), self.mounts.mechanics(mount, mechanics)
+        own = SensorGrid.about(self.sensor, fixture, mechanics)
+        return Specimen(self.sensor, fixture, mechanics, own.replaced_by(self.grid))
 
     @property
     def snapshots(self) -> int:
@@ -291,7 +297,7 @@ class Recipe:
                 f"to {most:g} deg; bend less, or choose a kinematic fixture"
             )
         try:
-            bend_store.check_clamp(self.sensor, fixture, self.mechanics)
+            bend_table.check_clamp(self.sensor, fixture, self.mechanics)
         except ConfigurationError as error:
             return str(error)
         return ""

@@ -19,10 +19,11 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
+from eitskin.simulator.deformation.touches import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.meter import LOADS, FourTerminalMeter
-from eitskin.simulator.layer.pressed_touches import TouchModel
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.simulator import Simulator
@@ -175,7 +176,7 @@ class Mounts:
         """Reason why sensors like `design` cannot be clamped so, a sentence each."""
         try:
             for number in range(self.count):
-                bend_store.check_clamp(
+                bend_table.check_clamp(
                     design, self.clamp(number), self.mechanics(number, mechanics)
                 )
         except ConfigurationError as error:
@@ -189,11 +190,12 @@ class Mounts:
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """One sensor with its fixture and its materials."""
+    """One sensor with its fixture and its materials, and the grid of its solutions."""
 
     design: SensorDesign
     fixture: Fixture
     mechanics: Mechanics
+    grid: SensorGrid = OWN_GRID
 
     def simulator(
         self,
@@ -211,6 +213,7 @@ class Specimen:
             self.mechanics,
             touch_model,
             nominal=nominal,
+            grid=self.grid,
         )
 
 
@@ -241,11 +244,6 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
     made = scaled_conductivity(made, factor("conductivity", conductivity))
     if spread.thickness:
         made = scaled_thickness(made, factor("thickness", thickness))
-        mechanics = dataclasses.replace(
-            mechanics, solved_thickness=mechanics.solved_thickness or design.thickness
-        )
-    if isinstance(fixture, Clamp):
-        fixture, mechanics = _sharing_bends(spread, fixture, mechanics)
     return Specimen(
         made,
         moved_fixture(fixture, widened, spread.hinge_offset * offset),
@@ -256,6 +254,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
                 mechanics.encapsulation, factor("encapsulation_modulus", around)
             ),
         ),
+        nominal.grid,
     )
 
 
@@ -290,20 +289,6 @@ def moved_fixture(fixture: _Fixed, span: float, offset: float) -> _Fixed:
     if isinstance(fixture, FreeArc):
         return dataclasses.replace(fixture, length=fixture.length + span)
     return dataclasses.replace(fixture, span=fixture.span + span, offset=fixture.offset + offset)
-
-
-def _sharing_bends(
-    spread: Specimens, clamp: Clamp, mechanics: Mechanics
-) -> tuple[Clamp, Mechanics]:
-    """Nominal clamp and materials about which the bends of all specimens are interpolated."""
-    if spread.hinge_span:
-        clamp = dataclasses.replace(clamp, solved_span=clamp.solved_span or clamp.span)
-    if spread.hinge_offset and clamp.solved_offset is None:
-        clamp = dataclasses.replace(clamp, solved_offset=clamp.offset)
-    if spread.gel_modulus or spread.encapsulation_modulus:
-        ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
-        mechanics = dataclasses.replace(mechanics, solved_ratio=mechanics.solved_ratio or ratio)
-    return clamp, mechanics
 
 
 def lognormal(deviation: float, normal: float) -> float:

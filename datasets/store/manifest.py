@@ -11,7 +11,7 @@ import msgspec
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
 from eitskin.errors import DataError
 from eitskin.files import parse_json, quoted, read_bytes, write_file
-from eitskin.simulator.mechanics import solved_files
+from eitskin.simulator.deformation.solution_store import cache_folder
 
 MANIFEST = "manifest.json"
 MOST_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
@@ -153,7 +153,7 @@ def note_known(manifest: Manifest) -> Manifest:
 
 def _note_path(manifest: Manifest) -> Path:
     text = "\n".join(entry.sha256 for entry in manifest.shards).encode(errors="surrogatepass")
-    return solved_files.folder() / "known-datasets" / hashlib.sha256(text).hexdigest()
+    return cache_folder() / "known-datasets" / hashlib.sha256(text).hexdigest()
 
 
 def _marked(manifest: Manifest, known: bool) -> Manifest:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from eitskin.geometry import Bend, Clamp, SensorDesign
-from eitskin.simulator import Frame, Instrument, Scene, Simulator
+from eitskin.simulator import Frame, Instrument, Scene, SensorGrid, Simulator
 from eitskin.training import Pipeline
 
 from style import GREY, ORANGE, PALE, TEAL, figure, save, wanted
@@ -13,8 +13,8 @@ from style import GREY, ORANGE, PALE, TEAL, figure, save, wanted
 # One's own sensor: 20 % more conductive, clamped 1 mm wider and half a millimetre lower. Nobody
 # knows these numbers of a real one. Its bends are interpolated between those that are shipped.
 design = dataclasses.replace(SensorDesign.reference(), conductivity=1.2)
-clamp = Clamp(span=0.041, offset=0.0085, solved_span=0.040, solved_offset=0.008)
-sim = Simulator(design, resolution="fast", fixture=clamp)
+clamp, grid = Clamp(span=0.041, offset=0.0085), SensorGrid(span=0.040, offset=0.008)
+sim = Simulator(design, resolution="fast", fixture=clamp, grid=grid)
 session = Instrument().session(sim.protocol, sim.full_scale, np.random.default_rng(5))
 rng = np.random.default_rng(6)
 

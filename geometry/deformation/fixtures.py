@@ -1,8 +1,9 @@
 """Bending fixtures: flexure of a sensor about y, and its limits."""
 
 import math
+import warnings
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,16 @@ from eitskin.geometry.deformation.flexure import Flexure
 from eitskin.geometry.design.sensor import SensorDesign
 
 _SEARCH_STEP = 5  # deg, of the search for the last possible angle
+
+
+def warn_of_grid(call: str) -> None:
+    """Warn of arguments of version 0.2 that told about which values solutions are shared."""
+    warnings.warn(
+        f"{call}: these arguments have no effect any more; give "
+        "Simulator(..., grid=SensorGrid(...)) to share solutions between similar sensors",
+        DeprecationWarning,
+        stacklevel=4,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,27 +56,22 @@ class Clamp:
         offset: of the axis below the mid-plane of the conductive layer [m].
         compliance: of the bond between plate and face, gap per traction [m/Pa]; 0 for a rigid bond.
         faces: held by the plates, "both" or only the "bottom".
-        solved_span, solved_offset: span and offset for which bends are solved, with some steps
-            above and below; bends of this fixture are interpolated [m]. Fixtures of similar size
-            thus share solutions. The fixture's own when omitted.
     """
 
     span: float = 0.040
     offset: float = 0.008
     compliance: float = 0.0
     faces: Literal["both", "bottom"] = "both"
-    solved_span: float | None = None
-    solved_offset: float | None = None
+    solved_span: InitVar[float | None] = None
+    solved_offset: InitVar[float | None] = None
 
-    def __post_init__(self) -> None:
-        for name, length in (("span", self.span), ("solved_span", self.solved_span)):
-            if length is not None and not (math.isfinite(length) and length > 0.0):
-                raise ConfigurationError(
-                    f"clamp {name} must be a positive length in m, got {length}"
-                )
-        for name, length in (("offset", self.offset), ("solved_offset", self.solved_offset)):
-            if length is not None and not math.isfinite(length):
-                raise ConfigurationError(f"clamp {name} must be finite, in m, got {length}")
+    def __post_init__(self, solved_span: float | None, solved_offset: float | None) -> None:
+        if solved_span is not None or solved_offset is not None:
+            warn_of_grid("Clamp(solved_span=..., solved_offset=...)")
+        if not (math.isfinite(self.span) and self.span > 0.0):
+            raise ConfigurationError(f"clamp span must be a positive length in m, got {self.span}")
+        if not math.isfinite(self.offset):
+            raise ConfigurationError(f"clamp offset must be finite, in m, got {self.offset}")
         if not (math.isfinite(self.compliance) and self.compliance >= 0.0):
             raise ConfigurationError(
                 f"clamp compliance must be zero or positive, in m/Pa, got {self.compliance}"

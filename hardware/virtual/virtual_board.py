@@ -10,7 +10,6 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.design.sensor import SensorDesign
@@ -29,6 +28,7 @@ from eitskin.hardware.virtual.stage import (
 )
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.protocol import Protocol
+from eitskin.simulator.deformation.sensor_grid import read_fixed
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
@@ -191,11 +191,16 @@ def _simulator(
         sensor = SensorDesign.from_toml(sensor)
     if isinstance(protocol, str):
         protocol = Protocol.named(protocol, len(sensor.electrodes))
-    if isinstance(fixture, str | Path):
-        fixture = read_toml(cast("type[Fixture]", Fixture), fixture)
-    if isinstance(mechanics, str | Path):
-        mechanics = read_toml(Mechanics, mechanics)
-    return Simulator(sensor, cast("Resolution", resolution), fixture, protocol, mechanics)
+    paths = [Path(each) if isinstance(each, str | Path) else None for each in (fixture, mechanics)]
+    read_fixture, read_mechanics, grid = read_fixed(*paths)
+    return Simulator(
+        sensor,
+        cast("Resolution", resolution),
+        read_fixture if isinstance(fixture, str | Path) else fixture,
+        protocol,
+        read_mechanics if isinstance(mechanics, str | Path) else mechanics,
+        grid=grid,
+    )
 
 
 def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource | None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.bodies.tetrahedral_solid import (
+    TetrahedralField,
     TetrahedralSolid,
     body_grading,
     meshed,

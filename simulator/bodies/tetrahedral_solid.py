@@ -1,15 +1,20 @@
-"""Soft body on tetrahedra: mesh, faces, and order of elimination."""
+"""Soft body on tetrahedra: mesh, faces, order of elimination, and displacement field."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_body
-from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -20,7 +25,11 @@ _CELLS = 1200.0  # tetrahedra of a body far from clamps and touches, about
 _GROWTH = 0.7  # of their size, per distance from clamps and touches
 _PER_CUBE = 8.5  # tetrahedra in a cube of their edge length
 _MOST_CELLS = 20_000  # about 2 GB of memory and 20 s for each step of Newton's method
-_LEAF = 24  # tetrahedra that are eliminated at once
+# Edges of a tetrahedron in the order of its edge functions.
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+_FEW, _MANY = 12, 200  # cells tried around a point, by the distance of their middles
+_INSIDE = -1e-9  # distance from a cell within which a point counts as inside, over the body's size
+_AT_ONCE = 40_000  # points per chunk
 
 
 class TetrahedralSolid:
@@ -62,7 +71,7 @@ class TetrahedralSolid:
         dofs = self.solid.basis.get_dofs(facets=self.facets[chosen]).flatten()
         return np.unique(dofs).astype(np.int64)
 
-    def field(self, x: Array) -> TetrahedralField:
+    def field(self, x: Array) -> "TetrahedralField":
         """Displacement and mean stress of the unknowns x (n,)."""
         solid = self.solid
         u = solid.displacement(x)
@@ -96,3 +105,114 @@ def meshed(design: SensorDesign, grading: Grading, near: Array) -> skfem.MeshTet
     """Tetrahedra of a body, finest at points `near` (k, 3) [m]."""
     points, cells = tetrahedral_body(design, grading, near)
     return skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
+
+
+@dataclass(frozen=True, eq=False)
+class TetrahedralField(OnePass):
+    """Displacement field on tetrahedra with straight edges, quadratic in each.
+
+    Points outside the mesh belong to the nearest cell, whose polynomial is continued to them.
+
+    Attributes:
+        points: corners of the cells, (n, 3) [m].
+        cells: numbers of the corners, (m, 4).
+        values: displacements at the corners and at the middles of `EDGES`, (m, 10, 3) [m].
+        stress: mean stress at the corners of the mesh, (n,) [Pa].
+    """
+
+    points: Array
+    cells: Indices
+    values: Array
+    stress: Array
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and deformation gradient in one pass."""
+        flat = np.asarray(points, dtype=float).reshape(-1, 3)
+        moved, F = np.empty_like(flat), np.empty((len(flat), 3, 3))
+        for part, cells, place in self._located(flat):
+            values = self.values[cells]
+            slopes = self._inverse[cells]  # of the coordinates 1 to 3
+            moved[part] = flat[part] + np.einsum("na,nai->ni", _shapes(place), values)
+            rates = np.einsum("nab,nai->nbi", _rates(place), values)
+            F[part] = np.eye(3) + np.einsum("nbi,nbJ->niJ", rates[:, 1:] - rates[:, :1], slopes)
+        shape = np.shape(points)
+        return moved.reshape(shape), F.reshape(*shape, 3)
+
+    def mean_stress(self, points: Points) -> Array:
+        """Mean stress [Pa] at undeformed points (..., 3) [m], (...), positive in tension."""
+        flat = np.asarray(points, dtype=float).reshape(-1, 3)
+        found = np.empty(len(flat))
+        for part, cells, place in self._located(flat):
+            found[part] = np.einsum("na,na->n", place, self.stress[self.cells[cells]])
+        return found.reshape(np.shape(points)[:-1])
+
+    def _located(self, points: Array) -> Iterator[tuple[slice, Indices, Array]]:
+        """Chunks of points, their cells (k,), and barycentric coordinates (k, 4) there."""
+        for start in range(0, len(points), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            here = points[part]
+            cells, depth = self._nearest(here, _FEW)
+            lost = np.flatnonzero(depth < _INSIDE * self._size)
+            if len(lost):
+                cells[lost], _ = self._nearest(here[lost], _MANY)
+            yield part, cells, self._coordinates(here, cells)
+
+    def _nearest(self, points: Array, candidates: int) -> tuple[Indices, Array]:
+        """Nearest cell among those with the nearest middles, and depth inside that cell [m]."""
+        count = min(candidates, len(self.cells))
+        best = np.zeros(len(points), dtype=np.int64)
+        depth = np.full(len(points), -np.inf)
+        each = max(1, _AT_ONCE * _FEW // count)
+        for start in range(0, len(points), each):
+            part = slice(start, start + each)
+            _, near = self._middles.query(points[part], k=count)
+            near = near.reshape(-1, count)
+            inside = self._coordinates(points[part, None], near) * self._heights[near]
+            depths = inside.min(axis=-1)
+            chosen = depths.argmax(axis=1)
+            rows = np.arange(len(chosen))
+            best[part], depth[part] = near[rows, chosen], depths[rows, chosen]
+        return best, depth
+
+    def _coordinates(self, points: Array, cells: Indices) -> Array:
+        """Barycentric coordinates (..., 4) of points (..., 3) in cells (...)."""
+        away = points - self.points[self.cells[cells, 0]]
+        rest = np.einsum("...bJ,...J->...b", self._inverse[cells], away)
+        return np.concatenate([1.0 - rest.sum(axis=-1, keepdims=True), rest], axis=-1)
+
+    @cached_property
+    def _size(self) -> float:
+        return float(np.ptp(self.points, axis=0).max())
+
+    @cached_property
+    def _middles(self) -> cKDTree:
+        return cKDTree(self.points[self.cells].mean(axis=1))
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """Gradients of the barycentric coordinates 1 to 3 of each cell, (m, 3, 3) [1/m]."""
+        corners = self.points[self.cells]
+        edges = (corners[:, 1:] - corners[:, :1]).swapaxes(1, 2)
+        return np.asarray(np.linalg.inv(edges), dtype=np.float64)
+
+    @cached_property
+    def _heights(self) -> Array:
+        """Distance of each corner from the opposite face, (m, 4) [m]."""
+        first = -self._inverse.sum(axis=1, keepdims=True)
+        slopes = np.concatenate([first, self._inverse], axis=1)
+        return np.asarray(1.0 / np.linalg.norm(slopes, axis=2), dtype=np.float64)
+
+
+def _shapes(place: Array) -> Array:
+    """Quadratic shape functions (n, 10) at barycentric coordinates (n, 4)."""
+    edges = [4.0 * place[:, a] * place[:, b] for a, b in EDGES]
+    return np.concatenate([place * (2.0 * place - 1.0), np.stack(edges, axis=1)], axis=1)
+
+
+def _rates(place: Array) -> Array:
+    """Derivatives (n, 10, 4) of the shape functions by the barycentric coordinates."""
+    rates = np.zeros((len(place), 10, 4))
+    rates[:, range(4), range(4)] = 4.0 * place - 1.0
+    for k, (a, b) in enumerate(EDGES, start=4):
+        rates[:, k, a], rates[:, k, b] = 4.0 * place[:, b], 4.0 * place[:, a]
+    return rates

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from eitskin.errors import ConfigurationError
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.assembly import ElectrodeTerms
 from eitskin.simulator.electrical.cem_system import impedance_matrix, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.layer.deformed_layer import DeformedLayer
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -13,6 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis, is_possible
 from eitskin.simulator.electrical.resolution import (
@@ -22,7 +23,6 @@ from eitskin.simulator.electrical.resolution import (
     press_length,
     suited_cells,
 )
-from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.scene.scene import Scene

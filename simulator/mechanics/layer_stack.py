@@ -1,13 +1,14 @@
 """Mechanical properties of the sensor, and its stack of bonded layers."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.bounds import LONGEST, require_positive
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import warn_of_grid
 from eitskin.geometry.design.sensor import SensorDesign, Substrate
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
@@ -61,12 +62,6 @@ class Mechanics:
         bulk_ratio: kappa / mu of both materials.
         gel_relaxation, encapsulation_relaxation: Prony series of the two materials.
         piezoresistivity: change of the gel's conductivity with volume and pressure.
-        solved_thickness: thickness of the gel for which presses are solved, with some steps above
-            and below; presses on the design's thickness are interpolated [m]. Sensors of similar
-            thickness thus share solutions. The design's own thickness when omitted.
-        solved_ratio: shear modulus of the encapsulation over the gel's for which bends are solved,
-            with some steps above and below; bends of other ratios are interpolated. The ratio of
-            this mechanics when omitted.
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
@@ -76,21 +71,17 @@ class Mechanics:
     gel_relaxation: Prony = GEL
     encapsulation_relaxation: Prony = ECOFLEX
     piezoresistivity: Piezoresistivity = field(default_factory=Piezoresistivity)
-    solved_thickness: float | None = None
-    solved_ratio: float | None = None
+    solved_thickness: InitVar[float | None] = None
+    solved_ratio: InitVar[float | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, solved_thickness: float | None, solved_ratio: float | None) -> None:
         """Check the lengths; laws and solid check the other values."""
         if not 0.0 <= self.margin <= LONGEST:
             raise ConfigurationError(
                 f"margin must be a length up to {LONGEST:g} m, got {self.margin}"
             )
-        solved = self.solved_thickness
-        if solved is not None and not (math.isfinite(solved) and solved > 0.0):
-            raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
-        ratio = self.solved_ratio
-        if ratio is not None and not (math.isfinite(ratio) and ratio > 0.0):
-            raise ConfigurationError(f"solved_ratio must be a positive number, got {ratio}")
+        if solved_thickness is not None or solved_ratio is not None:
+            warn_of_grid("Mechanics(solved_thickness=..., solved_ratio=...)")
 
     def stack(self, design: SensorDesign) -> "Stack":
         """Layers of a sensor from below: encapsulation, gel, encapsulation; a substrate below."""

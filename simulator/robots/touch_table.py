@@ -3,9 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +11,8 @@ from scipy.interpolate import NdBSpline, make_interp_spline
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
+from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -135,25 +133,22 @@ class TouchTable:
         """
         axes = _axes(outline, rules, spacing)
         flat = _logarithms(simulator, [Scene()], instrument)[0]
-        path = solved_files.folder() / solved_files.file_name(
-            "touches",
-            {
-                "version": _VERSION,
-                "flat": flat.tolist(),
-                "axes": [axis.tolist() for axis in axes],
-                "sensor": repr((simulator.design, simulator.mechanics, simulator.touch_model)),
-                "indenter": repr(indenter),
-            },
-        )
+        sensor = simulator.design, simulator.mechanics, simulator.touch_model, simulator.grid
+        described = {
+            "version": _VERSION,
+            "flat": flat.tolist(),
+            "axes": [axis.tolist() for axis in axes],
+            "sensor": repr(sensor),
+            "indenter": repr(indenter),
+        }
 
-        def solve() -> dict[str, NDArray[Any]]:
+        def solve(_: object) -> Arrays:
             places = [Touch(x, y, f, indenter) for x in axes[0] for y in axes[1] for f in axes[2]]
             scenes = [Scene(touches=(touch,)) for touch in places]
             changes = _logarithms(simulator, scenes, instrument) - flat
             return {"changes": changes.reshape(*map(len, axes), len(flat))}
 
-        read, write = partial(solved_files.read, path), partial(solved_files.write, path)
-        changes = solved_files.kept(path, read, solve, write)["changes"]
+        changes = load_or_solve(Problem("touches", described, solve))["changes"]
         # Without force nothing changes.
         forces = np.concatenate([[0.0], axes[2]])
         return cls((axes[0], axes[1], forces), np.pad(changes, [(0, 0), (0, 0), (1, 0), (0, 0)]))

@@ -14,9 +14,9 @@ from eitskin.files import atomic_file
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh_design import natural_cells
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import Fields
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
-from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 from eitskin.simulator.view import shapes

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Recipe, generate, read_shard
+from eitskin.datasets.generation import preparation
 from eitskin.datasets.generation.preparation import deciding_specimens
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.shard import shard_name
 from eitskin.simulator import Scene, Simulator
-from eitskin.simulator.bends import bend_store
 
 from shards_here import in_this_process
 
@@ -27,18 +27,18 @@ MANY = Recipe(
 
 def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
     flat, prepared = [], []
-    measure_all, prepare_bends = Simulator.measure_all, bend_store.prepare
+    measure_all, bend_problems = Simulator.measure_all, preparation.bend_problems
 
     def measuring(self, scenes, *arguments, **options):
         flat.append(scenes == [Scene()])
         return measure_all(self, scenes, *arguments, **options)
 
-    def preparing(clamped, *arguments):
-        prepared.extend(clamped)
-        return prepare_bends(clamped, *arguments)
+    def preparing(*clamped):
+        prepared.append(clamped)
+        return bend_problems(*clamped)
 
     monkeypatch.setattr(Simulator, "measure_all", measuring)
-    monkeypatch.setattr(bend_store, "prepare", preparing)
+    monkeypatch.setattr(preparation, "bend_problems", preparing)
     in_this_process(monkeypatch)
     assert generate(MANY, tmp_path / "set", shard=150) is None
     data = read_shard(tmp_path / "set" / shard_name(150))

@@ -16,8 +16,10 @@ from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncate
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.presses import press_store, table_files
-from eitskin.simulator.presses.press_table import PressTable
+from eitskin.simulator.deformation import press_table as tables
+from eitskin.simulator.deformation import solution_store
+from eitskin.simulator.deformation.press_table import PressTable, press_table
+from eitskin.simulator.deformation.sensor_grid import SensorGrid
 
 DESIGN = SensorDesign.reference()
 SPREAD = Specimens(
@@ -138,7 +140,7 @@ def test_a_thicker_sensor_is_thicker_in_everything():
     assert (side.z, side.height) == pytest.approx((0.002 * factor, 0.002 * factor))
     assert inside.z == pytest.approx(0.001 * factor)
     assert inside.height is None
-    assert each.mechanics.solved_thickness == 0.005
+    assert each.grid.thickness == 0.005
 
 
 def test_conductivities_of_layers_scatter_together():
@@ -203,17 +205,16 @@ def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
 @pytest.mark.slow
 def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    for store in (press_store, table_files):
-        monkeypatch.setattr(store, "LIBRARY", tmp_path / "none")
-    # Dents, their corrections, pairs, and what the sides add to those.
-    assert len(missing_press_tables(recipe(Specimens(30)))) == 4
+    monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "none")
+    # Dents, their corrections on a strip and at its end, pairs, and what sides add to those.
+    assert len(missing_press_tables(recipe(Specimens(30)))) == 5
     # Dents of three thicknesses, and strips of as many.
-    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 3 + 3
+    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 4 + 3
     # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
     # four tables of dents about each place, from two or three below to three above.
-    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 6 in (5, 6, 7)
+    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 7 in (5, 6, 7)
     both = Specimens(30, gel_modulus=0.1, thickness=0.03)
-    assert len(missing_press_tables(recipe(both))) <= 3 * 7 + 5 + 3
+    assert len(missing_press_tables(recipe(both))) <= 3 * 7 + 6 + 3
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
     assert missing_press_tables(untouched) == set()
 
@@ -242,27 +243,27 @@ def law(stack, _indenter) -> PressTable:
 @pytest.fixture
 def presses_by_law(monkeypatch):
     """Press tables by `law`, which need not be solved."""
-    monkeypatch.setattr(press_store, "stored", law)
-    press_store.press_table.cache_clear()
+    monkeypatch.setattr(tables, "load_press_table", law)
+    press_table.cache_clear()
     yield
-    press_store.press_table.cache_clear()
+    press_table.cache_clear()
 
 
 @pytest.mark.parametrize("factor", [0.93, 1.04])
 def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
-    monkeypatch.setattr(press_store, "stored", law)
+    monkeypatch.setattr(tables, "load_press_table", law)
     design = dataclasses.replace(
         DESIGN, thickness=0.005 * factor, encapsulated_thickness=0.012 * factor
     )
-    shared = Mechanics(solved_thickness=0.005)
-    found = press_store.press_table.__wrapped__(design, shared, Cylinder())
+    grid = SensorGrid(thickness=0.005)
+    found = press_table.__wrapped__(design, Mechanics(), Cylinder(), grid)
     exact = law(Mechanics().stack(design), None)
     for name in ("depths", "forces", "contact_radii", "thinnings", "energies", "thickness"):
         assert getattr(found, name) == pytest.approx(getattr(exact, name), rel=1e-9), name
     # Knots go with the thickness: between those tables the dents differ by more than their law.
     upward = np.array([np.interp(found.knots, exact.knots, row) for row in exact.moved[..., 0, 1]])
     assert found.moved[..., 0, 1] == pytest.approx(upward, abs=0.01 * upward.max())
-    nominal = press_store.press_table.__wrapped__(DESIGN, shared, Cylinder())
+    nominal = press_table.__wrapped__(DESIGN, Mechanics(), Cylinder(), grid)
     assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
 
 

@@ -18,8 +18,8 @@ from eitskin.geometry.deformation.kinematics import (
     pulled_back_entries,
 )
 from eitskin.simulator import Cylinder, Sphere
-from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
+from eitskin.simulator.deformation.closed_form_dent import ClosedFormDent
+from eitskin.simulator.deformation.dents import Dents, PlacedDent
 
 DESIGN = SensorDesign.reference()
 HINGE = Hinge(span=0.040, offset=0.008)

@@ -8,10 +8,9 @@ from eitskin.compiled import kernels
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
-from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField
-from eitskin.simulator.presses.fields.spline_field import spline_sum
+from eitskin.simulator.deformation.field import Field, Polynomials, resampled_sum
 
-KERNELS = "eitskin.simulator.mechanics.spline_kernels"
+KERNELS = "eitskin.simulator.deformation.kernels"
 if compiled.loaded(KERNELS) is None:
     pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
 
@@ -53,11 +52,11 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
 
 def test_fields_are_summed_as_splines() -> None:
     """Four cells of a box a thickness high leave little, and half the size a sixteenth of that."""
-    boxes = [Box((0.0, 0.0, 0.0), (0.1, 0.06, 0.005)), Box((-0.03, 0.0, 0.0), (0.09, 0.06, 0.005))]
     rng = np.random.default_rng(1)
+    wide, near = Polynomials(0.0, 0.1, 5), Polynomials(-0.03, 0.09, 7, 1.0, vanish=True)
     fields = (
-        SmoothField(boxes[0], rng.normal(size=(5, 4, 3, 4))),
-        SmoothField(boxes[1], rng.normal(size=(7, 6, 2, 4)), 1.0),
+        Field((wide, Polynomials(0.0, 0.06, 4)), 0.005, rng.normal(size=(5, 4, 3, 4))),
+        Field((near, Polynomials(0.0, 0.06, 6)), 0.005, rng.normal(size=(7, 6, 2, 4))),
     )
     columns = np.empty((45, 3, 3))
     columns[..., 0] = rng.uniform(0.0, 0.09, (45, 1))
@@ -68,7 +67,7 @@ def test_fields_are_summed_as_splines() -> None:
     scale = np.array([np.abs(one_by_one[part]).max() for part in parts])
     for cells in (20, 40):
         nodes = np.linspace(0.0, 0.09, cells + 1), np.linspace(0.0, 0.06, cells + 1)
-        total = spline_sum(fields, nodes)
+        total = resampled_sum(fields, nodes)
         plain, found = total.moved(columns), with_kernels(total.moved, columns)
         assert found == pytest.approx(plain, rel=1e-11, abs=1e-9)
         # Third order for the slopes, fourth for the field.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.config import write_toml
+from eitskin.config import to_toml, write_toml
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, RANGES, Specimens, clearance
@@ -18,9 +18,9 @@ from eitskin.files import atomic_folder
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Free
+from eitskin.simulator.deformation.corrections import is_tabulable
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter_fit import decibels
-from eitskin.simulator.presses.correction_store import tabulable
 from eitskin.training.twin.labelled_frames import KINDS
 from eitskin.training.twin.twin import Twin
 
@@ -54,7 +54,8 @@ def write_twin(twin: Twin, folder: Path) -> None:
     with atomic_folder(folder) as made:
         twin.specimen.design.to_toml(made / "design.toml")
         write_toml(twin.specimen.fixture, made / "fixture.toml")
-        write_toml(twin.specimen.mechanics, made / "mechanics.toml")
+        materials = f"{to_toml(twin.specimen.mechanics)}\n[grid]\n{to_toml(twin.specimen.grid)}"
+        (made / "mechanics.toml").write_text(materials, encoding="utf-8")
         rig(twin).to_toml(made / "rig.toml")
         (made / "recipe.toml").write_text(recipe(twin).to_toml(), encoding="utf-8")
         (made / "twin.json").write_text(json.dumps(as_plain(twin), indent=1), encoding="utf-8")
@@ -77,7 +78,7 @@ def recipe(twin: Twin) -> Recipe:
         angles = [scene.bend.angle_deg for scene in shown if scene.bend.angle_deg]
         span = (min(*angles, 0.0), max(*angles, 0.0)) if len(angles) > 1 else _ANGLES
         scenes.append(SceneGroup("bend", count=_SCENES, angle_deg=span))
-    if tabulable(design):
+    if is_tabulable(design):
         forces = [t.force for scene in shown for t in scene.touches if t.depth is None]
         push = (min(forces), max(forces)) if len(forces) > 1 else _FORCES
         scenes.append(SceneGroup("touch", count=_SCENES, force=push))
@@ -90,6 +91,7 @@ def recipe(twin: Twin) -> Recipe:
         protocol=twin.frames.protocol,
         fixture=fixture,
         mechanics=twin.specimen.mechanics,
+        grid=twin.specimen.grid,
         instrument=rig(twin),
         specimens=spread(twin),
     )

@@ -20,6 +20,7 @@ from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
@@ -173,25 +174,13 @@ def centred(nominal: Specimen) -> Specimen:
         raise ConfigurationError(
             "a twin needs a plane outline, got a surface; give a flat sensor's rim as outline"
         )
-    if isinstance(fixture, Clamp):
-        held = fixture.solved_offset
-        fixture = dataclasses.replace(
-            fixture,
-            solved_span=fixture.solved_span or fixture.span,
-            solved_offset=fixture.offset if held is None else held,
-        )
-    elif not fixture.transition:
+    if not (isinstance(fixture, Clamp) or fixture.transition):
         raise ConfigurationError(
             "the bend of a kinematic fixture without transition jumps where it ends, and every "
             "span needs another mesh; give a clamp, or a transition"
         )
-    ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
-    mechanics = dataclasses.replace(
-        mechanics,
-        solved_thickness=mechanics.solved_thickness or design.thickness,
-        solved_ratio=mechanics.solved_ratio or ratio,
-    )
-    return Specimen(design, fixture, mechanics)
+    grid = SensorGrid.about(design, fixture, mechanics).replaced_by(nominal.grid)
+    return Specimen(design, fixture, mechanics, grid)
 
 
 def with_numbers(nominal: Specimen, numbers: Numbers) -> Specimen:
@@ -222,7 +211,7 @@ def with_numbers(nominal: Specimen, numbers: Numbers) -> Specimen:
         gel=_of_modulus(mechanics.gel, numbers["gel_modulus", None]),
         encapsulation=_of_modulus(mechanics.encapsulation, numbers["encapsulation_modulus", None]),
     )
-    return Specimen(made, moved_fixture(fixture, wider, deeper), materials)
+    return Specimen(made, moved_fixture(fixture, wider, deeper), materials, nominal.grid)
 
 
 def _of_modulus(law: NeoHookean | Ogden, modulus: float) -> NeoHookean | Ogden:

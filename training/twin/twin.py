@@ -4,12 +4,10 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.config import read_toml
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
@@ -17,6 +15,7 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
+from eitskin.simulator.deformation.sensor_grid import read_fixed
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.fit_parameters import Parameter
 from eitskin.simulator.instrument.instrument import Instrument
@@ -204,15 +203,14 @@ class PressedTwin:
         """
         place = Path(folder)
         design = SensorDesign.from_toml(place / "design.toml")
-        fixture = read_toml(cast("type[Any]", Fixture), place / "fixture.toml")
-        mechanics = read_toml(Mechanics, place / "mechanics.toml")
+        fixed = read_fixed(place / "fixture.toml", place / "mechanics.toml")
         meter = Instrument.from_toml(place / "rig.toml").meter or FourTerminalMeter()
         if protocol.n_electrodes != (count := len(design.electrodes)):
             raise ConfigurationError(
                 f"expected a twin with {protocol.n_electrodes} electrodes, as the pipeline has, "
                 f"got {count} in {folder}; fit the twin to the same sensor"
             )
-        return cls(Specimen(design, fixture, mechanics), meter, protocol)
+        return cls(Specimen(design, *fixed), meter, protocol)
 
     def inside(self, places: Array) -> NDArray[np.bool_]:
         """Whether places (n, 2) [m] are on the sensor (n,).

@@ -21,7 +21,7 @@ from eitskin.geometry.design.patches import area_vectors
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator import Frame, Mechanics
-from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends import bend_table
 
 from page_fakes import DESIGN, PROTOCOL, FakeBoard
 
@@ -130,7 +130,7 @@ def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
     points = shape.body.points
     flat = shape.bent(0.0, [])
     assert np.array_equal(flat, points)
-    layer = bend_store.bend(DESIGN, Clamp(), Mechanics(), Bend(30.0))
+    layer = bend_table.bend(DESIGN, Clamp(), Mechanics(), Bend(30.0))
     assert np.allclose(shape.bent(30.0, []), layer.positions(points))
     upper = np.flatnonzero(points[:, 2] == 0.005)
     at = points[upper[np.hypot(*(points[upper, :2] - (0.075, 0.03)).T).argmin()]]

@@ -13,10 +13,8 @@ from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
 from eitskin.simulator.bodies.clamped_body import ClampedBody
-from eitskin.simulator.bodies.pressed_body import BodyPress
-from eitskin.simulator.bodies.tetrahedral_field import EDGES, TetrahedralField
-from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralSolid
-from eitskin.simulator.bodies.upper_side import heights
+from eitskin.simulator.bodies.pressed_body import BodyPress, heights
+from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField, TetrahedralSolid
 from eitskin.simulator.mechanics.load_stepping import Load, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere

@@ -11,8 +11,8 @@ from eitskin.geometry import Bend, Disc, Hinge, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import EXACT, Cylinder, ForwardModel, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.deformation import touches as pressed_touches
 from eitskin.simulator.electrical.reanalysis import ElementProducts, Reanalysis
-from eitskin.simulator.layer import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
 from contacts import with_contacts
@@ -123,8 +123,8 @@ def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
 def test_other_sensors_are_off_by_no_more(monkeypatch) -> None:
     outline = Disc(0.04)
     # Dents serve here, without their corrections, which take seconds each on a disc.
-    uncorrected = lambda pressed, *_: ((), (0.0,) * len(pressed))  # noqa: E731
-    monkeypatch.setattr(pressed_touches, "_corrected", uncorrected)
+    uncorrected = lambda pressed, *_: ([], [0.0] * len(pressed))  # noqa: E731
+    monkeypatch.setattr(pressed_touches, "_corrections", uncorrected)
     design = SensorDesign(outline, 0.005, uniform(outline, 8, 0.005))
     disc = Simulator(design, fixture=Hinge(span=0.02), resolution="fast")
     some = [Scene(touches=(Touch(0.04 + 0.01 * k, 0.04, 5.0, Cylinder()),)) for k in range(2)]

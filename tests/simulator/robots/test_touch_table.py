@@ -29,7 +29,7 @@ def changed(touch):
 class SmoothSimulator:
     """Simulator of three measurements; counts its scenes."""
 
-    design, mechanics, touch_model = None, None, None
+    design = mechanics = touch_model = grid = None
 
     def __init__(self):
         self.solved = 0

@@ -23,8 +23,8 @@ from eitskin.geometry import (
 )
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
-from eitskin.simulator.layer import pressed_touches as presses
-from eitskin.simulator.layer.pressed_touches import pressed_touches
+from eitskin.simulator.deformation import touches as presses
+from eitskin.simulator.deformation.touches import PressedSensor, pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.viscoelasticity import Prony
 from eitskin.simulator.scene.indenters import ScannedIndenter
@@ -34,7 +34,9 @@ X, Y = 0.060, 0.030
 
 
 def one(touch, mechanics=None):
-    (found,) = pressed_touches((touch,), DESIGN, mechanics or Mechanics(), "tabulated")
+    (found,) = pressed_touches(
+        (touch,), PressedSensor(DESIGN, mechanics or Mechanics(), "tabulated")
+    )
     return found
 
 
@@ -68,7 +70,7 @@ def giving_way(monkeypatch, sunk):
     design = dataclasses.replace(DESIGN, support=Plates())
 
     def press(touch):
-        (found,) = pressed_touches((touch,), design, Mechanics(), None)
+        (found,) = pressed_touches((touch,), PressedSensor(design, Mechanics()))
         return found
 
     return press
@@ -102,7 +104,7 @@ def test_depths_that_no_dent_reaches_are_refused(monkeypatch) -> None:
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
     assert "4.0 mm" in one(Touch(0.004, Y, 5.0)).caution
     near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
-    for found in pressed_touches(near, DESIGN, Mechanics(), None):
+    for found in pressed_touches(near, PressedSensor(DESIGN, Mechanics())):
         assert found.neighbour_distance == pytest.approx(0.016)
         assert "16.0 mm from another" in found.caution
 
@@ -116,7 +118,7 @@ def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> Non
     for apart, compared in ((0.018, False), (0.021, True)):
         pair = (Touch(X, y, 5.0), Touch(X + apart, y, 5.0))
         expected = error if compared else None
-        for found in pressed_touches(pair, DESIGN, Mechanics(), None):
+        for found in pressed_touches(pair, PressedSensor(DESIGN, Mechanics())):
             assert found.signal_error == expected
 
 
@@ -125,7 +127,7 @@ def test_errors_of_the_signal_are_stated_on_every_support(monkeypatch) -> None:
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
     for support in (Plates(), Free()):
         design = dataclasses.replace(DESIGN, support=support)
-        (found,) = pressed_touches((Touch(X, Y, 5.0),), design, Mechanics(), None)
+        (found,) = pressed_touches((Touch(X, Y, 5.0),), PressedSensor(design, Mechanics()))
         assert found.signal_error == 0.04
 
 
@@ -152,7 +154,7 @@ def test_presses_on_outlines_that_were_never_compared_say_so(monkeypatch) -> Non
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
     disc = SensorDesign(Disc(0.04), 0.005, uniform(Disc(0.04), 8, 0.005))
-    (found,) = pressed_touches((Touch(0.04, 0.04, 5.0),), disc, Mechanics(), None)
+    (found,) = pressed_touches((Touch(0.04, 0.04, 5.0),), PressedSensor(disc, Mechanics()))
     assert found.signal_error is None
     assert "outline" in found.caution
 

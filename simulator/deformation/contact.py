@@ -1,0 +1,357 @@
+"""Contact of an indenter: its frame on a bent top, its dent, and the area that it holds."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.sparse import coo_array, csc_array
+
+from eitskin.simulator.mechanics.axisymmetric_press import Indentation
+from eitskin.simulator.mechanics.box_fields import shape_functions
+from eitskin.simulator.mechanics.mixed_solid import Solid
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_BESIDE = 1e-4  # [m]; gradients of a solution in boxes jump between them
+_AXIS = 1e-9  # [m]
+_AT_ONCE = 8_000  # points, so that gathered splines stay small
+_PARTS = 12  # of a facet that the rim may cut, along each side, with 2 x 2 points each
+
+
+class BentState(Protocol):
+    """Equilibrium of the whole bent stack, in the coordinates of the design."""
+
+    def __hash__(self) -> int:
+        """Hash, under which solved presses are kept."""
+        ...
+
+    def positions(self, points: Array) -> Array:
+        """Bent positions [m], (..., 3), of flat points [m], (..., 3)."""
+        ...
+
+    def gradient(self, points: Array) -> Array:
+        """Deformation gradient, (..., 3, 3)."""
+        ...
+
+    def mean_stress(self, points: Array) -> Array:
+        """Mean stress of the mixed form [Pa], (...), without the part that acts directly."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactFrame:
+    """Tangent frame of the bent top of a stack at a point under an indenter.
+
+    A dent u_d of the flat, unbounded stack adds R u_d(x, y) to a bend, with x and y from the
+    indenter's axis multiplied by the stretches of the top: the contact has its size in the bent
+    sensor, and the force on the indenter is that of the dent, along the normal.
+
+    Attributes:
+        x, y: flat position of the axis [m].
+        place: bent position of the touched point [m], (3,).
+        rotation: R, its columns the tangents along x and y and the normal, (3, 3).
+        stretches: of the top along both tangents, (2,).
+    """
+
+    x: float
+    y: float
+    place: Array
+    rotation: Array
+    stretches: Array
+
+    @classmethod
+    def at(cls, bent: BentState, x: float, y: float, top: float) -> "ContactFrame":
+        """Frame of the top, at height `top` over the gel's lower face [m], under (x, y) [m]."""
+        beside = _BESIDE * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+        touched = np.array([x, y, top])
+        around = np.concatenate([touched[:2] + beside, np.full((4, 1), top)], axis=1)
+        F = bent.gradient(around).mean(axis=0)
+        along, normal = F[:, 0] / np.linalg.norm(F[:, 0]), np.cross(F[:, 0], F[:, 1])
+        normal /= np.linalg.norm(normal)
+        rotation = np.stack([along, np.cross(normal, along), normal], axis=1)
+        stretches = np.linalg.norm(F[:, :2], axis=0)
+        return cls(x, y, bent.positions(touched), rotation, stretches)
+
+    @property
+    def normal(self) -> Array:
+        """Normal of the bent top, (3,)."""
+        return np.asarray(self.rotation[:, 2])
+
+    def stretched(self, points: Array) -> Array:
+        """Points (..., 3) [m] with their distances from the axis as in the bent top."""
+        axis = np.array([self.x, self.y, 0.0])
+        return np.asarray(axis + (points - axis) * self._scale)
+
+    def turned(self, vectors: Array) -> Array:
+        """Vectors (..., 3) of a dent in the directions of the bent top."""
+        return np.asarray(vectors @ self.rotation.T)
+
+    def gradient(self, gradient: Array) -> Array:
+        """Displacement gradient (..., 3, 3) of the turned dent by flat positions."""
+        return np.asarray(self.rotation @ gradient * self._scale)
+
+    def nominal(self, stress: Array) -> Array:
+        """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the turned dent by flat areas."""
+        return np.asarray(self.rotation @ stress * (np.prod(self._scale) / self._scale))
+
+    def flattened(self, points: Array) -> Array:
+        """Positions (n, 3) [m] of points (n, 3) of the top that is pressed flat."""
+        away = self.stretched(points) - np.array([self.x, self.y, 0.0])
+        away[:, 2] = 0.0
+        return np.asarray(self.place + self.turned(away))
+
+    @property
+    def _scale(self) -> Array:
+        return np.array([*self.stretches, 1.0])
+
+
+class FieldValues(NamedTuple):
+    """Displacement (n, 3) [m], its gradient (n, 3, 3) and mean stress (n,) [Pa] at n points."""
+
+    displacement: Array
+    gradient: Array
+    mean_stress: Array
+
+
+class _Splines(NamedTuple):
+    """Splines over the radius: of the displacement, and of each layer's mean stress."""
+
+    moved: CubicSpline
+    stressed: list[tuple[Array, CubicSpline]]
+
+
+@lru_cache(maxsize=8)
+def _splines(press: Indentation) -> _Splines:
+    r, heights = press.r[::2], press.z[::2]
+    layers = [
+        (heights[np.isfinite(grid[0])], grid[:, np.isfinite(grid[0])]) for grid in press.mean_stress
+    ]
+    return _Splines(
+        CubicSpline(press.r, press.displacement, axis=0),
+        [(z, CubicSpline(r, grid, axis=0)) for z, grid in layers],
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DentField:
+    """Axisymmetric press on an unbounded stack, about a vertical axis through (x, y).
+
+    Splines over the radius, quadratic elements over the height; zero beyond the largest radius.
+
+    Attributes:
+        x, y: position of the axis [m].
+        indenter: that presses.
+        press: the axisymmetric solution.
+        frame: of a bent stack, to which the dent is turned; None on a flat one.
+    """
+
+    x: float
+    y: float
+    indenter: Indenter
+    press: Indentation
+    frame: ContactFrame | None = None
+
+    @property
+    def contact_radius(self) -> float:
+        """Undeformed radius of the contact [m]: of the point that moves to its deformed radius."""
+        moved = self.press.r + self.press.displacement[:, -1, 0]
+        return float(np.interp(self.press.contact_radius, moved, self.press.r))
+
+    def at(self, points: Array) -> FieldValues:
+        """Values at points (n, 3), heights over the base of the stack [m]."""
+        return self.turned(self.level(points))
+
+    def level(self, points: Array) -> FieldValues:
+        """Values at points (n, 3) in directions of the flat stack, as the dent was solved."""
+        if self.frame is not None:
+            points = self.frame.stretched(points)
+        parts = [
+            self._part(points[start : start + _AT_ONCE])
+            for start in range(0, max(len(points), 1), _AT_ONCE)
+        ]
+        return FieldValues(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def turned(self, level: FieldValues) -> FieldValues:
+        """Values of the flat stack turned to the frame."""
+        if self.frame is None:
+            return level
+        u, G, p = level
+        return FieldValues(self.frame.turned(u), self.frame.gradient(G), p)
+
+    def nominal(self, stress: Array) -> Array:
+        """Stress [Pa] (..., 3, 3) of the dent as solved, turned to its frame."""
+        return stress if self.frame is None else self.frame.nominal(stress)
+
+    def _part(self, points: Array) -> FieldValues:
+        dx, dy = points[:, 0] - self.x, points[:, 1] - self.y
+        distance = np.maximum(np.hypot(dx, dy), _AXIS)
+        c, s = np.where(distance > _AXIS, dx / distance, 1.0), dy / distance
+        r = np.minimum(distance, self.press.r[-1])
+        radial, upward, outward, rising = self._motion(r, points[:, 2])
+        hoop = radial[:, 0] / distance
+        G = np.empty((len(points), 3, 3))
+        G[:, 0, 0] = outward[:, 0] * c * c + hoop * s * s
+        G[:, 1, 1] = outward[:, 0] * s * s + hoop * c * c
+        G[:, 0, 1] = G[:, 1, 0] = (outward[:, 0] - hoop) * c * s
+        G[:, 0, 2], G[:, 1, 2] = rising[:, 0] * c, rising[:, 0] * s
+        G[:, 2, 0], G[:, 2, 1] = outward[:, 1] * c, outward[:, 1] * s
+        G[:, 2, 2] = rising[:, 1]
+        u = np.stack([radial[:, 0] * c, radial[:, 0] * s, upward[:, 0]], axis=1)
+        felt = distance <= self.press.r[-1]
+        p = self._mean_stress(r, points[:, 2])
+        return FieldValues(u * felt[:, None], G * felt[:, None, None], p * felt)
+
+    def _motion(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Radial (n, 1) and upward (n, 1) displacement, and both derivatives by r and by z."""
+        spline = _splines(self.press).moved
+        nodes, (values, slopes) = shape_functions(self.press.z[::2], z)
+        rows = np.arange(len(r))[:, None]
+        u, du = spline(r)[rows, nodes], spline(r, 1)[rows, nodes]
+        moved = np.einsum("nac,na->nc", u, values)
+        outward, rising = np.einsum("nac,na->nc", du, values), np.einsum("nac,na->nc", u, slopes)
+        return moved[:, :1], moved[:, 1:], outward, rising
+
+    def _mean_stress(self, r: Array, z: Array) -> Array:
+        """Mean stress [Pa], (n,): linear over the height within each layer."""
+        found = np.empty(len(r))
+        layer = self.press.stack.layer_at(z)
+        for k, (heights, spline) in enumerate(_splines(self.press).stressed):
+            here = np.flatnonzero(layer == k)
+            cell = np.clip(np.searchsorted(heights, z[here]) - 1, 0, len(heights) - 2)
+            t = (z[here] - heights[cell]) / np.diff(heights)[cell]
+            values = spline(r[here])
+            rows = np.arange(len(here))
+            found[here] = (1.0 - t) * values[rows, cell] + t * values[rows, cell + 1]
+        return found
+
+
+class HeldContact:
+    """Springs that hold the displacement c of a contact area at -d n - g.
+
+    n is the normal of the face, and g the displacement of the area by the dents of other indenters
+    and by the curvature of a bend. The indenter neither tilts nor moves sideways, and sinks by a
+    further d under a force unchanged.
+    A smooth indenter holds c along its normal only. The unknown d [m] follows those of the solid.
+
+    Attributes:
+        area: of the contact on the undeformed face [m2].
+    """
+
+    def __init__(
+        self,
+        solid: Solid,
+        facets: Indices,
+        indenter: Indenter,
+        centre: Array,
+        radius: float,
+        stiffness: float,
+        number: int,
+        given: Callable[[Array], Array] | None = None,
+        frame: ContactFrame | None = None,
+    ) -> None:
+        """Integrate the springs over a circle on a face that is level before any bend.
+
+        Args:
+            solid: the body.
+            facets: boundary facets of its mesh that the contact may reach.
+            indenter: gives the normal, and whether it is rough.
+            centre: of the contact, (2,) [m].
+            radius: of the undeformed contact [m].
+            stiffness: of the springs [Pa/m].
+            number: of the contact, among those of the solid.
+            given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
+            frame: of the bent face, on which the contact is a circle; of a level one when omitted.
+        """
+        basis = skfem.FacetBasis(
+            solid.mesh, solid.basis.elem, facets=facets, quadrature=_composite_rule()
+        )
+        away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
+        turn = np.eye(3)
+        if frame is not None:
+            away, turn = away * frame.stretches[:, None, None], frame.rotation
+        r = np.linalg.norm(away, axis=0)
+        weights = np.asarray(basis.dx) * (r < radius)
+        self.area = float(weights.sum())
+        functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
+        values = np.stack([*functions, np.ones_like(r)], axis=-1)
+        held = turn @ _held(indenter, away, r) @ turn.T
+        shares = values * (stiffness * weights)[..., None]
+        # A rough indenter holds all directions alike, with a ninth of the work.
+        K = (
+            np.einsum("fqa,fqb,ij->faibj", shares, values, held, optimize=True)
+            if held.ndim == 2
+            else np.einsum("fqa,fqij,fqb->faibj", shares, held, values, optimize=True)
+        )
+        dofs = basis.element_dofs.T.astype(np.int64)
+        numbers = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
+        numbers = np.hstack([numbers, np.full((len(dofs), 1), solid.unknowns + number)])
+        # The last of the vectors that are added up is d n.
+        sink = np.eye(3 * values.shape[-1])[:, : numbers.shape[1]]
+        sink[-3:, -1] = turn[:, 2]
+        K = sink.T @ K.reshape(len(dofs), len(sink), len(sink)) @ sink
+        rows = np.broadcast_to(numbers[:, :, None], K.shape).ravel()
+        columns = np.broadcast_to(numbers[:, None, :], K.shape).ravel()
+        self._entries = (K.ravel(), (rows, columns))
+        self._stiffness: csc_array | None = None
+        self._given: tuple[Indices, Array] | None = None
+        if given is not None:
+            points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+            g = given(points.reshape(-1, 3)).reshape(points.shape)
+            pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
+            self._given = numbers.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel()
+
+    @property
+    def multipliers(self) -> int:
+        """Number of Lagrange multipliers: none, since springs need no multipliers."""
+        return 0
+
+    def admissible(self, x: Array) -> bool:  # noqa: ARG002
+        """Always true: springs allow any position."""
+        return True
+
+    def advanced(self, x: Array) -> "HeldContact":  # noqa: ARG002
+        """The contact itself, which has no history."""
+        return self
+
+    def forces(self, x: Array) -> Array:
+        """Forces of the springs on the unknowns (n,) [N]."""
+        found = np.asarray(self._matrix(len(x)) @ x)
+        if self._given is not None:
+            np.add.at(found, *self._given)
+        return found
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Forces (n,) and their constant stiffness (n, n)."""
+        return self.forces(x), self._matrix(len(x))
+
+    def _matrix(self, size: int) -> csc_array:
+        if self._stiffness is None or self._stiffness.shape[0] != size:
+            self._stiffness = coo_array(self._entries, shape=(size, size)).tocsc()
+        return self._stiffness
+
+
+def _composite_rule() -> tuple[Array, Array]:
+    """Points (2, q) and weights (q,) of Gauss rules on equal parts of the unit square."""
+    gauss = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0)
+    line = ((np.arange(_PARTS)[:, None] + gauss) / _PARTS).ravel()
+    points = np.stack(np.meshgrid(line, line, indexing="ij")).reshape(2, -1)
+    return points, np.full(points.shape[1], 1.0 / points.shape[1])
+
+
+def _held(indenter: Indenter, away: Array, r: Array) -> Array:
+    """Projections (facets, q, 3, 3) on the directions in which points are held; (3, 3) for all."""
+    if indenter.rough:
+        return np.eye(3)
+    slope = indenter.profile(r)[1]
+    normal = np.stack([*(-slope * away / np.maximum(r, 1e-12)), np.ones_like(r)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    projections: Array = normal[..., :, None] * normal[..., None, :]
+    return projections

@@ -1,0 +1,446 @@
+"""Displacement fields of the gel: products of functions along x and y and over the height."""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.polynomial import chebyshev, legendre
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from eitskin.compiled import compiled
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int32]
+
+_DEGREE = 3
+_FUNCTIONS = _DEGREE + 1  # splines that do not vanish at a point
+_UPRIGHT = 4  # polynomials over the height that the kernel takes
+_AT_ONCE = 320_000  # products of functions at points, so that gathered values stay small
+_SAME = 1e-9
+
+
+class CubicSplines:
+    """B-splines of degree 3 that interpolate values at nodes, without a knot at the second node.
+
+    Beyond the nodes they keep their values. Source: de Boor, A Practical Guide to Splines, chapters
+    IX, X and XIII.
+
+    Attributes:
+        nodes: rising, four or more, (n,).
+        knots: where the pieces of the splines meet, (n + 4,).
+    """
+
+    def __init__(self, nodes: Array) -> None:
+        """Place the knots."""
+        self.nodes = nodes
+        inner, ends = nodes[2:-2], (np.full(_FUNCTIONS, nodes[0]), np.full(_FUNCTIONS, nodes[-1]))
+        self.knots: Array = np.concatenate([ends[0], inner, ends[1]])
+
+    @cached_property
+    def fit(self) -> Array:
+        """Coefficients of the splines by the values at the nodes, (n, n)."""
+        return _spline_fit(tuple(self.nodes.tolist()))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval."""
+        return float(self.nodes[0]), float(self.nodes[-1])
+
+    def dense(self, x: Array) -> Array:
+        """All splines at points (m,), (m, n)."""
+        first, near, _ = self.functions(np.clip(x, *self.ends))
+        values = np.zeros((len(x), len(self.nodes)))
+        np.put_along_axis(values, first[:, None] + np.arange(_FUNCTIONS), near, axis=1)
+        return values
+
+    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
+        """Number of the first spline at points (m,), values and slopes of the four, (m, 4).
+
+        Points beyond the nodes belong to the outermost intervals.
+        """
+        t, last = self.knots, len(self.nodes) - 1
+        cell = np.clip(np.searchsorted(t, x, side="right") - 1, _DEGREE, last)
+        right = [t[cell + k] - x for k in range(1, _FUNCTIONS)]
+        left = [x - t[cell + 1 - k] for k in range(1, _FUNCTIONS)]
+        lower: list[Array] = []
+        values = [np.ones_like(x)]
+        for degree in range(1, _FUNCTIONS):
+            lower, values = values, [np.zeros_like(x)]
+            for r in range(degree):
+                part = lower[r] / (right[r] + left[degree - r - 1])
+                values[-1] = values[-1] + right[r] * part
+                values.append(left[degree - r - 1] * part)
+        rates = [_DEGREE * lower[r] / (right[r] + left[_DEGREE - r - 1]) for r in range(_DEGREE)]
+        zero = np.zeros_like(x)
+        slopes = [
+            before - after for before, after in zip([zero, *rates], [*rates, zero], strict=True)
+        ]
+        first: Indices = (cell - _DEGREE).astype(np.int32)
+        return first, np.stack(values, axis=-1), np.stack(slopes, axis=-1)
+
+    def shifted(self, by: float) -> "CubicSplines":
+        """Splines on nodes that are moved."""
+        return CubicSplines(self.nodes + by)
+
+    def mirrored(self) -> "CubicSplines":
+        """Splines on the mirror image of the nodes at 0."""
+        return CubicSplines(-self.nodes[::-1])
+
+    def flipped(self, coefficients: Array, axis: int) -> Array:
+        """Coefficients of the mirror image on the mirrored splines, along an axis."""
+        return np.flip(coefficients, axis)
+
+
+@lru_cache(maxsize=64)
+def _spline_fit(nodes: tuple[float, ...]) -> Array:
+    from scipy.interpolate import make_interp_spline
+
+    return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)), k=_DEGREE).c)
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomials:
+    """Chebyshev polynomials on an interval, which vanish beyond it or keep their values.
+
+    They are those of s, x = middle + half length * sinh(k s) / sinh(k), which resolves the middle
+    as finely as is wanted; k = 0 leaves x as it is.
+
+    Attributes:
+        low, high: ends of the interval.
+        count: number of polynomials.
+        stretch: k.
+        vanish: whether the polynomials are zero beyond the ends.
+    """
+
+    low: float
+    high: float
+    count: int
+    stretch: float = 0.0
+    vanish: bool = False
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval."""
+        return self.low, self.high
+
+    @property
+    def nodes(self) -> Array:
+        """Points at which functions are interpolated, (count,)."""
+        s = chebyshev.chebpts1(self.count)
+        if self.stretch:
+            s = np.sinh(self.stretch * s) / math.sinh(self.stretch)
+        return np.asarray(0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * s)
+
+    @property
+    def fit(self) -> Array:
+        """Coefficients by the values at the nodes, (count, count)."""
+        values = chebyshev.chebvander(chebyshev.chebpts1(self.count), self.count - 1)
+        return np.asarray(np.linalg.inv(values))
+
+    def dense(self, x: Array) -> Array:
+        """All polynomials at points (m,), (m, count)."""
+        return self.functions(x)[1]
+
+    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
+        """Number of the first polynomial at points (m,), values and slopes of all, (m, count)."""
+        s = (2.0 * x - self.low - self.high) / (self.high - self.low)
+        rate = np.full(s.shape, 2.0 / (self.high - self.low))
+        outside = np.abs(s) > 1.0 + _SAME
+        s = np.clip(s, -1.0, 1.0)
+        if self.stretch:
+            scale = math.sinh(self.stretch)
+            rate *= scale / (self.stretch * np.sqrt(1.0 + (s * scale) ** 2))
+            s = np.arcsinh(s * scale) / self.stretch
+        values = np.asarray(chebyshev.chebvander(s, self.count - 1), dtype=np.float64)
+        slope = chebyshev.chebder(np.eye(self.count))
+        slopes = values[:, : len(slope)] @ slope * rate[:, None]
+        slopes[outside] = 0.0
+        if self.vanish:
+            values[outside] = 0.0
+        return np.zeros(len(x), dtype=np.int32), values, np.asarray(slopes)
+
+    def shifted(self, by: float) -> "Polynomials":
+        """Polynomials on the interval that is moved."""
+        return replace(self, low=self.low + by, high=self.high + by)
+
+    def mirrored(self) -> "Polynomials":
+        """Polynomials on the mirror image of the interval at 0."""
+        return replace(self, low=-self.high, high=-self.low)
+
+    def flipped(self, coefficients: Array, axis: int) -> Array:
+        """Coefficients of the mirror image on the mirrored polynomials, along an axis."""
+        signs = ((-1.0) ** np.arange(self.count)).astype(coefficients.dtype)
+        return np.moveaxis(np.moveaxis(coefficients, axis, -1) * signs, -1, axis)
+
+
+Basis: TypeAlias = CubicSplines | Polynomials
+
+
+class Frame(NamedTuple):
+    """Frame about the vertical: origin (x, y) [m], cosine and sine from the sensor's x axis."""
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+
+
+class Fade(Protocol):
+    """Factor of a field that varies over the plane of its frame."""
+
+    def weight(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Factor (n,) at points of the frame (n,) [m], and its slopes along x and y (2, n)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """Field of displacements [m] and further scalars on a box of the gel.
+
+    Along x and y it consists of `bases`, over the height of Legendre polynomials. Heights beyond
+    the box have the values of its faces.
+
+    Attributes:
+        bases: along x and y of the frame.
+        height: of the box, from 0 [m].
+        coefficients: of k components, (nx, ny, nz, k).
+        frame: about the middle of the box, at whose sides the field ends. None for the sensor's
+            own, in which the bases say what is beyond.
+        fade: factor of the field; 1 when omitted.
+    """
+
+    bases: tuple[Basis, Basis]
+    height: float
+    coefficients: Array
+    frame: Frame | None = None
+    fade: Fade | None = None
+
+    @classmethod
+    def from_function(
+        cls,
+        function: Callable[[Array], Array],
+        bases: tuple[Basis, Basis],
+        height: float,
+        degree: int,
+    ) -> "Field":
+        """Interpolate a function, which gives (..., k) at points (..., 3) [m]."""
+        levels = legendre.leggauss(degree + 1)[0]
+        axes = [basis.nodes for basis in bases], 0.5 * height * (levels + 1.0)
+        values = function(np.stack(np.meshgrid(*axes[0], axes[1], indexing="ij"), axis=-1))
+        return cls.from_values(values, bases, height, levels)
+
+    @classmethod
+    def from_values(
+        cls, values: Array, bases: tuple[Basis, Basis], height: float, levels: Array
+    ) -> "Field":
+        """Interpolate values (nx, ny, nz, k) at the nodes of the bases and at levels in [-1, 1]."""
+        upright = np.linalg.inv(legendre.legvander(levels, len(levels) - 1))
+        fits = [basis.fit for basis in bases]
+        fitted = np.einsum("ai,bj,cl,ijlk->abck", *fits, upright, values, optimize=True)
+        return cls(bases, height, np.ascontiguousarray(fitted))
+
+    def on_grid(self, x: Array, y: Array, z: Array) -> Array:
+        """All components (nx, ny, nz, k) on a grid of the sensor's own frame [m]."""
+        along, across = (basis.dense(at) for basis, at in zip(self.bases, (x, y), strict=True))
+        heights = self._over_height(z)[0]
+        return np.asarray(
+            np.einsum(
+                "ai,bj,cl,ijlk->abck", along, across, heights, self.coefficients, optimize=True
+            )
+        )
+
+    def shifted(self, x: float) -> "Field":
+        """The same field, moved along x [m]."""
+        return replace(self, bases=(self.bases[0].shifted(x), self.bases[1]))
+
+    def raised(self, factor: float) -> "Field":
+        """The displacement field of a box `factor` times as high."""
+        upward = np.ones(self.coefficients.shape[-1])
+        upward[2] = factor
+        return replace(self, height=factor * self.height, coefficients=self.coefficients * upward)
+
+    def mirrored(self, axis: int, at: float) -> "Field":
+        """Mirror image in the plane x or y = `at` [m] of the sensor's own frame."""
+        coefficients = self.bases[axis].flipped(self.coefficients, axis).copy()
+        coefficients[..., axis] *= -1.0
+        bases = list(self.bases)
+        bases[axis] = bases[axis].mirrored().shifted(2.0 * at)
+        return replace(self, bases=(bases[0], bases[1]), coefficients=coefficients)
+
+    def straightened(self) -> "Field":
+        """The field in the sensor's own frame, where its frame is turned by right angles.
+
+        Such frames are turned exactly: functions on mirrored intervals are the mirrored ones.
+        """
+        if self.frame is None:
+            return self
+        c, s = round(self.frame.cos), round(self.frame.sin)
+        coefficients, bases = self.coefficients.copy(), list(self.bases)
+        u, v = coefficients[..., 0].copy(), coefficients[..., 1].copy()
+        coefficients[..., 0], coefficients[..., 1] = c * u - s * v, s * u + c * v
+        if s:
+            coefficients, bases = coefficients.swapaxes(0, 1), bases[::-1]
+        for axis, (at, way) in enumerate(((self.frame.x, c - s), (self.frame.y, c + s))):
+            if way < 0:
+                coefficients = bases[axis].flipped(coefficients, axis)
+                bases[axis] = bases[axis].mirrored()
+            bases[axis] = bases[axis].shifted(at)
+        coefficients = np.ascontiguousarray(coefficients)
+        return Field((bases[0], bases[1]), self.height, coefficients)
+
+    def values(self, columns: Array) -> Array:
+        """All components (k, h, n) at columns of points (n, h, 3) [m]."""
+        x, y, within = self._in_frame(columns)
+        sums = self._in_plane(x, y, self.coefficients)
+        heights, _ = self._over_height(columns[..., 2])
+        values = np.einsum("nzk,nhz->khn", sums[:, 0], heights) * within
+        if self.frame is not None:
+            c, s = self.frame.cos, self.frame.sin
+            values[:2] = c * values[0] - s * values[1], s * values[0] + c * values[1]
+        if self.fade is not None:
+            values *= self.fade.weight(x, y)[0]
+        return np.asarray(values)
+
+    def moved(self, columns: Array) -> Array:
+        """Displacements [m] and their derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
+        kernels = compiled("eitskin.simulator.deformation.kernels")
+        if kernels is None or self.coefficients.shape[2] > _UPRIGHT or not self._is_spline:
+            moved = self._moved_plainly(columns)
+        else:
+            moved = self._moved_by_kernel(kernels.add_field, columns)
+        if self.fade is not None:
+            x, y, _ = self._in_frame(columns)
+            c, s = (1.0, 0.0) if self.frame is None else (self.frame.cos, self.frame.sin)
+            weight, (along, across) = self.fade.weight(x, y)
+            gradient = moved[3:].reshape(3, 3, *moved.shape[1:])
+            gradient *= weight
+            gradient[:, 0] += moved[:3] * (c * along - s * across)
+            gradient[:, 1] += moved[:3] * (s * along + c * across)
+            moved[:3] *= weight
+        return moved
+
+    @property
+    def _is_spline(self) -> bool:
+        return all(isinstance(basis, CubicSplines) for basis in self.bases)
+
+    def _moved_by_kernel(self, add_field: Callable[..., None], columns: Array) -> Array:
+        nx, ny, nz, _ = self.coefficients.shape
+        to_powers = np.zeros((_UPRIGHT, nz))
+        for k in range(nz):
+            power = legendre.leg2poly(np.eye(nz)[k])
+            to_powers[: len(power), k] = power
+        powers = np.einsum("pz,xyzk->xypk", to_powers, self.coefficients[..., :3])
+        frame, half = self.frame, (math.inf, math.inf)
+        x, y = columns[:, 0, 0], columns[:, 0, 1]
+        if frame is None:
+            frame = Frame(0.0, 0.0, 1.0, 0.0)
+            x, y = (np.clip(at, *basis.ends) for at, basis in zip((x, y), self.bases, strict=True))
+        else:
+            half = self.bases[0].ends[1], self.bases[1].ends[1]
+        levels = np.clip(2.0 * columns[..., 2] / self.height - 1.0, -1.0, 1.0)
+        moved = np.zeros((12, columns.shape[1], len(columns)))
+        add_field(
+            tuple(map(float, frame)),
+            half,
+            *(basis.knots for basis in self.bases if isinstance(basis, CubicSplines)),
+            np.ascontiguousarray(powers, dtype=np.float64).reshape(nx, ny, -1),
+            np.ascontiguousarray(levels),
+            2.0 / self.height,
+            *(np.ascontiguousarray(at) for at in (x, y)),
+            moved,
+        )
+        return moved
+
+    def _moved_plainly(self, columns: Array) -> Array:
+        x, y, within = self._in_frame(columns)
+        sums = self._in_plane(x[within], y[within], self.coefficients[..., :3])
+        heights, rates = self._over_height(columns[within, :, 2])
+        parts = ((0, heights), (1, heights), (2, heights), (0, rates))
+        found = [np.einsum("nzk,nhz->khn", sums[:, part], height) for part, height in parts]
+        u, G = found[0], np.stack(found[1:], axis=1)
+        if self.frame is not None:
+            c, s = self.frame.cos, self.frame.sin
+            Q = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            u = np.einsum("ij,jhn->ihn", Q, u)
+            G = np.einsum("ij,jkhn,lk->ilhn", Q, G, Q, optimize=True)
+        moved = np.zeros((12, columns.shape[1], len(columns)))
+        moved[..., within] = np.concatenate([u, G.reshape(9, *u.shape[1:])])
+        return moved
+
+    def _in_frame(self, columns: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Places of columns in the frame (n,) [m], and whether they are within a frame's box."""
+        x, y = columns[:, 0, 0], columns[:, 0, 1]
+        if self.frame is None:
+            x, y = (
+                np.clip(at, *basis.ends) if isinstance(basis, CubicSplines) else at
+                for at, basis in zip((x, y), self.bases, strict=True)
+            )
+            return x, y, np.ones(len(x), dtype=bool)
+        dx, dy = x - self.frame.x, y - self.frame.y
+        x = self.frame.cos * dx + self.frame.sin * dy
+        y = self.frame.cos * dy - self.frame.sin * dx
+        length, width = (basis.ends[1] for basis in self.bases)
+        return x, y, (np.abs(x) < length) & (np.abs(y) < width)
+
+    def _in_plane(self, x: Array, y: Array, coefficients: Array) -> Array:
+        """Polynomials over the height, and their slopes by x and y, (n, 3, nz, k)."""
+        shape = coefficients.shape
+        flat = np.ascontiguousarray(coefficients).reshape(shape[0] * shape[1], -1)
+        sums = np.empty((len(x), 3, flat.shape[1]))
+        some = max(
+            1,
+            _AT_ONCE
+            // math.prod(
+                _FUNCTIONS if isinstance(basis, CubicSplines) else basis.count
+                for basis in self.bases
+            ),
+        )
+        for start in range(0, len(x), some):
+            part = slice(start, start + some)
+            i, a, da = self.bases[0].functions(x[part])
+            j, b, db = self.bases[1].functions(y[part])
+            offsets = shape[1] * np.arange(a.shape[1])[:, None] + np.arange(b.shape[1])
+            numbers = (shape[1] * i + j)[:, None] + offsets.ravel().astype(np.int32)
+            ends = np.arange(0, numbers.size + 1, offsets.size, dtype=np.int32)
+            for k, (one, other) in enumerate(((a, b), (da, b), (a, db))):
+                weights = (one[:, :, None] * other[:, None, :]).ravel()
+                matrix = csr_array((weights, numbers.ravel(), ends), shape=(len(i), len(flat)))
+                sums[part, k] = matrix @ flat
+        return sums.reshape(len(x), 3, *shape[2:])
+
+    def _over_height(self, z: Array) -> tuple[Array, Array]:
+        """Legendre polynomials (..., nz) at heights z (...), and their derivatives [1/m]."""
+        degree = self.coefficients.shape[2] - 1
+        s = np.clip(2.0 * z / self.height - 1.0, -1.0, 1.0)
+        values = np.asarray(legendre.legvander(s, degree), dtype=np.float64)
+        slope = legendre.legder(np.eye(degree + 1))
+        rates: Array = values[..., : len(slope)] @ slope * (2.0 / self.height)
+        return values, rates
+
+
+def resampled_sum(fields: Iterable[Field], nodes: tuple[Array, Array]) -> Field:
+    """Sum of fields of one height in the sensor's own frame, as splines on common nodes.
+
+    One evaluation serves all fields, at points that need not lie on a grid.
+
+    Args:
+        fields: one or more.
+        nodes: of the splines along x and along y, (nx,) and (ny,) [m].
+    """
+    fields = list(fields)
+    x, y = nodes
+    nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (2, 3))
+    values = np.zeros((len(x), nz, k, len(y)))
+    for field in fields:
+        nx, ny, height, _ = field.coefficients.shape
+        along, across = (basis.dense(at) for basis, at in zip(field.bases, nodes, strict=True))
+        lines = (along @ field.coefficients.reshape(nx, -1)).reshape(len(x), ny, height, k)
+        values[:, :height] += np.tensordot(lines, across, (1, 1))
+    splines = CubicSplines(x), CubicSplines(y)
+    fitted = (splines[0].fit @ values.reshape(len(x), -1)).reshape(values.shape)
+    coefficients = np.ascontiguousarray(np.moveaxis(fitted @ splines[1].fit.T, -1, 1))
+    return Field(splines, max(field.height for field in fields), coefficients)

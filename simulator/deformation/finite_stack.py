@@ -1,0 +1,314 @@
+"""Finite stack under presses: dents of the unbounded stack, and their correction in 3D.
+
+A dent of the unbounded stack leaves tractions on the free sides, stresses of gel where the margin
+is of silicone, and a base where the support may have none. The correction c and its pressure q are
+the smooth difference to equilibrium of the whole stack at finite strain,
+
+    int P(F_d + dc/dX, p_d + q) : dv dV = int P_d : dv dV - int P_d N . v dA  for all v,
+
+F_d = 1 + sum G_d of all dents, the last integral over the faces that are free in the finite stack
+only: at a free base it is the reaction in the first integral, at the sides it is integrated. Under
+an indenter that sticks, c takes back what the dents of other indenters move, but for a vertical
+translation at an unchanged force.
+
+A bent stack is pressed likewise: F_d = F_b + sum R G_d, with the equilibrium F_b of the bend and
+its pressure, and dents that are turned to the bent top (`ContactFrame`). The residual of F_b joins
+the right-hand side, as that of coarse quadrature, and the contact takes back the curvature of the
+bent top.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.deformation.contact import BentState, DentField, HeldContact
+from eitskin.simulator.deformation.dented_solid import DentedSolid
+from eitskin.simulator.deformation.stack_mesh import StackMesh
+from eitskin.simulator.mechanics.box_fields import QuadraticField
+from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Springs that hold a contact, relative to shear modulus over its radius.
+_STIFFNESS = 200.0
+# A cell that the rim of a contact cuts is held almost as a whole, as by a larger contact, which
+# takes up to 7 % from the signal. The springs therefore end before the rim, by this part of a cell.
+_WITHIN, _LEAST_HELD = 0.15, 0.5  # the least over the radius of the contact
+_INSIDE = 0.9  # of the radius, where the cells at the rim are measured
+_LEVEL = 1e-9  # [m]
+_TOLERANCE = 1e-2  # of the last correction; the error is its square
+# Corrections over the depth of the dents, below which they need no digits: far from all sides of a
+# thin stack there are none.
+_NEGLIGIBLE = 1e-4
+_SMALLEST_STEP = 1.0 / 64.0
+# Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
+_MOST_UNKNOWNS = 250_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """Correction of dents in the finite stack.
+
+    Attributes:
+        displacement: c in the whole stack, heights over the base [m].
+        mean_stress: function of points, q in the gel [Pa], heights over the base.
+        bottom: height of the gel's lower face over the base [m].
+        sunk: by which each indenter sinks deeper than in the unbounded stack, (presses,) [m].
+        unknowns: of the solid, from which a neighbouring correction may start.
+    """
+
+    displacement: QuadraticField
+    mean_stress: RegularGridInterpolator
+    bottom: float
+    sunk: Array
+    unknowns: Array
+
+    def in_gel(self, points: Array) -> Array:
+        """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
+        over_base = points + np.array([0.0, 0.0, self.bottom])
+        return np.concatenate(
+            [self.displacement(over_base), self.mean_stress(over_base)[..., None]], axis=-1
+        )
+
+
+class FiniteStack:
+    """Stack of a finite outline under presses whose dents in the unbounded stack are known.
+
+    Attributes:
+        body: the mesh and its support.
+        solid: the meshed stack about the dents.
+    """
+
+    def __init__(self, body: StackMesh, presses: int = 1, bent: BentState | None = None) -> None:
+        """Number the unknowns of a number of presses on a mesh that is refined for them.
+
+        The stack is pressed in its state `bent`, or flat. Raises ConfigurationError for more
+        unknowns than memory is allowed for.
+        """
+        self.body, self._bent = body, bent
+        self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
+        if self.solid.unknowns > _MOST_UNKNOWNS:
+            raise ConfigurationError(
+                f"the stack under these presses needs {self.solid.unknowns} unknowns, of which "
+                f"{_MOST_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
+                "model a smaller part of the sensor"
+            )
+        self._size = self.solid.unknowns + presses
+        held = np.flatnonzero(body.held(self.solid.nodes))
+        base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
+        self._fixed = _unknowns(held)
+        self._loose = _unknowns(np.setdiff1d(base, held))
+        self._eliminate = self.solid.elimination(self._fixed, presses)
+        self._contacts: list[HeldContact] = []
+        self._load, self._bend = np.zeros(self._size), np.zeros(self.solid.unknowns)
+        self._scale = 0.0
+
+    def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
+        """Correction of dents in equilibrium, found from none or from the unknowns `start`.
+
+        Where Newton's method fails, the load is applied in steps. Raises SolidError where no
+        stable equilibrium is found, with the fraction of the missing forces that were applied.
+        """
+        dents = list(dents)
+        self._contacts = [
+            self._held(dents[k], dents[:k] + dents[k + 1 :], k) for k in range(len(dents))
+        ]
+        self._load = np.append(self._dented(dents), np.zeros(len(dents)))
+        self._scale = _NEGLIGIBLE * max(dent.press.depth for dent in dents)
+        x = np.zeros(self._size) if start is None else start
+        try:
+            if self.solid.admissible(x):
+                return self._result(self._equilibrium(x, self._load))
+        except SolidError:
+            pass
+        return self._result(self._stepped())
+
+    def reaction(self, found: Correction) -> Array:
+        """Force of the support against the presses of the last correction [N], (3,).
+
+        That against the bend is left out, since on a coarse mesh it does not add up to zero.
+        """
+        forces = self.solid.forces(found.unknowns)[: self.solid.unknowns] - self._bend
+        held = self.body.held(self.solid.nodes)
+        return np.asarray(self.solid.displacement(forces)[held].sum(axis=0))
+
+    def _equilibrium(self, x: Array, load: Array) -> Array:
+        terms: list[ForceTerm] = [self.solid, *self._contacts]
+        held = Load(self._fixed, np.zeros(len(self._fixed)), load)
+        return newton(terms, x, held, self._eliminate, _TOLERANCE, self._scale, chords=True)
+
+    def _stepped(self) -> Array:
+        """Equilibrium by load stepping from the dents, which are one under forces of their own."""
+        x = np.zeros(self._size)
+        if not self.solid.admissible(x):
+            raise SolidError(
+                "the dents of these presses turn the stack inside out where they overlap; press "
+                "farther apart, or less"
+            )
+        own = self.solid.forces(x)
+        reached, step = 0.0, 0.25
+        while reached < 1.0:
+            target = min(1.0, reached + step)
+            guess = x * target / reached if reached else x
+            guess = guess if self.solid.admissible(guess) else x
+            try:
+                x = self._equilibrium(guess, own + target * (self._load - own))
+            except SolidError as error:
+                step *= 0.5
+                if step < _SMALLEST_STEP:
+                    raise SolidError(
+                        f"the finite stack bears {reached:.0%} of these presses only; beyond, "
+                        f"{error}. Press it less, or farther from its edge",
+                        reached,
+                    ) from None
+                continue
+            reached, step = target, 2.0 * step
+        return x
+
+    def _dented(self, dents: Sequence[DentField]) -> Array:
+        """Forces (unknowns,) in equilibrium with the dents; sets the state of the solid."""
+        points = self.solid.points.reshape(-1, 3)
+        heights = self.body.mesh.p[2, self.body.mesh.t].mean(axis=0)
+        laws = self.body.law_of_layer_at(heights)
+        G, p = np.zeros((len(points), 3, 3)), np.zeros(len(points))
+        load = np.zeros(self.solid.unknowns)
+        for dent in dents:
+            level = dent.level(points)
+            load += self.solid.residual_of(level.gradient, level.mean_stress, laws, dent.nominal)
+            if not self.body.free:  # a free base is held at the sides
+                load -= self._tractions(dent)
+            _, gradient, stress = dent.turned(level)
+            G += gradient
+            p += stress
+        # Reactions of the base sum to the force; tractions from the dent's stresses leave 4 % out.
+        load[self._loose] = 0.0
+        if self._bent is not None:
+            here = self._in_design(points)
+            bend, pressure = self._bent.gradient(here) - np.eye(3), self._bent.mean_stress(here)
+            self._bend = self.solid.residual_of(bend, pressure, self.body.law_of_cell)
+            load += self._bend
+            G += bend
+            p += pressure
+        self.solid.dent(G, p)
+        return load
+
+    def _tractions(self, dent: DentField) -> Array:
+        """Nodal forces (unknowns,) of a dent's tractions on the sides."""
+        facets = self.body.sides()
+        basis = skfem.FacetBasis(self.body.mesh, self.solid.basis.elem, facets=facets, intorder=6)
+        X = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+        normals = np.moveaxis(np.asarray(basis.normals), 0, -1)
+        _, G, p = dent.level(X.reshape(-1, 3))
+        laws = self.body.law_of_layer_at(X[..., 2]).ravel()
+        P = np.empty_like(G)
+        for k in range(len(self.body.laws)):
+            here = laws == k
+            P[here] = self.solid.stress_and_dilation(k, G[here], p[here])[0]
+        traction = np.einsum("fqij,fqj->fqi", dent.nominal(P).reshape(*X.shape, 3), normals)
+        traction *= np.asarray(basis.dx)[..., None]
+        forces = np.zeros((len(self.solid.nodes), 3))
+        for a, (function,) in enumerate(basis.basis):
+            parts = np.sum(traction * np.asarray(function)[..., None], axis=1)
+            np.add.at(forces, basis.element_dofs[a], parts)
+        return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
+
+    def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> HeldContact:
+        frame = dent.frame
+
+        def given(points: Array) -> Array:
+            moved = sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
+            if self._bent is None or frame is None:
+                return moved
+            bent = self._bent.positions(self._in_design(points))
+            return np.asarray(moved + bent - frame.flattened(points))
+
+        mesh, top = self.body.mesh, self.body.top()
+        stretches = np.ones(2) if frame is None else frame.stretches
+        corners = mesh.p[:2, mesh.facets[:, top]]
+        centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
+        nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
+        away = stretches[:, None] * (nearest - centre[:, None])
+        near = np.linalg.norm(away, axis=0) < radius
+        rims = _INSIDE * radius * np.array([-1.0, 1.0])
+        cells = [
+            stretch * np.diff(line)[np.searchsorted(line[1:-1], c + rims / stretch)]
+            for line, c, stretch in zip(self.body.lines, centre, stretches, strict=False)
+        ]
+        # A contact may be smaller than a cell, as those of balls are.
+        held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
+        stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
+        return HeldContact(
+            self.solid,
+            top[near],
+            dent.indenter,
+            centre,
+            held,
+            stiffness,
+            number,
+            given if others or frame is not None else None,
+            frame,
+        )
+
+    def _in_design(self, points: Array) -> Array:
+        """Points (n, 3) with their heights over the gel's lower face [m]."""
+        bottom = self.body.stack.levels[self.body.stack.gel]
+        return np.asarray(points - np.array([0.0, 0.0, bottom]))
+
+    def _result(self, x: Array) -> Correction:
+        solid, lines = self.solid, self.body.lines
+        gel = self.body.stack.sheets[self.body.stack.gel].law
+        middles = [np.sort(np.append(line, 0.5 * (line[1:] + line[:-1]))) for line in lines]
+        stress = solid.corner_mean_stress(x, self.body.laws.index(gel))
+        of_gel = np.isfinite(stress)
+        pressures = _on_grid(self.body.mesh.p.T[of_gel], stress[of_gel, None], lines)[..., 0]
+        moved = _on_grid(solid.nodes, solid.displacement(x), middles)
+        return Correction(
+            displacement=QuadraticField(lines, moved),
+            mean_stress=_of_gel(pressures, lines),
+            bottom=self.body.stack.levels[self.body.stack.gel],
+            sunk=x[solid.unknowns :].copy(),
+            unknowns=x,
+        )
+
+
+def _unknowns(nodes: Indices) -> Indices:
+    """Numbers of the displacements of nodes."""
+    numbers: Indices = (3 * nodes[:, None] + np.arange(3)).ravel()
+    return numbers
+
+
+def _on_grid(points: Array, values: Array, lines: Sequence[Array]) -> Array:
+    """Values (n, k) at points (n, 3) of a grid, as (nx, ny, nz, k).
+
+    Where the grid has no node, beside a body that does not fill it, stands the nearest node's value
+    of the same height.
+    """
+    numbers = [
+        np.searchsorted(0.5 * (line[1:] + line[:-1]), points[:, axis])
+        for axis, line in enumerate(lines)
+    ]
+    found = np.full((*(len(line) for line in lines), values.shape[1]), np.nan)
+    found[tuple(numbers)] = values
+    filled = np.zeros(found.shape[:2], dtype=bool)
+    filled[numbers[0], numbers[1]] = True
+    if not filled.all():
+        plane = np.stack(np.meshgrid(lines[0], lines[1], indexing="ij"), axis=-1)
+        nearest = cKDTree(plane[filled]).query(plane[~filled])[1]
+        found[~filled] = found[filled][nearest]
+    return found
+
+
+def _of_gel(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:
+    """Interpolator of values on the grid, which are NaN outside the gel."""
+    known = np.isfinite(values)
+    axes = [np.flatnonzero(known.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    inside = tuple(slice(found[0], found[-1] + 1) for found in axes)
+    grid = [line[part] for line, part in zip(lines, inside, strict=True)]
+    return RegularGridInterpolator(grid, values[inside], bounds_error=False, fill_value=None)

@@ -1,0 +1,451 @@
+"""Table of presses of one indenter on one unbounded stack, and its dents."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PPoly
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
+from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.load_stepping import SolidError
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+
+# Version of the tables: raise it whenever presses are solved or tabulated in another way.
+_VERSION = 2
+# Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
+_THICKNESS, _MODULUS = 0.005, 20e3
+_SAMPLES = 65  # of the indenter's profile, which identify the indenter
+_DEGREE = 5  # over the height of the layer
+# Legendre coefficients of the derivative of a polynomial, from its own.
+_DERIVATIVE = np.vstack([legendre.legder(np.eye(_DEGREE + 1)), np.zeros(_DEGREE + 1)])
+
+_DEPTHS = 18
+_DEEPEST = 0.6  # of the thickness of the stack
+# Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
+_SPACING = 1.5
+_FEWEST = 4  # depths of a table
+_CELL = 1.0 / 40.0  # finest, of the radius of the indenter
+_KNOT = 0.1  # spacing of radial knots near the indenter, over the layer's thickness
+_KNOT_GROWTH = 0.1
+_FIRST = 0.4  # of the first depth: an additional shallow press, for accuracy
+_NEGLIGIBLE = 1e-4  # displacements over the depth at which a dent ends
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TabulatedDent:
+    """Dent of one press, from a press table.
+
+    Attributes:
+        force: of the indenter [N].
+        depth: of the indenter's lowest point under the undeformed top of the stack [m].
+        contact_radius: of the contact area in the deformed stack [m].
+        peak_pressure: largest contact pressure [Pa].
+        thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
+        share: of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
+        thickness: of the undeformed layer [m].
+        profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
+            polynomials over the height, (coefficients, 3).
+    """
+
+    force: float
+    depth: float
+    contact_radius: float
+    peak_pressure: float
+    thinning: float
+    share: float
+    thickness: float
+    profile: PPoly
+
+    @property
+    def reach(self) -> float:
+        """Distance from the axis beyond which nothing moves [m]."""
+        return float(self.profile.x[-1])
+
+    def motion(self, r: Array, z: Array) -> Array:
+        """u, w, du/dz, dw/dz, du/dr and dw/dr [m], (..., n, 6, h), at r (..., n) and z (n, h).
+
+        Where the heights are equal for all n, as for quadrature points in upright cells, the
+        polynomials over the height are summed before the splines.
+        """
+        inside = np.minimum(r, self.reach)
+        if len(z) and (z == z[0]).all():
+            found = self.at_heights(z[0])(inside)
+            return np.asarray(found.reshape(*r.shape, 6, z.shape[1]))
+        P = self.over_height(z)
+        c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
+        pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
+        parts = [np.einsum("nhm,...nmf->...nfh", Q, v) for Q, v in pairs]
+        return np.concatenate(parts, axis=-2)
+
+    def at_heights(self, z: Array) -> PPoly:
+        """Splines over r of u, w, du/dz, dw/dz, du/dr, dw/dr, (6 h,), at heights z (h,)."""
+        return _at_heights(self, tuple(z.tolist()))
+
+    def mean_stress(self, r: Array, z: Array) -> Array:
+        """Mean stress [Pa], positive in tension, (..., n, h) at r (..., n) and z (n, h)."""
+        coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
+        return np.asarray(np.einsum("nhm,...nm->...nh", self.over_height(z), coefficients))
+
+    def derivatives(self, P: Array) -> Array:
+        """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""
+        return np.asarray(P @ (_DERIVATIVE * (2.0 / self.thickness)))
+
+    def over_height(self, z: Array) -> Array:
+        """Legendre polynomials (..., m) at heights z (...) [m]."""
+        return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
+
+
+@lru_cache(maxsize=16)
+def _at_heights(dent: TabulatedDent, heights: tuple[float, ...]) -> PPoly:
+    """Splines over r of u, w and their derivatives along z and r at heights, (6 h,)."""
+    P = dent.over_height(np.array(heights))
+    c = dent.profile.c[..., :2]
+    both = np.concatenate([P, dent.derivatives(P)]).T
+    splines = np.zeros((*c.shape[:2], 6, len(P)))
+    for k in range(2):
+        values = c[..., k] @ both
+        splines[:, :, k], splines[:, :, 2 + k] = values[..., : len(P)], values[..., len(P) :]
+    splines[1:, :, 4:] = splines[:-1, :, :2] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
+    return PPoly.construct_fast(splines.reshape(*splines.shape[:2], -1), dent.profile.x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressTable:
+    """Presses of one indenter on one stack, from no press to the deepest solved one.
+
+    Attributes:
+        depths: rising from 0, (n,) [m].
+        forces: (n,) [N].
+        contact_radii: (n,) [m].
+        peak_pressures: (n,) [Pa].
+        thinnings: of the layer on the axis, (n,).
+        energies: isochoric strain energy in the layer and in the whole stack, (n, 2) [J].
+        thickness: of the undeformed layer, () [m].
+        knots: distances from the axis, (m,) [m].
+        moved: displacements u and w at the knots as coefficients of Legendre polynomials over the
+            height of the layer, (n, m, coefficients, 2) [m].
+        stressed: mean stress at the knots likewise, (n, m, coefficients) [Pa].
+    """
+
+    depths: Array
+    forces: Array
+    contact_radii: Array
+    peak_pressures: Array
+    thinnings: Array
+    energies: Array
+    thickness: Array
+    knots: Array
+    moved: Array
+    stressed: Array
+
+    @property
+    def largest_force(self) -> float:
+        """Largest solved force [N]."""
+        return float(self.forces[-1])
+
+    def at_force(self, force: float) -> TabulatedDent:
+        """Dent of a press with `force` [N].
+
+        Raises ConfigurationError for a force that is not positive, or beyond the table.
+        """
+        if not 0.0 < force <= self.largest_force:
+            raise ConfigurationError(
+                f"force must be above 0 and at most {self.largest_force:.3g} N, where the layer is "
+                f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {force:g} N"
+            )
+        scaled_depth = _over_depth(self).forces.solve(force, extrapolate=False)[0]
+        return self._dent(force, float(scaled_depth))
+
+    def at_depth(self, depth: float) -> TabulatedDent:
+        """Dent of a press to `depth` [m]; raises ConfigurationError like `at_force`."""
+        if not 0.0 < depth <= self.depths[-1]:
+            raise ConfigurationError(
+                f"depth must be above 0 and at most {self.depths[-1]:.3g} m, where the layer is "
+                f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {depth:g} m"
+            )
+        scaled_depth = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
+        return self._dent(float(_over_depth(self).forces(scaled_depth)), scaled_depth)
+
+    def stretched(self, factor: float) -> "PressTable":
+        """Table with all heights multiplied by `factor`, which preserves J and the forces."""
+        scaled = {
+            name: factor * getattr(self, name) for name in ("depths", "energies", "thickness")
+        }
+        return replace(self, **scaled, moved=self.moved * (1.0, factor))
+
+    def scaled(self, length: float, modulus: float) -> "PressTable":
+        """Table with all lengths and moduli multiplied."""
+        names = ("depths", "contact_radii", "thickness", "knots", "moved")
+        scale = dict.fromkeys(names, length) | dict.fromkeys(
+            ("peak_pressures", "stressed"), modulus
+        )
+        scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
+        return replace(self, **{name: by * getattr(self, name) for name, by in scale.items()})
+
+    def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
+        table = _over_depth(self)
+        radius, pressure, thinning = table.numbers(scaled_depth)
+        in_layer, in_all = table.energies(scaled_depth, 1)
+        return TabulatedDent(
+            force=force,
+            depth=float(self.depths[-1] * scaled_depth**_SPACING),
+            contact_radius=float(radius),
+            peak_pressure=float(pressure),
+            thinning=float(thinning),
+            share=float(in_layer / in_all),
+            thickness=float(self.thickness),
+            profile=PPoly(table.profiles(scaled_depth), self.knots),
+        )
+
+
+class _OverDepth(NamedTuple):
+    """Splines over (depth / largest depth)^(1 / 1.5), in which all quantities are smooth."""
+
+    forces: CubicSpline
+    numbers: CubicSpline
+    energies: CubicSpline
+    profiles: CubicSpline
+
+
+@lru_cache(maxsize=16)
+def _over_depth(table: PressTable) -> _OverDepth:
+    scaled_depths = (table.depths / table.depths[-1]) ** (1.0 / _SPACING)
+    # On the axis u is odd, w and the stress are even; at the last knot all slopes are zero.
+    fields = np.concatenate([table.moved, table.stressed[..., None]], axis=-1)
+    profiles = [
+        CubicSpline(table.knots, fields[..., k], axis=1, bc_type=(end, "clamped")).c
+        for k, end in enumerate(("natural", "clamped", "clamped"))
+    ]
+    numbers = (table.contact_radii, table.peak_pressures, table.thinnings)
+    return _OverDepth(
+        CubicSpline(scaled_depths, table.forces),
+        CubicSpline(scaled_depths, np.stack(numbers, axis=1)),
+        CubicSpline(scaled_depths, table.energies),
+        CubicSpline(scaled_depths, np.moveaxis(np.stack(profiles, axis=-1), 2, 0)),
+    )
+
+
+@lru_cache(maxsize=16)
+def press_table(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
+) -> PressTable:
+    """Press table of a sensor and an indenter; the first time takes seconds to a minute.
+
+    Raises ConfigurationError where not even shallow presses are carried.
+    """
+    weights = StackGrid.around(design, mechanics, grid).full_weights()
+    found = [(load_press_table(stack, indenter), weight) for stack, weight in weights]
+    if len(found) == 1:
+        return found[0][0]
+    return weighted_sum(
+        [table.stretched(design.thickness / float(table.thickness)) for table, _ in found],
+        np.array([weight for _, weight in found]),
+    )
+
+
+def press_problems(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
+) -> list[Problem]:
+    """Tables that `press_table` needs; each takes seconds to a minute to solve."""
+    weights = StackGrid.around(design, mechanics, grid).full_weights()
+    return [_problem(stack, indenter) for stack, _ in weights]
+
+
+def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:
+    """Table of the conductive layer of a stack."""
+    table = PressTable(**load_or_solve(_problem(stack, indenter)))
+    return table.scaled(*_scales(stack))
+
+
+def _problem(stack: Stack, indenter: Indenter) -> Problem:
+    """Table of a stack and an indenter that are scaled to the solved thickness and modulus."""
+    length, modulus = _scales(stack)
+    sheets = tuple(
+        Sheet(
+            sheet.thickness / length,
+            dataclasses.replace(sheet.law, shear_modulus=sheet.law.shear_modulus / modulus),
+        )
+        for sheet in stack.sheets
+    )
+    scaled = dataclasses.replace(stack, sheets=sheets)
+    scaled_indenter = _ScaledIndenter(indenter, length)
+    described = {
+        "version": _VERSION,
+        "sheets": [
+            [sheet.thickness, type(sheet.law).__name__, *dataclasses.astuple(sheet.law)]
+            for sheet in sheets
+        ],
+        "bulk_ratio": stack.bulk_ratio,
+        **indenter_samples(scaled_indenter),
+    }
+    return Problem("press", described, partial(_solved, scaled, scaled_indenter))
+
+
+def _solved(stack: Stack, indenter: Indenter, report: Report) -> Arrays:
+    table = solve_table(stack, stack.gel, indenter)
+    report(1, 1)
+    return {field.name: getattr(table, field.name) for field in fields(PressTable)}
+
+
+def _scales(stack: Stack) -> tuple[float, float]:
+    """Thickness and modulus of the conductive layer relative to the solved ones."""
+    layer = stack.sheets[stack.gel]
+    return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
+
+
+@dataclass(frozen=True, slots=True)
+class _ScaledIndenter:
+    """Scaled indenter: all lengths are divided by `length`."""
+
+    indenter: Indenter
+    length: float
+
+    @property
+    def rough(self) -> bool:
+        return self.indenter.rough
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        inner, outer = self.indenter.rims
+        return inner / self.length, outer / self.length
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        height, slope, bend = self.indenter.profile(r * self.length)
+        return height / self.length, slope, bend * self.length
+
+
+def solve_table(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
+    """Solve presses of rising depth, to 0.6 of the thickness or the last equilibrium.
+
+    Args:
+        stack: the layers.
+        layer: number of the sheet whose deformation is tabulated.
+        indenter: rigid body that presses.
+
+    Raises SolidError where not even shallow presses are carried.
+    """
+    thickness = stack.levels[-1]
+    press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
+    found: list[Indentation] = []
+    for part in (np.append(_FIRST, np.arange(1, _DEPTHS + 1)) / _DEPTHS) ** _SPACING:
+        try:
+            found.append(press.to_depth(_DEEPEST * thickness * part))
+        except SolidError:
+            if len(found) < _FEWEST:
+                raise
+            break
+    bottom, top = stack.levels[layer : layer + 2]
+    knots = _knots(indenter.rims[1], top - bottom, found[-1].r[-1])
+    moved, stressed = (
+        np.stack([_over_layer(each(one), bottom, top, knots) for one in found])
+        for each in (_displacements, partial(_mean_stresses, layer))
+    )
+    felt = np.abs(moved).max(axis=(2, 3)) > _NEGLIGIBLE * np.array([[one.depth] for one in found])
+    end = min(len(knots), int(np.flatnonzero(felt.any(axis=0))[-1]) + 2)
+    moved, stressed = moved[:, :end], stressed[:, :end, :, 0]
+    moved[:, -1] = stressed[:, -1] = 0.0
+    return PressTable(
+        depths=_from_none([one.depth for one in found]),
+        forces=_from_none([one.force for one in found]),
+        contact_radii=_from_none([one.contact_radius for one in found], indenter.rims[0]),
+        peak_pressures=_from_none([one.pressure.max() for one in found]),
+        thinnings=_from_none([one.thinning(layer) for one in found]),
+        energies=_from_none([(one.energies[layer], one.energies.sum()) for one in found]),
+        thickness=np.array(top - bottom),
+        knots=knots[:end],
+        moved=_from_none(moved),
+        stressed=_from_none(stressed),
+    )
+
+
+def weighted_sum(tables: list[PressTable], weights: Array) -> PressTable:
+    """Weighted sum of tables of one thickness, up to the depths of the shallowest."""
+    deep = min(len(table.depths) for table in tables)
+    farthest = max(tables, key=lambda table: float(table.knots[-1]))
+
+    def summed(name: str) -> Array:
+        arrays = [getattr(table, name)[:deep] for table in tables]
+        if name in ("moved", "stressed"):
+            arrays = [
+                _at_knots(array, table.knots, farthest.knots)
+                for array, table in zip(arrays, tables, strict=True)
+            ]
+        return np.tensordot(weights, np.stack(arrays), axes=1)
+
+    same = {"thickness": farthest.thickness, "knots": farthest.knots}
+    parts = {
+        field.name: summed(field.name) for field in fields(PressTable) if field.name not in same
+    }
+    return PressTable(**same, **parts)
+
+
+def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:
+    """Values (n, m, ...) over knots (m,), zero beyond the last, interpolated to other knots."""
+    if np.array_equal(knots, wanted):
+        return values
+    return np.asarray(CubicSpline(knots, values, axis=1)(np.minimum(wanted, knots[-1])))
+
+
+def _knots(radius: float, thickness: float, end: float) -> Array:
+    """Distances from the axis, evenly spaced under the indenter and wider beyond."""
+    spacing = _KNOT * thickness
+    inside = np.arange(0.0, radius + thickness, spacing)
+    beyond = [inside[-1]]
+    while beyond[-1] < end - thickness:
+        spacing = min((1.0 + _KNOT_GROWTH) * spacing, 0.5 * thickness)
+        beyond.append(beyond[-1] + spacing)
+    return np.concatenate([inside, beyond[1:], [end]])
+
+
+def _displacements(found: Indentation) -> tuple[Array, Array, Array]:
+    return found.r, found.z, found.displacement
+
+
+def _mean_stresses(layer: int, found: Indentation) -> tuple[Array, Array, Array]:
+    return found.r[::2], found.z[::2], found.mean_stress[layer, ..., None]
+
+
+def _over_layer(
+    field: tuple[Array, Array, Array], bottom: float, top: float, knots: Array
+) -> Array:
+    """Legendre coefficients over the height of a layer at the knots, (m, coefficients, k).
+
+    `field` holds radii r (nr,), heights z (nz,) and values (nr, nz, k).
+    """
+    r, z, values = field
+    inside = (z > bottom - 1e-9) & (z < top + 1e-9)
+    heights = 2.0 * (z[inside] - bottom) / (top - bottom) - 1.0
+    along = CubicSpline(r, values[:, inside])(knots).swapaxes(0, 1)
+    degree = min(_DEGREE, len(heights) - 1)
+    fit = np.zeros((_DEGREE + 1, along[0].size))
+    fit[: degree + 1] = legendre.legfit(heights, along.reshape(len(heights), -1), degree)
+    return fit.reshape(_DEGREE + 1, len(knots), -1).swapaxes(0, 1)
+
+
+def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:
+    """Values preceded by the value `first` of no press."""
+    array = np.asarray(values, dtype=np.float64)
+    return np.concatenate([np.full_like(array[:1], first), array])
+
+
+def indenter_samples(indenter: Indenter) -> dict[str, object]:
+    """Numbers that identify an indenter."""
+    heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
+    return {
+        "rims": indenter.rims,
+        "rough": indenter.rough,
+        "heights": heights.tolist(),
+        "slopes": slopes.tolist(),
+    }

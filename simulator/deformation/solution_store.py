@@ -1,0 +1,221 @@
+"""Store of solutions that take long: shipped with the package, in the user's cache, or solved now.
+
+A `Problem` names everything that its solution depends on. The file of the solution is named by a
+hash of that description; it holds arrays by name.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.files import atomic_file
+from eitskin.threads import one_thread_per_process
+
+Arrays = dict[str, NDArray[Any]]
+Report = Callable[[int, int], None]
+"""Function that is called with the number of parts done and of all parts."""
+
+# Solutions that come with the package.
+LIBRARY = Path(__file__).with_name("library")
+# Version of the format of files and of all solutions.
+_VERSION = 1
+_MAX_LOADED = 32  # files in memory
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Something that is solved once.
+
+    Attributes:
+        kind: first part of the file's name.
+        description: everything that the solution depends on, as numbers, texts, lists and mappings.
+        solve: gives the arrays of the solution; reports the parts done.
+        divided: whether `solve` uses several processes itself.
+    """
+
+    kind: str
+    description: Mapping[str, object]
+    solve: Callable[[Report], Arrays]
+    divided: bool = False
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Problem) and self.name == other.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
+    @property
+    def name(self) -> str:
+        """Name of the file: the kind, and a hash of the description to nine digits."""
+        described = {"format": _VERSION, **self.description}
+        text = json.dumps(described, default=float, sort_keys=True)
+        rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
+        return f"{self.kind}-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+
+    @property
+    def path(self) -> Path:
+        """File in the user's cache."""
+        return cache_folder() / self.name
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether the solution comes with the package."""
+        return (LIBRARY / self.name).is_file()
+
+
+def cache_folder() -> Path:
+    """Folder of the user's solutions: $EITSKIN_CACHE, or the system's folder for caches."""
+    from platformdirs import user_cache_path
+
+    given = os.environ.get("EITSKIN_CACHE")
+    return Path(given) if given else user_cache_path("eitskin", appauthor=False)
+
+
+def missing(problems: Iterable[Problem]) -> dict[Path, Problem]:
+    """Problems that are neither shipped nor in the cache, by their files there."""
+    return {
+        problem.path: problem
+        for problem in dict.fromkeys(problems)
+        if not (problem.is_shipped or problem.path.is_file())
+    }
+
+
+def load_or_solve(problem: Problem, report: Report = lambda *_: None) -> Arrays:
+    """Arrays of a solution from package or cache, or solved now and written to the cache.
+
+    Processes that need the same solution wait for the one that solves it. Where the cache cannot
+    be written, each solves for itself.
+    """
+    places = (LIBRARY / problem.name, problem.path)
+
+    def load() -> Arrays | None:
+        return next((found for path in places if (found := _load(path)) is not None), None)
+
+    solution = load()
+    if solution is None:
+        with _locked(problem.path):
+            solution = load()  # another process may have solved it meanwhile
+            if solution is None:
+                solution = problem.solve(report)
+                write(problem.path, solution)
+    return dict(solution)
+
+
+def prepare(problems: Iterable[Problem], report: Report | None = None, workers: int = 1) -> None:
+    """Solve and store what is missing, in a number of processes.
+
+    Args:
+        problems: each is solved once.
+        report: called with the number of parts done and of all parts.
+        workers: processes, each with a problem.
+    """
+    absent = list(missing(problems).values())
+    report, workers = report or (lambda *_: None), max(min(workers, len(absent)), 1)
+
+    def in_series(number: int) -> Report:
+        return lambda done, total: report(number * total + done, len(absent) * total)
+
+    if workers == 1 or any(problem.divided for problem in absent):
+        for number, problem in enumerate(absent):
+            load_or_solve(problem, in_series(number))
+        return
+    with processes(workers) as run:
+        for number, _ in enumerate(run(load_or_solve, absent), 1):
+            report(number, len(absent))
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
+    """Map over arguments in this process, or in several; raises PartialError where one dies."""
+    if workers == 1:
+        yield map
+        return
+    context = multiprocessing.get_context("spawn")
+    try:
+        with (
+            one_thread_per_process(),
+            ProcessPoolExecutor(workers, context, _end_at_interrupt) as pool,
+        ):
+            yield pool.map
+    except BrokenProcessPool as error:
+        raise PartialError(
+            "a process died while tables were solved. Look for lack of memory, or, in a script, "
+            "for a missing if __name__ == '__main__'; then run it again"
+        ) from error
+
+
+def _end_at_interrupt() -> None:
+    """Let Ctrl-C end this process at once, which would go on with the next problem otherwise."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Context for one process at a time; a process that is killed lets the next one in."""
+    from filelock import FileLock
+
+    lock = FileLock(path.with_suffix(".lock"))
+    with suppress(OSError, NotImplementedError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _load(path: Path) -> Arrays | None:
+    """Arrays of a file, read again where it has changed; None where absent or damaged."""
+    try:
+        return _read(path, path.stat().st_mtime_ns)
+    except OSError:
+        return None
+
+
+# Specimens of one design share solutions, and most scenes follow others of the same.
+@lru_cache(maxsize=_MAX_LOADED)
+def _read(path: Path, changed: int) -> Arrays | None:  # noqa: ARG001
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: _joined(file[name]) for name in file.files}
+    except Exception:  # damage raises errors of many classes, of which numpy lists none
+        return None
+
+
+def write(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays if the disk can be written; otherwise they are solved again next time."""
+    with suppress(OSError, ConfigurationError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        planes = {name: _split(array) for name, array in arrays.items()}
+        with atomic_file(path) as temporary:
+            np.savez_compressed(temporary, allow_pickle=False, **planes)
+
+
+def _split(array: NDArray[Any]) -> NDArray[Any]:
+    """Planes of the first bytes of all numbers, of the second and so on: these compress better."""
+    if array.dtype.kind != "f":
+        return array
+    numbers = array[..., None].copy().view(np.uint8)
+    return np.ascontiguousarray(np.moveaxis(numbers, -1, 0))
+
+
+def _joined(planes: NDArray[Any]) -> NDArray[Any]:
+    """Array of single or double precision whose bytes are `planes`; others as they are."""
+    if planes.dtype != np.uint8:
+        return planes
+    numbers = np.moveaxis(planes, 0, -1).copy()
+    return np.asarray(numbers.view(f"<f{len(planes)}")[..., 0])

@@ -1,0 +1,249 @@
+"""Table of solved fields over parameters such as distance and depth."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.simulator.deformation.solution_store import Arrays
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 3e-4  # singular values, relative to the largest, that a table keeps
+_OF_FIELD = 4  # dimensions of the coefficients of one field
+
+
+class Axis(NamedTuple):
+    """Solved values of one parameter, and the way of interpolation between them.
+
+    Attributes:
+        name: of the parameter.
+        kind: key of `INTERPOLATIONS`.
+        nodes: solved values, rising, (n,).
+    """
+
+    name: str
+    kind: str
+    nodes: Array
+
+    def weights(self, at: Array) -> Array:
+        """Weights of the solved values at parameters (t,), (images, t, solved).
+
+        A parameter that is solved up to a plane of symmetry has two images: the solved fields as
+        they are, and mirrored.
+        """
+        return INTERPOLATIONS[self.kind](self.nodes, at)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolutionTable:
+    """Solved fields over axes, stored by proper orthogonal decomposition, and numbers with them.
+
+    Attributes:
+        axes: of the parameters.
+        amplitudes: of the modes at all solved values, (n1, n2, ..., rank).
+        modes: coefficients of fields relative to `scales`, (rank, nx, ny, nz, k); stored in single
+            precision.
+        scales: of the components, (k,).
+        numbers: solved with the fields, (n1, n2, ...) each; "extra_depth" is by how much presses
+            sink deeper than in an unbounded stack [m].
+        sizes: lengths and moduli of the solved sensor, and nodes of its fields.
+    """
+
+    axes: tuple[Axis, ...]
+    amplitudes: Array
+    modes: Array
+    scales: Array
+    numbers: Mapping[str, Array]
+    sizes: Mapping[str, Array]
+
+    @classmethod
+    def from_solutions(
+        cls,
+        axes: Sequence[Axis],
+        fields: ArrayLike,
+        numbers: Mapping[str, ArrayLike],
+        sizes: Mapping[str, ArrayLike],
+        tolerance: float = _TOLERANCE,
+    ) -> "SolutionTable":
+        """Table of coefficients (n1, n2, ..., nx, ny, nz, k) and of numbers (n1, n2, ...).
+
+        Singular values below `tolerance`, relative to the largest, are left out.
+        """
+        coefficients = np.asarray(fields)
+        solved, shape = coefficients.shape[:-_OF_FIELD], coefficients.shape[-_OF_FIELD:]
+        scales = np.sqrt(np.mean(coefficients**2, axis=tuple(range(coefficients.ndim - 1))))
+        relative = coefficients / np.where(scales > 0.0, scales, 1.0)
+        rows = relative.reshape(math.prod(solved), -1)
+        left, singular, modes = np.linalg.svd(rows, full_matrices=False)
+        rank = max(1, int(np.count_nonzero(singular > tolerance * singular[0])))
+        amplitudes = (left[:, :rank] * singular[:rank]).reshape(*solved, rank)
+        return cls(
+            tuple(axes),
+            amplitudes,
+            modes[:rank].reshape(rank, *shape).astype(np.float32).astype(np.float64),
+            scales,
+            {name: np.asarray(values) for name, values in numbers.items()},
+            {name: np.asarray(value) for name, value in sizes.items()},
+        )
+
+    def arrays(self) -> Arrays:
+        """Arrays by name, as they are stored."""
+        return {
+            **{f"axis {n} {a.name} {a.kind}": a.nodes for n, a in enumerate(self.axes)},
+            "amplitudes": self.amplitudes,
+            "modes": self.modes.astype(np.float32),
+            "scales": self.scales,
+            **{f"number {name}": values for name, values in self.numbers.items()},
+            **{f"size {name}": value for name, value in self.sizes.items()},
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "SolutionTable":
+        """Table of stored arrays."""
+        axes = sorted(name.split() for name in arrays if name.startswith("axis "))
+        return cls(
+            tuple(Axis(name, kind, arrays[f"axis {n} {name} {kind}"]) for _, n, name, kind in axes),
+            arrays["amplitudes"].astype(np.float64),
+            arrays["modes"].astype(np.float64),
+            arrays["scales"],
+            {k.removeprefix("number "): a for k, a in arrays.items() if k.startswith("number ")},
+            {k.removeprefix("size "): a for k, a in arrays.items() if k.startswith("size ")},
+        )
+
+    def nodes(self, name: str) -> Array:
+        """Solved values of a parameter."""
+        return next(axis.nodes for axis in self.axes if axis.name == name)
+
+    def size(self, name: str) -> float:
+        """Length or modulus of the solved sensor by its name."""
+        return float(self.sizes[name])
+
+    def evaluate(self, **parameters: ArrayLike) -> tuple[Array, dict[str, Array]]:
+        """Coefficients and numbers at parameters (t,) or at one of each.
+
+        Returns coefficients (images of each axis that has them, t, nx, ny, nz, k) and numbers (t,),
+        summed over images.
+        """
+        at = np.broadcast_arrays(*(np.atleast_1d(parameters[axis.name]) for axis in self.axes))
+        weights = [axis.weights(values) for axis, values in zip(self.axes, at, strict=True)]
+        images = tuple(len(each) for each in weights if len(each) > 1)
+        solved, image = "abcd"[: len(weights)], "wxyz"[: len(weights)]
+        terms = ",".join(f"{i}t{n}" for i, n in zip(image, solved, strict=True))
+        amounts = np.einsum(
+            f"{terms},{solved}r->{image}tr", *weights, self.amplitudes, optimize=True
+        )
+        numbers = {
+            name: np.einsum(f"{terms},{solved}->t", *weights, values, optimize=True)
+            for name, values in self.numbers.items()
+        }
+        rank, *shape = self.modes.shape
+        rows = amounts.reshape(-1, rank) @ self.modes.reshape(rank, -1)
+        coefficients = rows.reshape(*images, len(at[0]), *shape) * self.scales
+        return coefficients, numbers
+
+    def restricted(self, nodes: Array) -> "SolutionTable":
+        """Table of some of the solved values of the first parameter."""
+        chosen = np.isin(self.axes[0].nodes, nodes)
+        return replace(
+            self,
+            axes=(self.axes[0]._replace(nodes=nodes), *self.axes[1:]),
+            amplitudes=self.amplitudes[chosen],
+            numbers={name: values[chosen] for name, values in self.numbers.items()},
+        )
+
+    def scaled(
+        self, components: ArrayLike, numbers: float = 1.0, sizes: float = 1.0
+    ) -> "SolutionTable":
+        """Table whose components of fields (k,), numbers and sizes are multiplied."""
+        return replace(
+            self,
+            scales=self.scales * np.asarray(components),
+            numbers={name: numbers * values for name, values in self.numbers.items()},
+            sizes={name: sizes * value for name, value in self.sizes.items()},
+        )
+
+
+def _spline(nodes: Array, at: Array) -> Array:
+    """Cubic spline through all solved values."""
+    return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))[None]
+
+
+def _vanishing(nodes: Array, at: Array) -> Array:
+    """Cubic spline to 0 at the last node, and constant before the first."""
+    return _spline(nodes, np.maximum(at, nodes[0]))[..., :-1]
+
+
+def _vanishing_logarithmic(nodes: Array, at: Array) -> Array:
+    """As `_vanishing`, over the logarithm."""
+    return _vanishing(np.log(nodes), np.log(np.maximum(at, nodes[0])))
+
+
+def _from_zero(nodes: Array, at: Array) -> Array:
+    """Polynomial through the solved values and 0 at 0."""
+    every = np.append(0.0, nodes)
+    return np.stack(
+        [np.prod([(at - q) / (p - q) for q in every if q != p], axis=0) for p in nodes], axis=-1
+    )[None]
+
+
+def _bilinear(nodes: Array, at: Array) -> Array:
+    """For the product of two depths, by solved equal ones.
+
+    Over the product the change is constant up to the least solved depth, and a polynomial beyond.
+    """
+    deep = np.maximum(np.sqrt(at), nodes[0])
+    return np.stack(
+        [
+            at / p**2 * np.prod([(deep - q) / (p - q) for q in nodes if q != p], axis=0)
+            for p in nodes
+        ],
+        axis=-1,
+    )[None]
+
+
+def _mirrored(nodes: Array, at: Array) -> Array:
+    """Spline through values that are solved up to the middle, the last node, and their images."""
+    count, middle = len(nodes), float(nodes[-1])
+    both = _spline(np.concatenate([nodes, (2.0 * middle - nodes)[-2::-1]]), at)[0]
+    direct, images = both[:, :count], np.zeros((len(at), count))
+    images[:, :-1] = both[:, : count - 1 : -1]
+    # A press in the middle is its own image, but the mesh is not quite symmetric.
+    direct[:, -1] *= 0.5
+    images[:, -1] = direct[:, -1]
+    return np.stack([direct, images])
+
+
+def _direction(nodes: Array, at: Array) -> Array:
+    """Trigonometric polynomial over half a turn, solved in a quarter, and its mirror images."""
+    count = 2 * (len(nodes) - 1)
+    every = np.arange(count) * math.pi / count
+    turn = 2.0 * (np.asarray(at)[:, None] - every)
+    waves = sum(np.cos(k * turn) for k in range(1, count // 2))
+    weights = (1.0 + 2.0 * waves + np.cos(count // 2 * turn)) / count
+    images = np.zeros((len(turn), len(nodes)))
+    images[:, 1:-1] = weights[:, : len(nodes) - 1 : -1]
+    return np.stack([weights[:, : len(nodes)], images])
+
+
+INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
+    "spline": _spline,
+    "vanishing": _vanishing,
+    "logarithmic": _vanishing_logarithmic,
+    "from-zero": _from_zero,
+    "bilinear": _bilinear,
+    "mirrored": _mirrored,
+    "direction": _direction,
+}
+
+
+@lru_cache(maxsize=64)
+def _cardinal_splines(nodes: tuple[float, ...]) -> Callable[[Array], Array]:
+    from scipy.interpolate import CubicSpline
+
+    spline: Callable[[Array], Array] = CubicSpline(nodes, np.eye(len(nodes)))
+    return spline

@@ -1,1 +1,0 @@
-"""Displacement fields of corrections: splines on boxes, turned, mirrored and added."""

@@ -1,0 +1,175 @@
+"""Presses on a bent stack: invariance under rotations, frames, and the deformed layer."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from eitskin.geometry import Bend, Clamp, Plates, Rectangle, Rigid, SensorDesign
+from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.bends import bend_table
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
+from eitskin.simulator.deformation import touches
+from eitskin.simulator.deformation.contact import ContactFrame, DentField
+from eitskin.simulator.deformation.dented_solid import DentedSolid
+from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+
+MECHANICS, PUNCH = Mechanics(), Cylinder()
+DESIGN = SensorDesign.reference()
+STACK = MECHANICS.stack(DESIGN)
+X, Y, TOP = 0.018, 0.013, 0.0085
+TURN = Rotation.from_euler("yxz", [35.0, -8.0, 5.0], degrees=True).as_matrix()
+
+
+class Homogeneous:
+    """Homogeneous deformation of a stack at a mean stress."""
+
+    def __init__(self, F: np.ndarray, mean_stress: float = 0.0) -> None:
+        self.F, self.stress = F, mean_stress
+
+    def positions(self, points: np.ndarray) -> np.ndarray:
+        return points @ self.F.T + np.array([0.01, 0.02, -0.03])
+
+    def gradient(self, points: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(self.F, (*points.shape[:-1], 3, 3))
+
+    def mean_stress(self, points: np.ndarray) -> np.ndarray:
+        return np.full(points.shape[:-1], self.stress)
+
+
+@pytest.fixture(scope="module")
+def dent():
+    return AxisymmetricPress(STACK, PUNCH, PUNCH.radius / 6).to_depth(8e-4)
+
+
+def meshed(stretches=(1.0, 1.0), support=None) -> StackMesh:
+    contacts = [Contact(X, Y, PUNCH.radius, stretches)]
+    fineness = Fineness(ends=0.0, sides=0.0, layers=1, rims=0.5)
+    outline = Rectangle(0.050, 0.040)
+    return stack_mesh(outline, STACK, MECHANICS, support or Rigid(), contacts, fineness)
+
+
+def pressed(dent, bent) -> Correction:
+    frame = None if bent is None else ContactFrame.at(bent, X, Y, TOP)
+    stretches = (1.0, 1.0) if frame is None else tuple(frame.stretches.tolist())
+    stack = FiniteStack(meshed(stretches), bent=bent)
+    return stack.correction([DentField(X, Y, PUNCH, dent, frame)])
+
+
+def test_a_press_turns_with_its_sensor(dent) -> None:
+    level, turned = pressed(dent, None), pressed(dent, Homogeneous(TURN))
+    places = np.random.default_rng(0).uniform((0.0, 0.0, 0.0), (0.050, 0.040, 0.012), (300, 3))
+    moved = level.displacement(places)
+    size = np.abs(moved).max()
+    assert turned.displacement(places) == pytest.approx(moved @ TURN.T, abs=1e-4 * size)
+    assert turned.sunk == pytest.approx(level.sunk, rel=1e-4)
+
+
+def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
+    """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
+    stretched = Homogeneous(TURN @ np.diag([1.15, 1.0, 1.0 / 1.15]))
+    frame = ContactFrame.at(stretched, X, Y, TOP)
+    assert frame.stretches == pytest.approx([1.15, 1.0])
+    stack = FiniteStack(meshed((1.15, 1.0)), bent=stretched)
+    found = stack.correction([DentField(X, Y, PUNCH, dent, frame)])
+    upwards = dent.force * TURN[:, 2]
+    assert stack.reaction(found) == pytest.approx(upwards, abs=0.03 * dent.force)
+
+
+def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
+    F = TURN @ np.diag([1.2, 0.9, 0.8])
+    frame = ContactFrame.at(Homogeneous(F), X, Y, TOP)
+    assert frame.rotation == pytest.approx(TURN, abs=1e-12)
+    stress = np.random.default_rng(1).normal(size=(3, 3))
+    # On a flat face of unit area lie 1.2 x 0.9 of the bent face.
+    normal = np.array([0.0, 0.0, 1.0])
+    assert frame.nominal(stress) @ normal == pytest.approx(1.08 * TURN @ stress @ normal)
+    points = np.array([[X, Y, TOP], [X + 0.001, Y, TOP], [X, Y + 0.002, TOP]])
+    assert frame.flattened(points) == pytest.approx(Homogeneous(F).positions(points), abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def bent_sensor() -> tuple[Simulator, Scene]:
+    design = dataclasses.replace(DESIGN, support=Plates())
+    return Simulator(design, "fast"), Scene(Bend(5.0), (Touch(0.075, 0.030, 2.0),))
+
+
+class Nothing:
+    """Correction that is zero everywhere."""
+
+    sunk = np.zeros(1)
+
+    def moved(self, columns: np.ndarray) -> np.ndarray:
+        return np.zeros((12, columns.shape[1], len(columns)))
+
+    def values(self, columns: np.ndarray) -> np.ndarray:
+        return np.zeros((4, columns.shape[1], len(columns)))
+
+
+@pytest.fixture
+def unsolved(monkeypatch) -> list[BentStack | None]:
+    """Bent states that solved presses were asked for; their corrections are left out."""
+    asked: list[BentStack | None] = []
+
+    def solved(*asked_for: object) -> Nothing:
+        asked.append(asked_for[3])
+        return Nothing()
+
+    monkeypatch.setattr(touches, "solved_presses", solved)
+    monkeypatch.setattr(touches, "SolvedField", lambda found: found)
+    return asked
+
+
+def test_only_what_the_bend_of_a_pressed_sensor_needs_is_solved(bent_sensor, unsolved) -> None:
+    sim, scene = bent_sensor
+    sim.presses(dataclasses.replace(scene, bend=Bend(0.0)))
+    assert unsolved == [None]
+    (found,) = sim.presses(scene)
+    assert unsolved[1].angle_deg == 5.0
+    assert found.signal_error == 0.05
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_the_bent_layer_is_the_bend_away_from_touches(bent_sensor) -> None:
+    sim, scene = bent_sensor
+    both, alone = sim.deformation(scene), sim.deformation(Scene(scene.bend))
+    away = np.array([[0.005, 0.030, 0.001], [0.145, 0.010, 0.004]])
+    assert both.positions(away) == pytest.approx(alone.positions(away), abs=2e-6)
+    under = np.array([0.075, 0.030, 0.005])
+    sunk = both.positions(under) - alone.positions(under)
+    assert sunk[2] < -4e-4
+    assert math.hypot(*sunk[:2]) < 1e-6
+
+
+@pytest.mark.usefixtures("unsolved")
+def test_gradients_of_the_bent_layer_are_those_of_its_positions(bent_sensor) -> None:
+    sim, scene = bent_sensor
+    layer, h = sim.deformation(scene), 1e-6
+    points = np.random.default_rng(2).uniform((0.062, 0.02, 0.0), (0.088, 0.04, 0.005), (40, 3))
+    slopes = [
+        (layer.positions(points + step) - layer.positions(points - step)) / (2.0 * h)
+        for step in h * np.eye(3)
+    ]
+    assert layer.gradient(points) == pytest.approx(np.stack(slopes, axis=-1), abs=2e-4)
+
+
+def test_the_state_of_a_bend_is_in_equilibrium() -> None:
+    """Its gradient and pressure leave no force on the free nodes of its own mesh."""
+    design = dataclasses.replace(DESIGN, support=Plates())
+    bent = bend_table.equilibrium(design, Clamp(), MECHANICS, Bend(5.0))
+    mesh = ClampedStack(design, Clamp(faces="bottom"), MECHANICS).solid.mesh
+    middles = mesh.p[:, mesh.t].mean(axis=1).T
+    gel = np.all(np.abs(middles) < 0.5 * np.array([0.150, 0.060, 0.005]), axis=1)
+    laws = (MECHANICS.encapsulation, MECHANICS.gel)
+    solid = DentedSolid(mesh, laws, gel.astype(np.int64), MECHANICS.bulk_ratio)
+    points = solid.points + np.array(bent.centre)
+    forces = solid.residual_of(bent.gradient(points) - np.eye(3), bent.mean_stress(points), gel)
+    nodal = solid.displacement(forces)
+    x, y, z = solid.nodes.T
+    on_plate = (z < -0.0059) & (x > 0.0199)
+    free = ~on_plate & (x > 1e-9) & (y > 1e-9)
+    assert np.abs(nodal[free]).max() < 1e-4 * np.abs(nodal[on_plate]).max()

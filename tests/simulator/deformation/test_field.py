@@ -1,0 +1,169 @@
+"""Fields: exact polynomials and splines, slopes, faces, mirror images, frames and sums."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from eitskin.simulator.deformation.field import (
+    CubicSplines,
+    Field,
+    Frame,
+    Polynomials,
+    resampled_sum,
+)
+
+HEIGHT = 0.004
+X, Y = (
+    0.03 * np.array([-1.0, -0.4, -0.1, 0.05, 0.3, 1.0]),
+    0.02 * np.linspace(-1.0, 1.0, 5) ** 3,
+)
+
+
+class Ramp:
+    """Fade that is bilinear, with its slopes."""
+
+    slopes: ClassVar = (20.0, -10.0)
+
+    def weight(self, x, y):
+        a, b = self.slopes
+        return 1.0 + a * x + b * y + 100.0 * x * y, np.stack([a + 100.0 * y, b + 100.0 * x])
+
+
+def splines():
+    return CubicSplines(X), CubicSplines(Y)
+
+
+def polynomials(stretch=0.0, vanish=False):
+    return Polynomials(-0.03, 0.03, 9, stretch, vanish), Polynomials(-0.02, 0.02, 4)
+
+
+def cubic(points: np.ndarray) -> np.ndarray:
+    """Four components, cubic in the plane and quadratic over the height."""
+    x, y, z = np.moveaxis(points / 0.01, -1, 0)
+    parts = (x**3 - y * z, x * y**2 + z**2, x**2 * y + 0.3, y**3 * z**2)
+    return np.stack([np.broadcast_to(part, points.shape[:-1]) for part in parts], axis=-1)
+
+
+def columns(count: int, low: float = -0.015, high: float = 0.015) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    plane = np.repeat(rng.uniform(low, high, (count, 1, 2)), 3, axis=1)
+    return np.concatenate([plane, rng.uniform(0.0, HEIGHT, (count, 3, 1))], axis=-1)
+
+
+def made(bases) -> Field:
+    return Field.from_function(cubic, bases, HEIGHT, 2)
+
+
+@pytest.mark.parametrize("bases", [splines(), polynomials()], ids=["splines", "polynomials"])
+def test_cubics_are_reproduced_with_their_slopes(bases) -> None:
+    field, at = made(bases), columns(40)
+    assert field.values(at).transpose(2, 1, 0) == pytest.approx(cubic(at), abs=1e-9)
+    assert field.on_grid(*(np.array([a, b]) for a, b in ((0, 0.01), (0.003, 0), (0, 0.002)))).shape
+    moved = field.moved(at)
+    assert moved[:3].transpose(2, 1, 0) == pytest.approx(cubic(at)[..., :3], abs=1e-9)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        slope = (cubic(at + step) - cubic(at - step))[..., :3] / 2e-6
+        found = moved[3:].reshape(3, 3, 3, 40)[:, axis].transpose(2, 1, 0)
+        assert found == pytest.approx(slope, rel=1e-6, abs=1e-4)
+
+
+def test_values_on_a_grid_are_those_at_its_points() -> None:
+    field = made(polynomials(1.5))
+    axes = np.linspace(-0.01, 0.02, 4), np.linspace(-0.015, 0.0, 3), np.array([0.001, 0.0035])
+    at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2, 3)
+    expected = field.values(at).transpose(2, 1, 0).reshape(4, 3, 2, 4)
+    assert field.on_grid(*axes) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("stretch", [0.0, 2.0])
+def test_smooth_functions_converge_geometrically(stretch) -> None:
+    def wave(points):
+        return np.exp(np.sin(60.0 * points[..., :1] + 40.0 * points[..., 1:2]))
+
+    at, errors = columns(200), []
+    exact = np.moveaxis(wave(at), -1, 0).swapaxes(1, 2)
+    for degree in (8, 16, 24):
+        bases = Polynomials(-0.03, 0.03, degree, stretch), Polynomials(-0.02, 0.02, degree)
+        errors.append(np.abs(Field.from_function(wave, bases, HEIGHT, 1).values(at) - exact).max())
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[2] < 0.1 * errors[1]
+
+
+def test_splines_take_their_values_at_the_nodes_and_add_up_to_one() -> None:
+    nodes = np.array([0.0, 0.1, 0.15, 0.4, 0.7, 1.0])
+    splines, values = CubicSplines(nodes), np.random.default_rng(1).normal(size=6)
+    coefficients = splines.fit @ values
+    first, at, slopes = splines.functions(nodes)
+    near = first[:, None] + np.arange(4)
+    assert (at * coefficients[near]).sum(axis=1) == pytest.approx(values)
+    assert splines.dense(nodes) @ coefficients == pytest.approx(values)
+    _, at, slopes = splines.functions(np.linspace(0.0, 1.0, 31))
+    assert at.sum(axis=1) == pytest.approx(np.ones(31))
+    assert slopes.sum(axis=1) == pytest.approx(np.zeros(31), abs=1e-12)
+
+
+def test_points_beyond_the_box_have_the_values_of_its_faces_or_none() -> None:
+    field = made(splines())
+    at = np.array([[[0.05, 0.001, 0.002]], [[0.002, -0.09, 0.001]], [[0.0, 0.0, 0.006]]])
+    nearest = np.clip(at, (X[0], Y[0], 0.0), (X[-1], Y[-1], HEIGHT))
+    assert field.values(at) == pytest.approx(field.values(nearest))
+    for ending in (made(polynomials(vanish=True)), framed(field, 1.0, 0.0)):
+        beyond = at[:1] + np.array([0.05, 0.02, 0.0]) * (ending.frame is not None)
+        assert np.all(ending.values(beyond) == 0.0)
+        assert np.all(ending.moved(beyond) == 0.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("bases", [splines(), polynomials(1.0)], ids=["splines", "polynomials"])
+def test_mirror_images_have_mirrored_values(axis, bases) -> None:
+    field, at = made(bases), columns(12)
+    mirrored, signs = at.copy(), np.ones(4)
+    mirrored[..., axis], signs[axis] = 2.0 * 0.07 - at[..., axis], -1.0
+    image = field.mirrored(axis, 0.07)
+    assert image.values(mirrored) == pytest.approx(signs[:, None, None] * field.values(at))
+
+
+def framed(field: Field, cos: float, sin: float, fade=None) -> Field:
+    frame = Frame(0.05, 0.02, cos, sin)
+    return Field(field.bases, field.height, field.coefficients, frame, fade)
+
+
+@pytest.mark.parametrize(("cos", "sin"), [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+def test_a_field_turned_by_right_angles_is_one_in_the_frame_of_the_sensor(cos, sin) -> None:
+    turned = framed(made(splines()), cos, sin)
+    at = columns(60, -0.01, 0.01) + np.array([0.05, 0.02, 0.0])
+    assert turned.straightened().values(at) == pytest.approx(turned.values(at), abs=1e-9)
+
+
+@pytest.mark.parametrize("fade", [None, Ramp()], ids=["whole", "faded"])
+def test_a_turned_field_turns_displacements_and_slopes(fade) -> None:
+    turned = framed(made(splines()), 0.6, 0.8, fade)
+    at = columns(10, -0.008, 0.008) + np.array([0.05, 0.02, 0.0])
+    moved = turned.moved(at)
+    assert moved[:3] == pytest.approx(turned.values(at)[:3])
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        slope = (turned.values(at + step) - turned.values(at - step))[:3] / 2e-6
+        found = moved[3:].reshape(3, 3, *slope.shape[1:])[:, axis]
+        assert found == pytest.approx(slope, rel=1e-5, abs=1e-3)
+
+    def along(points: np.ndarray) -> np.ndarray:
+        """Vector along the frame's x axis, and a scalar."""
+        return np.ones((*points.shape[:-1], 1)) * [1.0, 0.0, 0.0, 2.0]
+
+    values = framed(Field.from_function(along, splines(), HEIGHT, 1), 0.6, 0.8).values(at)
+    assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
+
+
+def test_sums_take_the_values_of_all_fields_at_the_nodes() -> None:
+    rng = np.random.default_rng(3)
+    one, other = (Field(splines(), HEIGHT, rng.normal(size=(6, 5, degree, 4))) for degree in (2, 3))
+    frame = Frame(0.004, 0.002, 0.0, 1.0)
+    moved = Field(other.bases, HEIGHT, other.coefficients, frame).straightened()
+    nodes = np.linspace(-0.012, 0.012, 7), np.linspace(-0.008, 0.008, 9)
+    at = np.stack(np.meshgrid(*nodes, [0.001, 0.003], indexing="ij"), axis=-1).reshape(-1, 2, 3)
+    expected = sum(field.values(at) for field in (one, moved, made(polynomials())))
+    total = resampled_sum([one, moved, made(polynomials())], nodes)
+    assert total.values(at) == pytest.approx(expected, abs=1e-9)

@@ -1,0 +1,228 @@
+"""Finite stack under presses: equilibrium, symmetry, limits, supports and refusals."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
+from eitskin.simulator import Cylinder, Mechanics, Sphere
+from eitskin.simulator.deformation import finite_stack
+from eitskin.simulator.deformation.contact import DentField
+from eitskin.simulator.deformation.finite_stack import FiniteStack
+from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.load_stepping import SolidError
+
+MECHANICS, PUNCH = Mechanics(), Cylinder()
+STACK = MECHANICS.stack(SensorDesign.reference())
+LENGTH, WIDTH, X, Y = 0.050, 0.040, 0.018, 0.013
+TOP = 0.012
+DEEP, DEPTH, SMALL = 2.4e-3, 8e-4, 1e-5
+
+
+@pytest.fixture(scope="module")
+def dents():
+    """Axisymmetric presses on a coarse mesh, by depth [m]."""
+    press = AxisymmetricPress(STACK, PUNCH, PUNCH.radius / 6)
+    return {depth: press.to_depth(depth) for depth in (SMALL, 2 * SMALL, DEPTH, DEEP)}
+
+
+def meshed(x=X, y=Y, support: Support | None = None, size=(LENGTH, WIDTH), rims=0.5) -> StackMesh:
+    contacts = [Contact(x, y, PUNCH.radius)]
+    fineness = Fineness(ends=0.0, sides=0.0, layers=1, rims=rims)
+    outline = Rectangle(*size)
+    return stack_mesh(outline, STACK, MECHANICS, support or Rigid(), contacts, fineness)
+
+
+@pytest.fixture(scope="module")
+def stack() -> FiniteStack:
+    return FiniteStack(meshed())
+
+
+@pytest.fixture(scope="module")
+def pressed(stack, dents):
+    return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+
+
+def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
+    """Gel and margin have the volumes of the L shape and of its surroundings."""
+    end, leg, margin = 0.06, 0.035, MECHANICS.margin
+    outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
+    contacts = [Contact(0.02, 0.02, PUNCH.radius)]
+    coarse = Fineness(ends=0.0, sides=0.0, layers=1)
+    body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)
+    corners = body.mesh.p[:, body.mesh.t]
+    volumes = np.prod(corners.max(axis=1) - corners.min(axis=1), axis=0)
+    area = end**2 - (end - leg) ** 2
+    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
+    around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
+    assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
+
+
+@pytest.mark.slow
+def test_the_base_carries_the_force_of_the_indenter(stack, pressed, dents) -> None:
+    """Dents and correction together; 3 % is the quadrature of the dent on coarse cells."""
+    stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])], pressed.unknowns)
+    count = len(stack.solid.nodes)
+    forces = stack.solid.forces(pressed.unknowns)[: 3 * count].reshape(count, 3)
+    assert stack.reaction(pressed)[2] == pytest.approx(dents[DEPTH].force, rel=0.03)
+    assert forces.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
+    radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
+    under = np.array([[X + r, Y, TOP] for r in radii] + [[X, Y - r, TOP] for r in radii])
+    moved = pressed.displacement(under)
+    assert 0.0 < pressed.sunk[0] < 0.1 * DEPTH
+    assert moved[:, 2] == pytest.approx(np.full(6, -pressed.sunk[0]), rel=0.03)
+    assert np.abs(moved[:, :2]).max() < 0.1 * pressed.sunk[0]
+    beyond = pressed.displacement(np.array([[0.040, 0.030, TOP]]))
+    assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
+
+
+@pytest.mark.slow
+def test_mirrored_presses_have_mirrored_corrections(pressed, dents) -> None:
+    there = (LENGTH - X, WIDTH - Y)
+    image = FiniteStack(meshed(*there)).correction([DentField(*there, PUNCH, dents[DEPTH])])
+    assert image.sunk == pytest.approx(pressed.sunk, rel=1e-4)
+    points = np.random.default_rng(0).uniform((0, 0, 0.004), (LENGTH, WIDTH, 0.008), (40, 3))
+    mirrored = points * [-1.0, -1.0, 1.0] + [LENGTH, WIDTH, 0.0]
+    expected = pressed.displacement(points) * [-1.0, -1.0, 1.0]
+    found = image.displacement(mirrored)
+    assert found == pytest.approx(expected, abs=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_corrections_of_small_presses_scale_with_the_force(stack, dents) -> None:
+    one, two = (
+        stack.correction([DentField(X, Y, PUNCH, dents[depth])]) for depth in (SMALL, 2 * SMALL)
+    )
+    factor = dents[2 * SMALL].force / dents[SMALL].force
+    assert two.sunk == pytest.approx(factor * one.sunk, rel=0.01)
+    size = np.abs(one.displacement.values).max()
+    assert two.displacement.values == pytest.approx(
+        factor * one.displacement.values, abs=0.02 * factor * size
+    )
+
+
+@pytest.mark.slow
+def test_cells_that_the_rim_of_a_contact_cuts_do_not_make_it_larger(pressed, dents) -> None:
+    finer = FiniteStack(meshed(rims=0.25)).correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+    beside = np.random.default_rng(0).uniform((0.003, 0, 0.004), (0.035, 0.0045, 0.008), (400, 3))
+    found, expected = (each.displacement.derivative(beside) for each in (pressed, finer))
+    # Held up to the rim, they take 1.4 % from the strain beside the contact.
+    assert np.vdot(found, expected) / np.vdot(expected, expected) == pytest.approx(1.0, abs=0.005)
+    assert pressed.sunk == pytest.approx(finer.sunk, rel=0.012)
+
+
+@pytest.mark.slow
+def test_nothing_is_corrected_far_from_the_sides(pressed, dents) -> None:
+    wide = FiniteStack(meshed(0.075, 0.075, size=(0.150, 0.150)))
+    found = wide.correction([DentField(0.075, 0.075, PUNCH, dents[DEPTH])])
+    largest = np.abs(found.displacement.values).max()
+    assert largest < 0.01 * DEPTH
+    assert largest < 0.1 * np.abs(pressed.displacement.values).max()
+
+
+@pytest.mark.slow
+def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
+    many = [DentField(X, Y, PUNCH, dents[DEEP])] * 6
+    with pytest.raises(SolidError, match="inside out where they overlap"):
+        FiniteStack(meshed(), len(many)).correction(many)
+
+
+@pytest.mark.slow
+def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
+    places = (0.015, 0.034)
+    contacts = [Contact(x, Y, PUNCH.radius) for x in places]
+    outline, coarse = Rectangle(LENGTH, WIDTH), Fineness(ends=0.0, sides=0.0, layers=1)
+    both = FiniteStack(stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse), 2)
+    first, second = (DentField(x, Y, PUNCH, dents[DEPTH]) for x in places)
+    found = both.correction([first, second])
+    under = np.array([[places[0] + r, Y, TOP] for r in (-0.003, 0.0, 0.003)])
+    beside = second.at(under).displacement
+    assert np.ptp(beside[:, 2]) > 0.01 * DEPTH  # the other dent alone would tilt the contact
+    moved = beside + found.displacement(under)
+    assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
+    assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
+
+
+@pytest.mark.slow
+def test_a_contact_smaller_than_a_cell_is_held() -> None:
+    ball = Sphere(0.0075)
+    dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
+    body = meshed()
+    assert 2.0 * dent.contact_radius < np.diff(body.lines[0]).min()
+    found = FiniteStack(body).correction([DentField(X, Y, ball, dent)])
+    under = found.displacement(np.array([[X, Y, TOP]]))[0, 2]
+    assert under == pytest.approx(-found.sunk[0], rel=0.1)
+
+
+def test_a_dent_is_smooth_across_its_axis(dents) -> None:
+    field = DentField(X, Y, PUNCH, dents[DEPTH])
+    on, beside = (field.at(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
+    assert on == pytest.approx(beside, abs=1e-4)
+    assert on[0, 0] == pytest.approx(on[1, 1], rel=1e-3)
+    assert np.linalg.det(np.eye(3) + on) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
+    monkeypatch.setattr(finite_stack, "_MOST_UNKNOWNS", 5_000)
+    with pytest.raises(ConfigurationError, match=r"needs \d+ unknowns, of which 5000"):
+        FiniteStack(meshed())
+
+
+# Supports
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("support", [Plates(0.020), Free()], ids=["plates", "free"])
+def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, support) -> None:
+    stack = FiniteStack(meshed(x=LENGTH / 2, y=WIDTH / 2, support=support))
+    found = stack.correction([DentField(LENGTH / 2, WIDTH / 2, PUNCH, dents[SMALL])])
+    count = len(stack.solid.nodes)
+    forces = stack.solid.forces(found.unknowns)[: 3 * count].reshape(count, 3)
+    held, base = stack.body.held(stack.solid.nodes), stack.solid.nodes[:, 2] < 1e-9
+    assert stack.reaction(found)[2] == pytest.approx(dents[SMALL].force, rel=0.03)
+    # The last step of Newton's method leaves its square.
+    assert np.abs(forces[base & ~held]).max() < 1e-3 * np.abs(forces[held]).max()
+
+
+def area_of_sides(body: StackMesh) -> float:
+    """Area of the sides [m2]."""
+    extent = np.ptp(body.mesh.p[:, body.mesh.facets[:, body.sides()]], axis=1)
+    return float((np.maximum(extent[0], extent[1]) * extent[2]).sum())
+
+
+def test_what_is_held_and_what_is_free_follows_the_support() -> None:
+    margin = MECHANICS.margin
+    length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
+    points = np.array(
+        [
+            [LENGTH / 2, Y, 0.0],
+            [LENGTH / 2 - 0.010, Y, 0.0],
+            [0.0, Y, 0.0],
+            [-margin, -margin, TOP],
+            [LENGTH + margin, WIDTH + margin, TOP],
+            [X, Y, TOP],
+        ]
+    )
+    for support, held in (
+        (Rigid(), [True, True, True, False, False, False]),
+        (Plates(0.020), [False, True, True, False, False, False]),
+        (Free(), [False, False, False, True, True, False]),
+    ):
+        body = meshed(support=support)
+        assert body.held(points).tolist() == held
+        assert area_of_sides(body) == pytest.approx(2 * (length + width) * TOP, abs=1e-9)
+
+
+def test_cells_of_the_margin_are_of_silicone() -> None:
+    body = meshed()
+    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
+    gel = np.array([body.laws[k] == MECHANICS.gel for k in body.law_of_cell])
+    inside = (np.abs(middles[0] - LENGTH / 2) < LENGTH / 2) & (
+        np.abs(middles[1] - WIDTH / 2) < WIDTH / 2
+    )
+    assert np.array_equal(gel, inside & (np.abs(middles[2] - TOP / 2) < 0.0025))
+    assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))

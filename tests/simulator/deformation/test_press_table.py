@@ -1,0 +1,231 @@
+"""Tabulated presses against presses, and where they are kept."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Cylinder, Mechanics
+from eitskin.simulator.deformation import press_table as tables
+from eitskin.simulator.deformation import solution_store
+from eitskin.simulator.deformation.dents import Dents, PlacedDent
+from eitskin.simulator.deformation.press_table import PressTable, press_problems, press_table
+from eitskin.simulator.deformation.solution_store import missing, prepare
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.materials import NeoHookean
+
+DESIGN = SensorDesign.reference()
+REFERENCE = Mechanics()
+
+
+@pytest.fixture(scope="module")
+def table() -> PressTable:
+    return press_table(DESIGN, REFERENCE, Cylinder())
+
+
+def disc(dent, n=40):
+    """Points (r, z) of the layer within the dent's reach, a little off its faces."""
+    r, z = np.meshgrid(np.linspace(1e-4, 0.9 * dent.reach, n), np.linspace(2e-4, 4.8e-3, 9))
+    return r.ravel(), z.ravel()
+
+
+@pytest.mark.slow
+def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
+    press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 40)
+    for depth in (2e-4, 9e-4, 2.2e-3):
+        dent, pressed = table.at_depth(depth), press.to_depth(depth)
+        assert dent.force == pytest.approx(pressed.force, rel=0.01)
+        assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
+        in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
+        r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - 0.0035, indexing="ij")
+        near = r < dent.reach
+        u = moved(dent, r[near], z[near])[:2].T
+        solved = pressed.displacement[:, in_gel][near]
+        assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
+
+
+def moved(dent, r, z):
+    """u, w, du/dz, dw/dz, du/dr and dw/dr at places by themselves, (6, n)."""
+    return dent.motion(r, z[:, None])[..., 0].T
+
+
+def test_force_and_depth_are_each_others_inverse(table) -> None:
+    for force in (0.05, 1.0, 10.0, 30.0):
+        dent = table.at_force(force)
+        assert table.at_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
+
+
+@pytest.mark.parametrize("force", [0.1, 5.0, 10.0, 20.0])
+def test_a_dent_keeps_volume(table, force) -> None:
+    dent = table.at_force(force)
+    r, z = disc(dent)
+    u, _, shear, stretch, radial, tilt = moved(dent, r, z)
+    J = (1 + u / r) * ((1 + radial) * (1 + stretch) - shear * tilt)
+    assert J == pytest.approx(np.ones(len(J)), abs=2e-3 * max(1.0, force / 10))
+    assert np.sqrt(np.mean((J - 1) ** 2)) < 3e-4 * max(1.0, force / 10)
+
+
+def test_strains_are_derivatives_of_displacements(table) -> None:
+    dent, step = table.at_force(7.0), 1e-7
+    r, z = disc(dent)
+    _, _, shear, stretch, radial, tilt = moved(dent, r, z)
+    along = moved(dent, r + step, z)[:2] - moved(dent, r - step, z)[:2]
+    upward = moved(dent, r, z + step)[:2] - moved(dent, r, z - step)[:2]
+    assert along / (2 * step) == pytest.approx(np.stack([radial, tilt]), abs=1e-6)
+    assert upward / (2 * step) == pytest.approx(np.stack([shear, stretch]), abs=1e-6)
+
+
+def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
+    dents = Dents(
+        (PlacedDent(0.05, 0.02, table.at_force(9.0)), PlacedDent(0.08, 0.03, table.at_force(4.0)))
+    )
+    places = np.random.default_rng(2).uniform((0.03, 0.01), (0.12, 0.05), (30, 2))
+    columns = np.empty((30, 4, 3))
+    columns[..., :2], columns[..., 2] = places[:, None], (0.0, 0.001, 0.0032, 0.005)
+    mixed = np.random.default_rng(3).permutation(120)
+    for field in (dents.gradient, dents.positions, dents.mean_stress):
+        together, apart = field(columns), field(columns.reshape(-1, 3)[mixed])
+        assert np.concatenate(together)[mixed] == pytest.approx(apart, rel=1e-12)
+
+
+def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
+    dents = Dents((PlacedDent(0.05, 0.02, table.at_force(10.0)),))
+    axis, beside = dents.gradient(np.array([[0.05, 0.02, 0.002], [0.05 + 1e-7, 0.02, 0.002]]))
+    assert axis == pytest.approx(beside, abs=1e-4)
+    reach = dents.presses[0].dent.reach
+    around = np.array([[0.05 + reach * k, 0.02, 0.002] for k in (1 - 1e-9, 1 + 1e-9)])
+    inside, outside = dents.gradient(around)
+    assert outside == pytest.approx(np.eye(3), abs=1e-15)
+    assert inside == pytest.approx(np.eye(3), abs=2e-4)
+
+
+@pytest.mark.slow
+def test_the_layer_carries_its_share(table) -> None:
+    """A stack relaxes by shares that differences of moduli give as well."""
+    step, depth = 0.05, 0.0015
+    around = [
+        AxisymmetricPress(
+            dataclasses.replace(REFERENCE, gel=NeoHookean(20e3 * k)).stack(DESIGN),
+            Cylinder(),
+            finest=8e-4,
+        )
+        .to_depth(depth)
+        .force
+        for k in (1 - step, 1 + step)
+    ]
+    share = np.log(around[1] / around[0]) / np.log((1 + step) / (1 - step))
+    assert table.at_depth(depth).share == pytest.approx(share, abs=0.01)
+
+
+def test_pressure_falls_from_the_axis_to_nothing(table) -> None:
+    dent = table.at_force(10.0)
+    under, far = dent.mean_stress(np.array([0.0, 0.03]), np.full((2, 1), 0.0025))[:, 0]
+    mean = -10.0 / (np.pi * dent.contact_radius**2)
+    assert 2.0 * mean < under < 0.3 * mean
+    assert abs(far) < 0.02 * abs(under)
+
+
+# Between and beyond
+
+
+def test_kernels_between_stiffness_ratios_are_interpolated(table, monkeypatch) -> None:
+    """By four of them; here of a law in the ratio that a cubic in its logarithm does not meet."""
+
+    def scaled(stack, _):
+        ratio = stack.sheets[0].law.shear_modulus / stack.sheets[1].law.shear_modulus
+        return dataclasses.replace(table, forces=table.forces * ratio**0.6)
+
+    monkeypatch.setattr(tables, "load_press_table", scaled)
+    mechanics = Mechanics(gel=NeoHookean(13e3))
+    found = press_table.__wrapped__(DESIGN, mechanics, Cylinder())
+    assert found.forces == pytest.approx(table.forces * (28 / 13) ** 0.6, rel=2e-4)
+    assert found.moved == pytest.approx(table.moved, abs=1e-12)
+
+
+def test_kernels_scale_with_lengths_and_moduli(table) -> None:
+    big = dataclasses.replace(DESIGN, thickness=2 * DESIGN.thickness, encapsulated_thickness=0.024)
+    hard = Mechanics(gel=NeoHookean(60e3), encapsulation=NeoHookean(84e3))
+    found = press_table(big, hard, Cylinder(0.015))
+    assert found.forces == pytest.approx(12 * table.forces, rel=1e-12)
+    assert found.knots == pytest.approx(2 * table.knots, rel=1e-12)
+    dent, twice = table.at_force(5.0), found.at_force(60.0)
+    assert twice.depth == pytest.approx(2 * dent.depth, rel=1e-9)
+    assert twice.peak_pressure == pytest.approx(3 * dent.peak_pressure, rel=1e-9)
+
+
+@pytest.mark.parametrize("force", [0.0, -1.0, 1e3, float("nan")])
+def test_forces_beyond_the_table_are_refused(table, force) -> None:
+    with pytest.raises(ConfigurationError, match=r"force.*above 0"):
+        table.at_force(force)
+    with pytest.raises(ConfigurationError, match=r"depth.*above 0"):
+        table.at_depth(force)
+
+
+# Where they are kept
+
+
+@pytest.fixture
+def solves(table, monkeypatch, tmp_path):
+    """How often presses are solved, with an empty store at tmp_path."""
+    counted = []
+
+    def solved(*arguments):
+        counted.append(arguments)
+        return table
+
+    monkeypatch.setattr(tables, "solve_table", solved)
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
+    monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "nothing ships")
+    press_table.cache_clear()
+    yield counted
+    press_table.cache_clear()
+
+
+def fresh(indenter=None, mechanics=REFERENCE) -> PressTable:
+    return press_table.__wrapped__(DESIGN, mechanics, indenter or Cylinder())
+
+
+def test_presses_are_solved_once_read_afterwards_and_solved_anew_if_broken(
+    solves, table, tmp_path
+) -> None:
+    first, second = fresh(), fresh()
+    assert len(solves) == 1
+    for field in dataclasses.fields(PressTable):
+        assert np.array_equal(getattr(first, field.name), getattr(second, field.name))
+        assert getattr(first, field.name) == pytest.approx(getattr(table, field.name))
+    (path,) = (tmp_path / "store").glob("*.npz")
+    path.write_bytes(path.read_bytes()[:1000])
+    fresh()
+    fresh()
+    assert len(solves) == 2
+
+
+def test_what_a_kernel_depends_on_gives_another(solves) -> None:
+    for indenter in (None, Cylinder(rough=False), Cylinder(0.006), Cylinder(edge=0.1)):
+        fresh(indenter)
+    fresh(mechanics=Mechanics(bulk_ratio=1e3))
+    assert len(solves) == 5
+    fresh(mechanics=Mechanics(margin=0.002))
+    assert len(solves) == 5
+
+
+def test_all_that_sensors_lack_is_solved_once_beforehand(solves) -> None:
+    harder = dataclasses.replace(REFERENCE, gel=NeoHookean(21e3))
+    sensors = [(DESIGN, REFERENCE), (DESIGN, harder), (DESIGN, REFERENCE)]
+    reports = []
+    problems = [each for sensor in sensors for each in press_problems(*sensor, Cylinder())]
+    prepare(problems, lambda *done: reports.append(done))
+    assert not missing(problems)
+    assert reports == [(k + 1, len(solves)) for k in range(len(solves))]
+    fresh(), fresh(mechanics=harder)
+    assert len(solves) == len(reports)
+
+
+def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkeypatch) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "file" / "below"))
+    assert fresh().largest_force > 10.0
+    assert fresh().largest_force > 10.0
+    assert len(solves) == 2
