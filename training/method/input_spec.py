@@ -5,7 +5,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,18 @@ Array = NDArray[np.float64]
 _GRID = 37  # points along x and along y at which an outline is compared with its image
 MOST_ORDERED = 64  # electrodes, of which wrong orders are tried
 _TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
+Known = TypeVar("Known")
+FREQUENCY_TOLERANCE = 0.01  # relative
+LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
+LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
+# Readings of neighbours depend far more on the places of electrodes: between 32 on a rim they
+# scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
+SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
+WIDEST_SPREAD = 0.5
+EXCHANGED = 0.5  # share of the scatter that another order of the electrodes leaves of a wrong one
+SMALL = 0.1  # of the rms of all values, below which a channel counts less
+PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
+FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,19 +146,6 @@ def _codes(table: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return codes
 
 
-FREQUENCY_TOLERANCE = 0.01  # relative
-LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
-LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
-# Readings of neighbours depend far more on the places of electrodes: between 32 on a rim they
-# scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
-SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
-WIDEST_SPREAD = 0.5
-EXCHANGED = 0.5  # share of the scatter that another order of the electrodes leaves of a wrong one
-SMALL = 0.1  # of the rms of all values, below which a channel counts less
-PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
-FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class InputSpec:
     """Sensor, measurements and units that a pipeline was trained for.
@@ -196,27 +195,20 @@ class InputSpec:
         }
 
     @classmethod
-    def from_document(
-        cls, document: Mapping[str, Any], reference: NDArray[Any] | None
-    ) -> "InputSpec":
-        """Restore the specification; without a reference, that of touches on a recorded sensor.
+    def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "InputSpec":
+        """Restore the specification, with NaN as the reference of touches on a recorded sensor.
 
         Raises ConfigurationError or DataError for values that no training gives.
         """
         design, protocol = document["design"], document["protocol"]
         design = design and from_dict(SensorDesign, design, "layout.design")
         protocol = protocol and from_dict(Protocol, protocol, "layout.protocol")
-        extent = document.get("extent")
-        if reference is None:
-            frequency = document["frequency"]
-            return cls(
-                design,
-                protocol,
-                math.nan if frequency is None else float(frequency),
-                np.full(int(document["channels"]), np.nan),
-                extent=None if extent is None else np.array(extent, dtype=float),
-            )
-        frequency, spread = float(document["frequency"]), document.get("spread", LARGEST_SPREAD)
+        known, extent = document["frequency"], document.get("extent")
+        frequency = math.nan if known is None else float(known)
+        spread = document.get("spread", LARGEST_SPREAD)
+        if np.isnan(reference).all():
+            extent = None if extent is None else np.array(extent, dtype=float)
+            return cls(design, protocol, frequency, reference, extent=extent)
         if reference.shape != (len(protocol),) or not np.all(reference >= 0) or not reference.any():
             raise DataError(
                 f"expected {len(protocol)} magnitudes of the flat sensor, got an array of shape "
@@ -232,22 +224,12 @@ class InputSpec:
     @property
     def design(self) -> SensorDesign:
         """The nominal sensor; raises ConfigurationError where none is known."""
-        if self.known_design is None:
-            raise ConfigurationError(
-                "expected a pipeline that knows its sensor's design, got one of touch positions "
-                "from a recording without; import the recording with --sensor and train again"
-            )
-        return self.known_design
+        return _known(self.known_design, "sensor's design", "--sensor")
 
     @property
     def protocol(self) -> Protocol:
         """The table of measurements; raises ConfigurationError where none is known."""
-        if self.known_protocol is None:
-            raise ConfigurationError(
-                "expected a pipeline that knows its table of measurements, got one of touch "
-                "positions from a recording without; import it with --protocol and train again"
-            )
-        return self.known_protocol
+        return _known(self.known_protocol, "table of measurements", "--protocol")
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -281,12 +263,13 @@ class InputSpec:
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
         """Refuse a protocol or frequency [Hz] other than the trained one; raises FrameError."""
-        if self.known_protocol is None and len(protocol) != len(self.reference):
-            raise FrameError(
-                f"this pipeline was trained for {len(self.reference)} channels, got "
-                f"{len(protocol)}; train on recordings of this sensor"
-            )
-        if self.known_protocol is not None:
+        if self.known_protocol is None:
+            if len(protocol) != len(self.reference):
+                raise FrameError(
+                    f"this pipeline was trained for {len(self.reference)} channels, got "
+                    f"{len(protocol)}; train on recordings of this sensor"
+                )
+        else:
             self.known_protocol.require_same(
                 protocol,
                 "this pipeline was trained for",
@@ -384,6 +367,16 @@ class InputSpec:
             if (left := _spread(logs[known], weights[known])[0]) < best:
                 best, words = left, f"{left:.1%} with {name}"
         return words
+
+
+def _known(value: Known | None, words: str, option: str) -> Known:
+    """A value that recordings may lack; raises ConfigurationError without."""
+    if value is None:
+        raise ConfigurationError(
+            f"expected a pipeline that knows its {words}, got one of touch positions from a "
+            f"recording without; import the recording with {option} and train again"
+        )
+    return value
 
 
 def _weights(reference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,6 +19,12 @@ from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.targets import Targets, TrainingFrames
 
 _NAMES = ("training", "validation")
+Array = NDArray[np.float64]
+LARGEST_RESIDUAL = 0.25  # relative to the root mean square of the known angles
+LEAST_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
+Arrays = Mapping[str, NDArray[Any]]
+FILE_MODULE = "eitskin_method_file_"
+"""Prefix of the module name of a file that a user names as the code of a method."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +50,6 @@ class LearningCurve:
         """Restore the curve that `arrays` came from; empty where there is none."""
         kept = (arrays.get(f"history.{name}", np.zeros(0)) for name in _NAMES)
         return cls(*(tuple(np.asarray(values, dtype=float).tolist()) for values in kept))
-
-
-Array = NDArray[np.float64]
-
-LARGEST_RESIDUAL = 0.25  # relative to the root mean square of the known angles
-LEAST_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,12 +172,6 @@ def _plain(values: Any) -> dict[str, Any]:
             name: list(value) if isinstance(value, tuple) else value for name, value in pairs
         },
     )
-
-
-Arrays = Mapping[str, NDArray[Any]]
-
-FILE_MODULE = "eitskin_method_file_"
-"""Prefix of the module name of a file that a user names as the code of a method."""
 
 
 class Method(ABC):

@@ -11,7 +11,21 @@ from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
 
-SHARE = 0.2  # of the specimens, or of the frames
+HELD_OUT_SHARE = 0.2  # of the specimens, or of the frames of one
+BASELINES = ("ridge", "mlp", "extra-trees", "greit")
+"""Names of methods to compare others with, and of their presets."""
+
+POSITIONS = "touch position"
+"""Name of the method that learns positions of touches alone, with or without a design."""
+
+METHODS = ("joint", "paper", *BASELINES, POSITIONS)
+"""Names of the methods that come with eitskin; those of others have a colon in their name."""
+
+PRESETS = ("joint", "quick", "paper", *BASELINES)
+POSITION_SHARE = 0.8  # neighbours in time are too similar to test on
+
+Progress = Callable[[str, int, int], None]
+"""Callback with the name of a stage, the steps done and their total number."""
 
 
 def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -27,7 +41,7 @@ def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArra
     """
     specimens = np.random.default_rng(seed).permutation(np.unique(dataset.specimen))
     if len(specimens) > 1:
-        drawn = specimens[: max(1, round(SHARE * len(specimens)))]
+        drawn = specimens[: max(1, round(HELD_OUT_SHARE * len(specimens)))]
         held_out = np.isin(dataset.specimen, drawn)
     else:
         held_out = _ends(dataset)
@@ -40,25 +54,8 @@ def _ends(dataset: Dataset) -> NDArray[np.bool_]:
     for state in np.unique(dataset.state):
         frames = np.flatnonzero(dataset.state == state)
         order = np.lexsort((frames, dataset.time[frames], dataset.episode[frames]))
-        late[frames[order][len(frames) - round(SHARE * len(frames)) :]] = True
+        late[frames[order][len(frames) - round(HELD_OUT_SHARE * len(frames)) :]] = True
     return late
-
-
-BASELINES = ("ridge", "mlp", "extra-trees", "greit")
-"""Names of methods to compare others with, and of their presets."""
-
-POSITIONS = "touch position"
-"""Name of the method that learns positions of touches alone, with or without a design."""
-
-METHODS = ("joint", "paper", *BASELINES, POSITIONS)
-"""Names of the methods that come with eitskin; those of others have a colon in their name."""
-
-PRESETS = ("joint", "quick", "paper", *BASELINES)
-
-POSITION_SHARE = 0.8  # neighbours in time are too similar to test on
-
-Progress = Callable[[str, int, int], None]
-"""Callback with the name of a stage, the steps done and their total number."""
 
 
 def silent(stage: str, done: int, total: int) -> None:

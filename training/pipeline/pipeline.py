@@ -421,10 +421,11 @@ class Pipeline:
         try:
             document, weights = saved.document, saved.weights
             require_possible(weights, saved.golden, noise := number(document, "noise"))
-            layout = InputSpec.from_document(document["layout"], weights.get("layout.reference"))
             settings = TrainingSettings.from_document(document["settings"])
             inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
-            examples = Observations(**inputs)
+            examples, positions = Observations(**inputs), document["method"] == POSITIONS
+            reference = examples.flat[0] if positions else weights["layout.reference"]
+            layout = InputSpec.from_document(document["layout"], reference)
             arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}
             code = method_class(document["method"], method)
             with nullcontext() if method is None else told_errors(code.KIND):

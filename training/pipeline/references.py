@@ -29,6 +29,7 @@ LARGEST_FILE = 10_000_000  # bytes; a thousand measurements need 50,000
 Voltages = NDArray[np.complex128]
 
 LONGEST_MEAN = 32  # frames; a longer mean would lag behind a drift too slow to count as motion
+_PLAIN = ("frequency", "zero", "frames", "noise", "taken", "board", "source")
 
 
 @dataclass
@@ -270,9 +271,6 @@ class StoredReference:
             raise DataError(
                 f"{path} is no whole reference: {error}; make it again with eitskin tare"
             ) from error
-
-
-_PLAIN = ("frequency", "zero", "frames", "noise", "taken", "board", "source")
 
 
 @dataclass(frozen=True, slots=True)
