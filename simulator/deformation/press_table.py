@@ -306,7 +306,7 @@ def _scales(stack: Stack) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class _ScaledIndenter:
+class _ScaledIndenter(Indenter):
     """Scaled indenter: all lengths are divided by `length`."""
 
     indenter: Indenter

@@ -1,9 +1,10 @@
 """Reference elements: shape functions on a column of an extruded mesh, or on a tetrahedron."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import skfem
@@ -18,49 +19,49 @@ Numbers = NDArray[np.inexact]
 Base = Literal["quadrilateral", "triangle"]
 
 
-class Element(Protocol):
+class Element(ABC):
     """Shape functions phi_i and quadrature on one reference element.
 
     Inner functions, the last ones, meet neither other elements nor electrodes.
     """
 
     @property
+    @abstractmethod
     def inner(self) -> int:
         """Number of inner functions."""
-        ...
 
     @property
+    @abstractmethod
     def cells(self) -> int:
         """Number of mesh cells that make one element."""
-        ...
 
     @property
+    @abstractmethod
     def face_degree(self) -> int:
         """Polynomial degree of the functions on a face."""
-        ...
 
+    @abstractmethod
     def indicator(self, low: float, high: float) -> Array:
         """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
 
         The function falls to zero at the next heights with mesh points, where there are any.
         """
-        ...
 
+    @abstractmethod
     def values(self, X: Array) -> Array:
         """Values phi_i, (functions, ...), at reference points X (3, ...)."""
-        ...
 
+    @abstractmethod
     def gradients(self, X: Array) -> Array:
         """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
-        ...
 
+    @abstractmethod
     def rule(self) -> tuple[Array, Array]:
         """Points (3, q) and weights (q,), cell by cell, for products of gradients."""
-        ...
 
     def full_rule(self) -> tuple[Array, Array]:
         """Points and weights that leave no product of gradients out in the plane."""
-        ...
+        return self.rule()
 
 
 def plane_element(base: Base, order: int) -> skfem.Element:
@@ -92,7 +93,7 @@ def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
 
 
 @dataclass(frozen=True)
-class ExtrudedElement:
+class ExtrudedElement(Element):
     """Tensor-product element: a column of cells over the unit square or triangle.
 
     Each function is a function of the plane times one of the height, an upright function. The layer
@@ -116,7 +117,6 @@ class ExtrudedElement:
 
     @property
     def cells(self) -> int:
-        """Number of cells in a column."""
         return len(self.heights) - 1
 
     @property
@@ -144,7 +144,6 @@ class ExtrudedElement:
 
     @cached_property
     def inner(self) -> int:
-        """Number of functions, the last ones, that vanish on all upright faces."""
         if not self.condensed:
             return 0
         return sum(p.interior_dofs * self.modes(d) for d, p in enumerate(self.planes))
@@ -154,7 +153,6 @@ class ExtrudedElement:
         return 1 if degree == 0 else self.cells
 
     def indicator(self, low: float, high: float) -> Array:
-        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m]."""
         h = np.array(self.heights)
         same = 1e-9 * (h[-1] - h[0])
         wanted = ((h > low - same) & (h < high + same)).astype(float)
@@ -168,11 +166,9 @@ class ExtrudedElement:
         return np.array(factors)
 
     def values(self, X: Array) -> Array:
-        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         return np.stack([flat[0] * up[0] for flat, up in self._factors(X)])
 
     def gradients(self, X: Array) -> Array:
-        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         return np.stack(
             [
                 np.stack([flat[1][0] * up[0], flat[1][1] * up[0], flat[0] * up[1]])
@@ -269,12 +265,10 @@ class ExtrudedElement:
 
 
 @dataclass(frozen=True)
-class TetrahedralElement:
+class TetrahedralElement(Element):
     """Linear or quadratic Lagrange element on the unit tetrahedron."""
 
     order: int
-    inner: int = 0
-    cells: int = 1
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
@@ -283,8 +277,15 @@ class TetrahedralElement:
             )
 
     @property
+    def inner(self) -> int:
+        return 0
+
+    @property
+    def cells(self) -> int:
+        return 1
+
+    @property
     def face_degree(self) -> int:
-        """Degree on a face."""
         return self.order
 
     @cached_property
@@ -297,11 +298,9 @@ class TetrahedralElement:
         return np.ones(len(self.element.doflocs))
 
     def values(self, X: Array) -> Array:
-        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         return np.stack([self.element.lbasis(X, i)[0] for i in range(len(self.element.doflocs))])
 
     def gradients(self, X: Array) -> Array:
-        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         count = len(self.element.doflocs)
         return np.stack([np.stack(self.element.lbasis(X, i)[1]) for i in range(count)])
 
@@ -309,7 +308,3 @@ class TetrahedralElement:
         """Points (3, q) and weights (q,), exact for products of two functions."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
         return points, weights
-
-    def full_rule(self) -> tuple[Array, Array]:
-        """Points (3, q) and weights (q,) of `rule`."""
-        return self.rule()

@@ -1,10 +1,11 @@
 """Indenters: convex rigid bodies of revolution, given as height maps."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,26 +29,28 @@ _UPRIGHT = 0.02  # facets of the hull whose normals point down by less are its w
 _ROUND = 0.1  # largest difference of height round the axis, of the radius
 
 
-class Indenter(Protocol):
+class Indenter(ABC):
     """Convex body of revolution with a vertical axis."""
 
+    __slots__ = ()
+
     @property
+    @abstractmethod
     def rough(self) -> bool:
         """Whether the indenter sticks to the touched face; else contact is frictionless."""
-        ...
 
     @property
+    @abstractmethod
     def rims(self) -> tuple[float, float]:
         """Smallest and largest radius at which contact may end under any load [m]."""
-        ...
 
+    @abstractmethod
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
         """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
-class Cylinder:
+class Cylinder(Indenter):
     """Flat-ended cylinder.
 
     Attributes:
@@ -70,17 +73,15 @@ class Cylinder:
 
     @property
     def rims(self) -> tuple[float, float]:
-        """Smallest and largest radius at which contact may end under any load [m]."""
         return self.radius * (1.0 - self.edge), self.radius
 
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
-        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
         rounding = self.edge * self.radius
         return _arc(np.maximum(r - self.radius + rounding, 0.0), rounding)
 
 
 @dataclass(frozen=True, slots=True)
-class Sphere:
+class Sphere(Indenter):
     """Ball, or rod with a hemispherical end.
 
     Attributes:
@@ -97,16 +98,14 @@ class Sphere:
 
     @property
     def rims(self) -> tuple[float, float]:
-        """Smallest and largest radius at which contact may end under any load [m]."""
         return 0.0, self.radius
 
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
-        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
         return _arc(r, self.radius)
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(Indenter):
     """Convex body of revolution given by heights at some radii.
 
     The slope is linear between the middles of the segments, so that the surface is smooth and
@@ -149,13 +148,11 @@ class Profile:
 
     @property
     def rims(self) -> tuple[float, float]:
-        """Smallest and largest radius at which contact may end under any load [m]."""
         h = np.array(self.heights)
         flat = float(np.array(self.radii)[np.flatnonzero(h <= 1e-9 * h.max() + 0.0)[-1]])
         return flat, self.radii[-1]
 
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
-        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
         radii, heights = np.array(self.radii), np.array(self.heights)
         middles = 0.5 * (radii[1:] + radii[:-1])
         slopes = np.minimum(np.diff(heights) / np.diff(radii), _STEEPEST)
@@ -219,7 +216,7 @@ def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True, slots=True)
-class ScannedIndenter:
+class ScannedIndenter(Indenter):
     """Lower side of the convex hull of a closed surface, such as a scanned fingertip.
 
     The axis is upright through the lowest point, z up. Presses are those of bodies of revolution:
@@ -242,11 +239,9 @@ class ScannedIndenter:
 
     @property
     def rims(self) -> tuple[float, float]:
-        """Smallest and largest radius at which contact may end under any load [m]."""
         return self._profile().rims
 
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
-        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
         return self._profile().profile(r)
 
     def _profile(self) -> Profile:
