@@ -115,36 +115,28 @@ class PictureEstimate:
 
 
 class PicturePipeline:
-    """Pipeline of the live loop that makes pictures and estimates nothing else."""
+    """Pipeline of the live loop that makes pictures, alone or beside another pipeline."""
 
-    def __init__(self, pictures: LivePictures) -> None:
-        """A pipeline around the pictures of a sensor."""
-        self._pictures = pictures
-
-    def process(self, frame: Frame) -> PictureEstimate:
-        """Picture of `frame` as an estimate."""
-        picture = self._pictures.picture(frame)
-        if picture is None:
-            state = f"reference {self._pictures.taken}/{REFERENCE}"
-            return PictureEstimate(state, None, np.zeros(self._pictures.maker.grid.shape))
-        less = np.clip(-np.nan_to_num(picture.values) / picture.limit, 0.0, 1.0)
-        return PictureEstimate("picture", picture, less)
-
-
-class PicturedPipeline:
-    """Another pipeline whose estimates carry a picture each, as `picture`."""
-
-    def __init__(self, pipeline: "FramePipeline", pictures: LivePictures) -> None:
-        """A pipeline around another."""
-        self._pipeline, self._pictures = pipeline, pictures
+    def __init__(self, pictures: LivePictures, pipeline: "FramePipeline | None" = None) -> None:
+        """Pictures of a sensor, and a pipeline whose estimates carry these as `picture`."""
+        self._pictures, self._pipeline = pictures, pipeline
 
     def process(self, frame: Frame) -> Any:
-        """Estimate of the other pipeline for `frame`, with a picture."""
+        """Picture of `frame`, as an estimate or with that of the other pipeline."""
+        if self._pipeline is None:
+            return self._estimate(self._pictures.picture(frame))
         estimate = self._pipeline.process(frame)
         try:
             return _Pictured(estimate, self._pictures.picture(frame))
         except UnusableFrameError:
             return estimate
+
+    def _estimate(self, picture: Picture | None) -> PictureEstimate:
+        if picture is None:
+            state = f"reference {self._pictures.taken}/{REFERENCE}"
+            return PictureEstimate(state, None, np.zeros(self._pictures.maker.grid.shape))
+        less = np.clip(-np.nan_to_num(picture.values) / picture.limit, 0.0, 1.0)
+        return PictureEstimate("picture", picture, less)
 
 
 class _Pictured:

@@ -3,7 +3,7 @@
 import dataclasses
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eitskin.cli.commands.simulate import announce_unsolved, simulator
 from eitskin.cli.options import Output, seeded
@@ -22,37 +22,27 @@ MOST_PICTURES = 24
 SCHEMES = ("serial:", "text:", "virtual:", "replay:")
 
 
-class PicturedFrames:
-    """Frames to reconstruct, beside their references.
+class PicturedFrame(NamedTuple):
+    """Frame to reconstruct.
 
     Attributes:
-        design: of the sensor.
-        protocol: of the frames.
-        names: of the frames.
-        impedance, reference: (n, measurements) [ohm]; NaN where bad.
-        circles: true touches of each frame, where known.
+        name: of the frame.
+        impedance, reference: of the frame and before it (measurements,) [ohm]; NaN where bad.
+        circles: true touches, where known.
     """
 
-    def __init__(self, design: "SensorDesign", protocol: "Protocol") -> None:
-        """No frames yet."""
-        self.design, self.protocol = design, protocol
-        self.names: list[str] = []
-        self.impedance: list[NDArray[np.complex128]] = []
-        self.reference: list[NDArray[np.complex128]] = []
-        self.circles: list[tuple[Circle, ...]] = []
+    name: str
+    impedance: "NDArray[Any]"
+    reference: "NDArray[Any]"
+    circles: "tuple[Circle, ...]" = ()
 
-    def add(
-        self,
-        name: str,
-        impedance: "NDArray[Any]",
-        reference: "NDArray[Any]",
-        circles: "tuple[Circle, ...]" = (),
-    ) -> None:
-        """Add a frame."""
-        self.names.append(name)
-        self.impedance.append(impedance)
-        self.reference.append(reference)
-        self.circles.append(circles)
+
+class PicturedFrames(NamedTuple):
+    """Frames to reconstruct, of one sensor and protocol."""
+
+    design: "SensorDesign"
+    protocol: "Protocol"
+    frames: list[PicturedFrame]
 
 
 def pictured_frames(
@@ -104,10 +94,9 @@ def _from_scene(
     announce_unsolved(sim, scene, output)
     before = Scene() if reference == "flat" else dataclasses.replace(scene, touches=())
     circles = tuple((each.x, each.y, each.indenter.rims[1]) for each in scene.touches)
-    taken = PicturedFrames(design, sim.protocol)
-    measured = [sim.measure(each).impedance for each in (scene, before)]
-    taken.add(path.stem, measured[0], measured[1], circles)
-    return taken
+    measured, reference_values = (sim.measure(each).impedance for each in (scene, before))
+    frame = PicturedFrame(path.stem, measured, reference_values, circles)
+    return PicturedFrames(design, sim.protocol, [frame])
 
 
 def _from_dataset(
@@ -143,7 +132,7 @@ def _from_dataset(
         )
     touched = np.flatnonzero(data.touch_count > 0)
     chosen = numbers(frames, len(data)) if frames else [int(touched[0]) if touched.size else 0]
-    taken = PicturedFrames(design, pairs)
+    taken = PicturedFrames(design, pairs, [])
     flat = data.reference[data.specimen]
     known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
     references = {"flat": flat, "untouched": np.where(known, data.touch_reference, flat)}
@@ -164,7 +153,8 @@ def _from_dataset(
             if np.isfinite(x)
         )
         frame = np.where(bad[k], np.nan, data.impedance[k])
-        taken.add(f"frame {k}", frame, references[reference][k], circles)
+        before = references[reference][k]
+        taken.frames.append(PicturedFrame(f"frame {k}", frame, before, circles))
     return taken
 
 
@@ -195,20 +185,21 @@ def _from_board(
             Protocol.named(protocol, len(design.electrodes)).require_same(
                 board.protocol, "--protocol names", "the board measures", "leave --protocol out"
             )
-        taken = PicturedFrames(design, board.protocol)
         output.note(f"{average} frames for the reference; keep the sensor untouched")
         arriving = board.frames()
         first = np.array([_good(frame) for frame in islice(arriving, average)])
         output.note(f"{count} frame{'s' * (count > 1)} to picture; touch the sensor")
         before = np.nanmean(first, axis=0) if len(first) else first
-        for frame in islice(arriving, count):
-            taken.add(f"frame {frame.number}", _good(frame), before)
-    if not taken.names:
+        chosen = [
+            PicturedFrame(f"frame {frame.number}", _good(frame), before)
+            for frame in islice(arriving, count)
+        ]
+    if not chosen:
         raise DataError(
             f"expected frames after the {average} of the reference, got none; take fewer with "
             "--average"
         )
-    return taken
+    return PicturedFrames(design, board.protocol, chosen)
 
 
 def _good(frame: "Frame") -> "NDArray[np.complex128]":

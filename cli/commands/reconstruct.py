@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast, get_args
 
 import typer
 from rich.table import Table
 
 from eitskin.cli.commands.live.session import LiveSession
-from eitskin.cli.commands.pictured_frames import SCHEMES, pictured_frames
+from eitskin.cli.commands.pictured_frames import SCHEMES, PicturedFrame, pictured_frames
 from eitskin.cli.options import (
     MeasuredPairs,
     Output,
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eitskin.cli.commands.pictured_frames import PicturedFrames
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
     from eitskin.simulator.electrical.resolution import Resolution
@@ -110,7 +109,7 @@ def command(
     chosen_rule = Regularisation.named(rule)
     compared = None if difference is None else one_of("--difference", difference, Difference)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
-    require_out(out)
+    _require_out(out)
 
     def maker(design: "SensorDesign", protocol: "Protocol", name: str) -> Reconstructor:
         return Reconstructor(
@@ -130,13 +129,56 @@ def command(
     taken = pictured_frames(
         source, sensor, protocol, frames, reference, average, detail, seed, output
     )
-    impedance, before = np.array(taken.impedance), np.array(taken.reference)
-    makers = [maker(taken.design, taken.protocol, name) for name in names]
-    pictures = [each.images(each.data(impedance, before)) for each in makers]
-    output.result(as_data(source, taken, makers, pictures, out), as_table(taken, makers, pictures))
+    impedance = np.array([each.impedance for each in taken.frames])
+    before = np.array([each.reference for each in taken.frames])
+    images = [
+        Image(each, frame, values)
+        for each in (maker(taken.design, taken.protocol, name) for name in names)
+        for frame, values in zip(
+            taken.frames, each.images(each.data(impedance, before)), strict=True
+        )
+    ]
+    data = {
+        "source": source,
+        "protocol": str(taken.protocol),
+        "pictures": [each.as_dict() for each in images],
+        "out": None if out is None else str(out),
+    }
+    output.result(data, _as_table(images))
     if out is not None:
-        write_pictures(out, taken, makers, pictures)
+        _write(out, images)
         output.note(f"written: {out}")
+
+
+class Image(NamedTuple):
+    """Picture of one frame by one method: relative change of conductivity (rows, columns)."""
+
+    maker: "Reconstructor"
+    frame: PicturedFrame
+    values: "NDArray[np.float64]"
+
+    @property
+    def parameter(self) -> float | None:
+        """Regularisation; None where there is none, or where each frame chose its own."""
+        maker = self.maker
+        if maker.method == "back-projection" or maker.regularisation.rule == "gcv":
+            return None
+        return maker.lambda_of()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Method, and least and largest value with their positions [m]."""
+        values, centres = self.values[self.maker.grid.inside], self.maker.grid.centres
+        low, high = int(values.argmin()), int(values.argmax())
+        return {
+            "frame": self.frame.name,
+            "method": self.maker.method,
+            "difference": self.maker.difference,
+            "lambda": self.parameter,
+            "least": float(values[low]),
+            "least_at_m": centres[low].tolist(),
+            "largest": float(values[high]),
+            "largest_at_m": centres[high].tolist(),
+        }
 
 
 def _follow_live(
@@ -182,7 +224,7 @@ def _follow_live(
         session.follow(run_live(session.connection, pipeline), None)
 
 
-def require_out(out: Path | None) -> None:
+def _require_out(out: Path | None) -> None:
     """Refuse, before any computation, a file of an unknown kind or a folder that is missing."""
     if out is None:
         return
@@ -197,134 +239,60 @@ def require_out(out: Path | None) -> None:
         require("matplotlib", "view")
 
 
-def as_data(
-    source: str,
-    taken: "PicturedFrames",
-    makers: "list[Reconstructor]",
-    pictures: "list[NDArray[np.float64]]",
-    out: Path | None,
-) -> dict[str, object]:
-    """Extremes of all pictures as plain data."""
-    return {
-        "source": source,
-        "protocol": str(taken.protocol),
-        "pictures": [
-            {
-                "frame": name,
-                "method": maker.method,
-                "difference": maker.difference,
-                "lambda": _lambda(maker),
-                **_extremes(maker, picture),
-            }
-            for maker, images in zip(makers, pictures, strict=True)
-            for name, picture in zip(taken.names, images, strict=True)
-        ],
-        "out": None if out is None else str(out),
-    }
-
-
-def _extremes(maker: "Reconstructor", picture: "NDArray[np.float64]") -> dict[str, object]:
-    """Least and largest value of a picture, and their positions [m]."""
-    values, centres = picture[maker.grid.inside], maker.grid.centres
-    low, high = int(values.argmin()), int(values.argmax())
-    return {
-        "least": float(values[low]),
-        "least_at_m": centres[low].tolist(),
-        "largest": float(values[high]),
-        "largest_at_m": centres[high].tolist(),
-    }
-
-
-def _lambda(maker: "Reconstructor") -> float | None:
-    """Regularisation parameter; None where there is none, or where each frame chose its own."""
-    if maker.method == "back-projection" or maker.regularisation.rule == "gcv":
-        return None
-    return maker.lambda_of()
-
-
-def as_table(
-    taken: "PicturedFrames", makers: "list[Reconstructor]", pictures: "list[NDArray[np.float64]]"
-) -> Table:
+def _as_table(images: list[Image]) -> Table:
     """Table of the extremes of all pictures."""
     table = Table("frame", "method", "lambda", "least, %", "at, mm", "largest, %", "at, mm")
     table.pad_edge, table.columns[1].no_wrap = False, True  # whole in 80 columns
-    for maker, images in zip(makers, pictures, strict=True):
-        parameter = _lambda(maker)
-        for name, picture in zip(taken.names, images, strict=True):
-            found = _extremes(maker, picture)
-            cells = []
-            for which in ("least", "largest"):
-                x, y = cast("list[float]", found[f"{which}_at_m"])
-                cells += [f"{100 * cast('float', found[which]):+.3g}"]
-                cells += [f"{1e3 * x:.0f}, {1e3 * y:.0f}"]
-            table.add_row(name, maker.method, f"{parameter:.3g}" if parameter else "-", *cells)
+    for each in images:
+        found, parameter = each.as_dict(), each.parameter
+        cells = [found["frame"], found["method"], f"{parameter:.3g}" if parameter else "-"]
+        for which in ("least", "largest"):
+            x, y = found[f"{which}_at_m"]
+            cells += [f"{100 * found[which]:+.3g}", f"{1e3 * x:.0f}, {1e3 * y:.0f}"]
+        table.add_row(*cells)
     return table
 
 
-def write_pictures(
-    out: Path,
-    taken: "PicturedFrames",
-    makers: "list[Reconstructor]",
-    pictures: "list[NDArray[np.float64]]",
-) -> None:
-    """Write the pictures in the form of the file's suffix."""
+def _write(out: Path, images: list[Image]) -> None:
+    """Write the pictures in the form of the file's suffix; those of one method on one scale."""
     import numpy as np
 
     from eitskin.files import atomic_file
 
-    kind = out.suffix.lower()
-    if kind == ".png":
-        _draw(out, taken, makers, pictures)
-        return
-    grid = makers[0].grid
+    methods = list(dict.fromkeys(each.maker.method for each in images))
+    frames = list(dict.fromkeys(each.frame.name for each in images))
+    grid, kind = images[0].maker.grid, out.suffix.lower()
     with atomic_file(out) as temporary:
-        if kind == ".npz":
+        if kind == ".png":
+            from eitskin.training.evaluation.report.drawing import PicturePanel, draw_panels, style
+
+            panels = []
+            for maker, frame, values in images:
+                title = f"{frame.name}: {maker.method}" if len(frames) > 1 else maker.method
+                panels.append(PicturePanel(title, maker.design, maker.grid, values, frame.circles))
+            with style():
+                draw_panels(panels, common=len(methods) == 1).savefig(temporary)
+        elif kind == ".npz":
+            change = np.array([each.values for each in images])
             np.savez_compressed(
                 temporary,
                 x=grid.x,
                 y=grid.y,
                 inside=grid.inside,
-                change=np.array(pictures),
-                methods=np.array([maker.method for maker in makers]),
-                frames=np.array(taken.names),
+                change=change.reshape(len(methods), len(frames), *grid.shape),
+                methods=np.array(methods),
+                frames=np.array(frames),
             )
-            return
-        names = [
-            f"{maker.method} {name}" if len(makers) > 1 else name
-            for maker in makers
-            for name in taken.names
-        ]
-        columns = [image[grid.inside] for images in pictures for image in images]
-        np.savetxt(
-            temporary,
-            np.column_stack([grid.centres, *columns]),
-            delimiter=",",
-            header=",".join(["x_m", "y_m", *names]),
-            comments="",
-            fmt="%.8g",
-        )
-
-
-def _draw(
-    out: Path,
-    taken: "PicturedFrames",
-    makers: "list[Reconstructor]",
-    pictures: "list[NDArray[np.float64]]",
-) -> None:
-    """Draw all pictures; those of one method on one scale."""
-    from eitskin.files import atomic_file
-    from eitskin.training.evaluation.report.drawing import PicturePanel, draw_panels, style
-
-    panels = [
-        PicturePanel(
-            f"{name}: {maker.method}" if len(taken.names) > 1 else maker.method,
-            maker.design,
-            maker.grid,
-            picture,
-            circles,
-        )
-        for maker, images in zip(makers, pictures, strict=True)
-        for name, picture, circles in zip(taken.names, images, taken.circles, strict=True)
-    ]
-    with style(), atomic_file(out) as temporary:
-        draw_panels(panels, common=len(makers) == 1).savefig(temporary)
+        else:
+            names = [
+                f"{maker.method} {frame.name}" if len(methods) > 1 else frame.name
+                for maker, frame, _ in images
+            ]
+            np.savetxt(
+                temporary,
+                np.column_stack([grid.centres, *(each.values[grid.inside] for each in images)]),
+                delimiter=",",
+                header=",".join(["x_m", "y_m", *names]),
+                comments="",
+                fmt="%.8g",
+            )

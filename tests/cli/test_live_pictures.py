@@ -10,7 +10,6 @@ from eitskin.cli.live_pictures import (
     CALM,
     REFERENCE,
     LivePictures,
-    PicturedPipeline,
     PicturePipeline,
 )
 from eitskin.cli.page.state import signed_pixels
@@ -79,7 +78,7 @@ def test_pipeline_of_pictures_alone(maker, flat):
 
 def test_other_pipelines_keep_their_estimates(maker, flat):
     fake = FakePipeline()
-    pipeline = PicturedPipeline(fake, LivePictures(maker))
+    pipeline = PicturePipeline(LivePictures(maker), fake)
     first, *_, last = [
         pipeline.process(frame) for frame in (*frames(flat), Frame(flat, PROTOCOL, session=1))
     ]

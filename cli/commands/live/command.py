@@ -183,7 +183,7 @@ def command(
 
 def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
-    from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
+    from eitskin.cli.live_pictures import LivePictures, PicturePipeline
     from eitskin.cli.page.plan import Region
     from eitskin.training.reconstruction.reconstructor import Method
 
@@ -194,7 +194,7 @@ def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipel
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
     name = cast("Method", one_of("--picture", method, Method))
-    return PicturedPipeline(held, LivePictures.of(sheet, board.protocol, name))
+    return PicturePipeline(LivePictures.of(sheet, board.protocol, name), held)
 
 
 def tell_missing(pipeline: "Pipeline", output: Output) -> None:
