@@ -1,7 +1,7 @@
 """Command line: `eitskin simulate`, `generate`, `train`, `evaluate`, `live` and so on.
 
-`entry` -> `main` -> `commands` (one module each), `demo` and `page` (the live page); `options`,
-`episode` and `live_view` are shared by these.
+`entry` -> `main` -> `commands`, `demo` and `page` (the live page), which share `options` and
+`terminal`.
 """
 
 import os

@@ -25,7 +25,7 @@ from eitskin.cli.commands import (
 )
 from eitskin.cli.commands.bench import group as bench
 from eitskin.cli.commands.live import command as live
-from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
+from eitskin.cli.commands.own_sensor import adapt, setup
 from eitskin.cli.demo import command as demo
 from eitskin.cli.options import ended_by_signals
 from eitskin.errors import EitskinError
@@ -82,7 +82,7 @@ app.command("evaluate")(evaluate.command)
 app.command("adapt")(adapt.command)
 app.command("tare")(tare.command)
 app.command("setup")(setup.command)
-app.command("calibrate")(calibrate.command)
+app.command("calibrate")(adapt.calibrate)
 app.command("check")(check.command)
 app.command("board")(board.command)
 app.command("live")(live.command)

@@ -11,8 +11,7 @@ from rich.console import Console
 
 from eitskin import files as files_module
 from eitskin.cli.commands.live import session as cli
-from eitskin.cli.commands.live.session import Recording
-from eitskin.cli.live_view import touch_picture
+from eitskin.cli.commands.live.session import Recording, touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError

@@ -1,6 +1,7 @@
 """A live session and its recordings; a disk that fails ends a recording, not the session."""
 
 import json
+import math
 import queue
 import threading
 import time
@@ -12,14 +13,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.live import Live
+from rich.rule import Rule
+from rich.table import Table
 from rich.text import Text
 
 from eitskin.cli.commands.tare import board_number
 from eitskin.cli.options import Output
 from eitskin.errors import PartialError
+from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name
 from eitskin.latest import Latest
 
 if TYPE_CHECKING:
@@ -29,7 +35,7 @@ if TYPE_CHECKING:
     from eitskin.cli.page.live_page import LivePage
     from eitskin.datasets.store.writer import ShardWriter
     from eitskin.frame import Frame
-    from eitskin.hardware.boards.board import Connection
+    from eitskin.hardware.boards.board import Connection, Counts
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
@@ -279,7 +285,6 @@ class LiveSession:
 
     def view(self) -> RenderableType:
         """Panel of the newest reading and notes."""
-        from eitskin.cli.live_view import draw
 
         notes = [Text(note, style="yellow") for note in self.notes]
         if self.newest is None:
@@ -291,8 +296,6 @@ class LiveSession:
         """Note totals of the session: frames, losses, latency."""
         import numpy as np
 
-        from eitskin.cli.live_view import losses
-
         unusable = self.newest.unusable if self.newest is not None else 0
         text = f"{self.processed} frames processed, "
         text += losses(self.connection.board.counts, unusable)
@@ -302,3 +305,77 @@ class LiveSession:
         if self.node is not None and self.node.refused:
             text += f"; {self.node.refused} ROS 2 messages found no room"
         self.output.note(text)
+
+
+NOT_ESTIMATED = "not estimated"
+SHOWN = 0.3  # least value of the touch map that is drawn
+
+
+def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableType:
+    """Panel of a reading: numbers, touch map, health; `silence`: why no newer reading comes."""
+    frame, estimate = reading.frame, reading.estimate
+    numbers = Table.grid(padding=(0, 2))
+    if silence:
+        numbers.add_row("board", Text(silence, style="bold red"))
+    if estimate is None:
+        numbers.add_row("state", Text(f"unknown: {reading.problem}", style="bold red"))
+    else:
+        _add_estimate(numbers, estimate, stale=bool(silence))
+    rate = f"{reading.rate:.1f} frames/s" if math.isfinite(reading.rate) else "-"
+    numbers.add_row("rate", f"{rate}, latency {reading.latency * 1e3:.1f} ms")
+    numbers.add_row("losses", losses(counts, reading.unusable))
+    bad = bad_channels(frame)
+    health = ", ".join(f"{label} {what}" for label, what in bad.items())
+    good = f"all {len(frame.status)} good"
+    numbers.add_row("channels", Text(health, style="red") if bad else good)
+    if estimate is None:
+        return numbers
+    if estimate.problems:
+        numbers.add_row("problems", Text("; ".join(estimate.problems), style="red"))
+    if estimate.touch_map is None:
+        return numbers
+    # Rules and no frame: the 80 columns of the map are all that a plain terminal has.
+    return Group(
+        numbers, Rule("touch map, y up, x right"), touch_picture(estimate.touch_map), Rule()
+    )
+
+
+def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
+    """Add state, angle and touches, dimmed where the reading is old."""
+    style = "dim" if stale else ""
+    state, angle, touches = state_name(estimate), estimate.bend_angle_deg, estimate.touches
+    numbers.add_row("state", Text(state or NOT_ESTIMATED, style=style or "bold"))
+    shown = NOT_ESTIMATED
+    if angle is not None:
+        shown = f"{angle:+.1f} deg" if math.isfinite(angle) else "unknown"
+    numbers.add_row("bend", Text(shown, style=style))
+    places = [f"({x * 1e3:.0f}, {y * 1e3:.0f}) mm {s:.2f}" for x, y, s in touches or ()]
+    none = NOT_ESTIMATED if touches is None else "none"
+    zero = zero_name(estimate)
+    numbers.add_row("zero", zero if zero == "first frames" else f"stored reference, {zero}")
+    numbers.add_row("touches", Text(", ".join(places) or none, style=style))
+
+
+def touch_picture(touch_map: NDArray[np.floating]) -> Text:
+    """Touch map (rows, columns), 0 to 1, in half-blocks: two rows of pixels in a line of text."""
+    values = np.asarray(touch_map)[::-1]  # text runs downwards, y upwards
+    if len(values) % 2:
+        values = np.vstack([values, np.zeros_like(values[:1])])
+    picture = Text(no_wrap=True, overflow="crop")
+    for row, (upper, lower) in enumerate(zip(values[::2], values[1::2], strict=True)):
+        if row:
+            picture.append("\n")
+        for high, low in zip(upper, lower, strict=True):
+            block = " ▄▀█"[2 * int(high > SHOWN) + int(low > SHOWN)]
+            strong = max(high, low) > 2 * SHOWN
+            picture.append(block, style="" if block == " " else "red" if strong else "yellow")
+    return picture
+
+
+def losses(counts: "Counts", unusable: int) -> str:
+    """Lost, skipped, unusable and dropped frames as a sentence."""
+    dropped = ", ".join(f"{count} {reason}" for reason, count in counts.dropped.items())
+    return (
+        f"{counts.lost} lost, {counts.skipped} skipped, {unusable} unusable, "
+        f"{counts.reconnections} reconnections, dropped: {dropped or 'none'}"
+    )

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin.cli.commands.check import FRAMES, sensor_findings
 from eitskin.cli.commands.live.session import Recording, SessionPipeline, expected_magnitudes
 from eitskin.cli.commands.live.task import Task
-from eitskin.cli.commands.own_sensor.adapt import open_start
-from eitskin.cli.commands.own_sensor.calibrate import angles_of
+from eitskin.cli.commands.own_sensor.adapt import angles_of, open_start
 from eitskin.cli.commands.own_sensor.poses import Dialogue, asked, staged
 from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupResult, Wanted, design_of
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES

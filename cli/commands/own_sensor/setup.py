@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eitskin.cli.commands import check, tare
-from eitskin.cli.commands.own_sensor.adapt import StartModel, adapt, in_words, open_start, said
-from eitskin.cli.commands.own_sensor.calibrate import Angles, angles_of
+from eitskin.cli.commands.own_sensor.adapt import (
+    Angles,
+    StartModel,
+    adapt,
+    angles_of,
+    in_words,
+    open_start,
+    said,
+)
 from eitskin.cli.commands.own_sensor.poses import (
     Dialogue,
     TerminalDialogue,
