@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.rule import Rule
@@ -25,7 +23,6 @@ from rich.text import Text
 from eitskin.cli.commands.tare import board_number
 from eitskin.cli.options import Output
 from eitskin.errors import PartialError
-from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name
 from eitskin.latest import Latest
 
 if TYPE_CHECKING:
@@ -324,6 +321,8 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
     rate = f"{reading.rate:.1f} frames/s" if math.isfinite(reading.rate) else "-"
     numbers.add_row("rate", f"{rate}, latency {reading.latency * 1e3:.1f} ms")
     numbers.add_row("losses", losses(counts, reading.unusable))
+    from eitskin.hardware.streams.reading_record import bad_channels
+
     bad = bad_channels(frame)
     health = ", ".join(f"{label} {what}" for label, what in bad.items())
     good = f"all {len(frame.status)} good"
@@ -343,6 +342,8 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
 def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
     """Add state, angle and touches, dimmed where the reading is old."""
     style = "dim" if stale else ""
+    from eitskin.hardware.streams.reading_record import state_name, zero_name
+
     state, angle, touches = state_name(estimate), estimate.bend_angle_deg, estimate.touches
     numbers.add_row("state", Text(state or NOT_ESTIMATED, style=style or "bold"))
     shown = NOT_ESTIMATED
@@ -356,8 +357,10 @@ def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
     numbers.add_row("touches", Text(", ".join(places) or none, style=style))
 
 
-def touch_picture(touch_map: NDArray[np.floating]) -> Text:
+def touch_picture(touch_map: "NDArray[np.floating]") -> Text:
     """Touch map (rows, columns), 0 to 1, in half-blocks: two rows of pixels in a line of text."""
+    import numpy as np
+
     values = np.asarray(touch_map)[::-1]  # text runs downwards, y upwards
     if len(values) % 2:
         values = np.vstack([values, np.zeros_like(values[:1])])
