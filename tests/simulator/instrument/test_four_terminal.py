@@ -70,17 +70,6 @@ def test_stray_capacitance_across_the_drive_pair_is_that_of_the_circuit():
         assert value == pytest.approx(V[c] - V[d], rel=1e-9)
 
 
-def test_measurements_of_one_drive_pair_share_its_stray_capacitance():
-    found, _ = measured(only(stray_capacitance=(40e-12, 100e-12)), ADJACENT)
-    transfer, drive = QUIET.terminal_impedances(Z, ADJACENT)
-    capacitance = ((transfer / found[0] - 1.0) / (1j * OMEGA * drive)).real
-    drives = [frozenset(row[:2]) for row in ADJACENT.table]
-    for pair in set(drives):
-        mine = capacitance[[each == pair for each in drives]]
-        np.testing.assert_allclose(mine, mine[0], rtol=1e-6)
-    assert len(np.unique(np.round(capacitance, 15))) == N
-
-
 def test_the_drive_pair_limits_the_current_and_the_sensed_voltage_its_range():
     """Drive pairs of 100 ohm take 0.607 V only up to 3 mA: 121 mV is the largest that fits."""
     both = np.array([[0.5], [100.0]])[None].astype(complex)
