@@ -20,7 +20,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
-from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
+from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.mixed_solid import STIFFEST, Solid
 from eitskin.simulator.scene.indenters import Cylinder, Indenter, Sphere
@@ -33,7 +33,7 @@ _DEPTH = 1e-6  # so small that strains are linear
 _LAST = 0.9  # depth, of the thickness
 
 
-class Counted:
+class Counted(ForceTerm):
     """Solid that counts its linearisations, one per iteration, and keeps its last state."""
 
     def __init__(self, solid: Solid) -> None:
@@ -52,9 +52,18 @@ class Counted:
         self.x = x
         return self
 
-    def __getattr__(self, name: str) -> Any:
-        """Any other attribute of the solid."""
-        return getattr(self._solid, name)
+    @property
+    def multipliers(self) -> int:
+        """Number of pressures."""
+        return self._solid.multipliers
+
+    def forces(self, x: Array) -> Array:
+        """Forces of the solid."""
+        return self._solid.forces(x)
+
+    def admissible(self, x: Array) -> bool:
+        """Whether no cell is inverted."""
+        return self._solid.admissible(x)
 
 
 def incompressible(quick: bool) -> Iterator[Case]:

@@ -1,20 +1,19 @@
 """Elastic bond between faces of a solid and a moving plate."""
 
-from typing import Self
-
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, eye_array, kron
 from skfem.models.poisson import mass
 
+from eitskin.simulator.mechanics.load_stepping import ForceTerm
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class ElasticBond:
+class ElasticBond(ForceTerm):
     """Linear springs between boundary facets of a solid and a plate: traction = gap / compliance.
 
     The plate moves by nodal displacements U; `pull` gives the dead forces of that movement, and
@@ -23,8 +22,6 @@ class ElasticBond:
     Attributes:
         stiffness: of the springs, (unknowns, unknowns) [N/m].
     """
-
-    multipliers = 0
 
     def __init__(self, solid: Solid, facets: Indices, compliance: float) -> None:
         """Assemble the springs.
@@ -55,11 +52,3 @@ class ElasticBond:
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Spring forces (n,) at the unknowns x (n,), and the stiffness (n, n)."""
         return self.forces(x), self.stiffness
-
-    def admissible(self, x: Array) -> bool:  # noqa: ARG002
-        """Whether the unknowns x are possible: always."""
-        return True
-
-    def advanced(self, x: Array) -> Self:  # noqa: ARG002
-        """The bond itself, since springs have no history."""
-        return self

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array, csc_array
 
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.box_fields import shape_functions
+from eitskin.simulator.mechanics.load_stepping import ForceTerm
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -233,7 +234,7 @@ class DentField:
         return found
 
 
-class HeldContact:
+class HeldContact(ForceTerm):
     """Springs that hold the displacement c of a contact area at -d n - g.
 
     n is the normal of the face, and g the displacement of the area by the dents of other indenters
@@ -307,19 +308,6 @@ class HeldContact:
             g = given(points.reshape(-1, 3)).reshape(points.shape)
             pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
             self._given = numbers.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel()
-
-    @property
-    def multipliers(self) -> int:
-        """Number of Lagrange multipliers: none, since springs need no multipliers."""
-        return 0
-
-    def admissible(self, x: Array) -> bool:  # noqa: ARG002
-        """Always true: springs allow any position."""
-        return True
-
-    def advanced(self, x: Array) -> "HeldContact":  # noqa: ARG002
-        """The contact itself, which has no history."""
-        return self
 
     def forces(self, x: Array) -> Array:
         """Forces of the springs on the unknowns (n,) [N]."""

@@ -1,5 +1,6 @@
 """Equilibrium under loads: Newton's method with line search, and load stepping."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
@@ -37,29 +38,31 @@ class SolidError(ConfigurationError):
         self.reached = reached
 
 
-class ForceTerm(Protocol):
-    """Term of the equilibrium that exerts forces on the unknowns: a solid, a contact."""
+class ForceTerm(ABC):
+    """Term of the equilibrium that exerts forces on the unknowns: a solid, a contact, springs."""
+
+    __slots__ = ()
 
     @property
     def multipliers(self) -> int:
         """Number of unknowns that are Lagrange multipliers, such as pressures."""
-        ...
+        return 0
 
+    @abstractmethod
     def forces(self, x: Array) -> Array:
         """Forces (n,) at the unknowns x (n,)."""
-        ...
 
+    @abstractmethod
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Forces (n,) and symmetric stiffness (n, n) at the unknowns x (n,)."""
-        ...
 
-    def admissible(self, x: Array) -> bool:
+    def admissible(self, x: Array) -> bool:  # noqa: ARG002
         """Whether the unknowns x are possible, without inverted cells."""
-        ...
+        return True
 
-    def advanced(self, x: Array) -> Self:
+    def advanced(self, x: Array) -> Self:  # noqa: ARG002
         """The term after x has been reached, where its forces depend on the history."""
-        ...
+        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)

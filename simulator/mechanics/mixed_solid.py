@@ -13,7 +13,7 @@ stress is positive in tension.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import skfem
@@ -24,6 +24,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.elimination_order import Block, dissection
 from eitskin.simulator.linalg.multifrontal import Factors, factorised
 from eitskin.simulator.linalg.stiffness_pattern import ElementBlocks, StiffnessPattern
+from eitskin.simulator.mechanics.load_stepping import ForceTerm
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ class StrainState:
     multiplier: Array
 
 
-class Solid:
+class Solid(ForceTerm):
     """Meshed body of hyperelastic materials.
 
     Unknowns x are the displacements [m], node by node, then the pressures, scaled to have the
@@ -166,10 +167,6 @@ class Solid:
     def admissible(self, x: Array) -> bool:
         """Whether J > 0 at all quadrature points."""
         return bool(np.all(self._strain_state(x).J > 0.0))  # also false for NaN
-
-    def advanced(self, x: Array) -> Self:  # noqa: ARG002
-        """The solid itself, since an elastic solid has no history."""
-        return self
 
     def energy(self, x: Array) -> float:
         """Stored energy [J]; per unit of thickness in plane strain."""

@@ -7,6 +7,7 @@ import skfem
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
+from eitskin.simulator.mechanics.load_stepping import ForceTerm
 from eitskin.simulator.mechanics.materials import cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter, penetration
@@ -18,7 +19,7 @@ _SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PenaltyContact:
+class PenaltyContact(ForceTerm):
     """Penalty contact: pressure proportional to penetration, and no tension.
 
     A point of the face that penetrates the indenter by g is pushed back along the indenter's
@@ -109,15 +110,6 @@ class PenaltyContact:
             anchors=undeformed,
             holds=flat[..., None, None] * horizontal,
         )
-
-    @property
-    def multipliers(self) -> int:
-        """Number of Lagrange multipliers: none, since penalties need no multipliers."""
-        return 0
-
-    def admissible(self, x: Array) -> bool:  # noqa: ARG002
-        """Always true: any position of the face is possible."""
-        return True
 
     def nominal_pressure(self, x: Array) -> Array:
         """Nominal pressure q, force along the normal per undeformed area, (facets, q) [Pa]."""
