@@ -77,12 +77,12 @@ CARD_TEXT: Final = """\
 Load it with `eitskin.training.Pipeline.load`; it needs eitskin and {code}, and holds no
 pickled objects.
 
-**Made for** {sensor}, values in ohm. Frames of another table
-or frequency are refused{others}.
+**Made for** {sensor} a frame{frequency}, values in ohm. Frames of another table
+or frequency are refused.
 
 **Estimates** {estimates}.
 
-**Trained on** {frames} {source} frames, seed {seed}, by the {method} method. Conditions absent from
+**Trained on** {frames} {source} frames by the {method} method. Conditions absent from
 these frames (other indenters, wear) are untested.
 
 **Limits.** A session must begin with the sensor flat and untouched.{limits}
@@ -346,36 +346,31 @@ def _plausible(array: NDArray[Any]) -> bool:
 
 def model_card(document: Mapping[str, Any]) -> str:
     """Model card of the pipeline that `document` describes: purpose, data, limits, in Markdown."""
-    layout, targets, trained_on = (document[name] for name in ("layout", "estimates", "trained_on"))
-    positions = document["method"] == POSITIONS
-    sensor = f"the one sensor it was recorded from, {layout.get('channels')} channels a frame"
-    if not positions:
+    layout, targets, method = (document[name] for name in ("layout", "estimates", "method"))
+    sensor = f"the one sensor it was recorded from, {layout['channels']} measurements"
+    if method != POSITIONS:
         outline = from_dict(SensorDesign, layout["design"], "layout.design").outline
         sensor = (
             f"a {outline.length * 1e3:g} x {outline.width * 1e3:g} mm sensor with "
-            f"{layout['protocol']['n_electrodes']} electrodes, {len(layout['protocol']['table'])}\n"
-            f"measurements a frame at {layout['frequency'] / 1e3:g} kHz"
+            f"{layout['protocol']['n_electrodes']} electrodes, {layout['channels']}\nmeasurements"
         )
     estimates = {
         f"the state ({' or '.join(targets['states'])})": bool(targets["states"]),
         "the bend angle in degrees": targets["angle"],
-        "the positions of touches in metres from the corner of the conductive layer": (
-            targets["touches"] and not positions
-        ),
-        "the position of one touch in metres, with a standard error": positions,
+        "positions of touches in metres from the corner of the conductive layer": targets[
+            "touches"
+        ],
         "their forces in newtons": targets["force"],
     }
+    limits = POSITION_LIMITS if method == POSITIONS else FLAT_LIMITS
     return CARD_TEXT.format(
+        code=f"the code of {method}" if ":" in method else "no other code",
         sensor=sensor,
-        others=""
-        if positions
-        else ", and so are sensors whose values are far from those of training",
-        seed=document["settings"]["seed"],
+        frequency=f" at {layout['frequency'] / 1e3:g} kHz" if layout["frequency"] else "",
         estimates=", ".join(words for words, estimated in estimates.items() if estimated),
-        limits=POSITION_LIMITS if positions else ANGLE_LIMITS if targets["angle"] else FLAT_LIMITS,
-        method=document["method"],
-        code=f"the code of {document['method']}" if ":" in document["method"] else "no other code",
-        frames=trained_on["frames"],
-        source=trained_on["source"],
-        metrics=json.dumps(document["metrics"], indent=1) if document["metrics"] else "{}",
+        frames=document["trained_on"]["frames"],
+        source=document["trained_on"]["source"],
+        method=method,
+        limits=ANGLE_LIMITS if targets["angle"] else limits,
+        metrics=json.dumps(document["metrics"], indent=1),
     )
