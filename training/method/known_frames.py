@@ -158,7 +158,9 @@ class KnownFrames:
                 f"expected one label for each frame, got {len(labels)} labels and "
                 f"{len(frames)} frames"
             )
-        flat = np.array([label.flat for label in labels], dtype=bool)
+        angles = np.array([label.angle_deg for label in labels], dtype=float)  # None becomes NaN
+        free = np.array([label.touches == () for label in labels], dtype=bool)
+        flat = free & (np.abs(angles) <= FLAT_DEG)
         if not flat.any():
             raise ConfigurationError(
                 "expected at least one frame of the flat, untouched sensor among the known frames, "
@@ -169,9 +171,10 @@ class KnownFrames:
         reference = _mean(logs[flat])
         spec.require_adaptable(np.exp(reference).astype(np.complex128))
         time = np.array([frame.time for frame in frames])
-        befores = [_reference_rows(labels, row) for row in range(len(labels))]
+        befores = [_reference_rows(angles, free, row) for row in range(len(labels))]
         before = np.array([_mean(logs[rows]) if rows else reference for rows in befores])
         count, since = int(flat.sum()), float(time[flat].min())
+        renewed = np.array([time[rows].max() if rows else since for rows in befores])
         observations = Observations(
             static=np.expm1(logs - reference),
             dynamic=np.expm1(logs - before),
@@ -180,14 +183,8 @@ class KnownFrames:
             static_frames=np.full(len(frames), float(count)),
             dynamic_frames=np.array([float(len(rows) or count) for rows in befores]),
             age=np.maximum(time - since, 0.0),
-            dynamic_age=np.array(
-                [
-                    max(now - (time[rows].max() if rows else since), 0.0)
-                    for now, rows in zip(time, befores, strict=True)
-                ]
-            ),
+            dynamic_age=np.maximum(time - renewed, 0.0),
         )
-        angles = np.array([_or_nan(label.angle_deg) for label in labels])
         referred = [angles[rows[0]] if rows else 0.0 for rows in befores]
         told = np.array([label.touches is not None for label in labels])
         return cls(observations, angles, np.array(referred), _touches(labels), told)
@@ -242,10 +239,6 @@ class KnownFrames:
         return np.asarray(self.told & ~self.touched & (np.abs(self.angle_deg) <= FLAT_DEG))
 
 
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
 def _mean(logs: Array) -> Array:
     """Mean (C,) of logarithms (n, C); NaN where a measurement is bad in all rows."""
     with warnings.catch_warnings():
@@ -254,32 +247,28 @@ def _mean(logs: Array) -> Array:
     return mean
 
 
-def _reference_rows(labels: Sequence[FrameLabel], row: int) -> list[int]:
-    """Numbers of the untouched frames that a frame is compared with; empty without any."""
-    angle = labels[row].angle_deg
+def _reference_rows(angles: Array, free: Mask, row: int) -> list[int]:
+    """Numbers of the untouched frames that a frame is compared with; empty without any.
 
-    def fits(other: int) -> bool:
-        label = labels[other]
-        return label.touches == () and (angle is None or _same(angle, label.angle_deg))
+    Args:
+        angles: of all frames [deg], NaN where unknown (n,).
+        free: whether each frame is known to be untouched (n,).
+        row: of the frame.
+    """
+    fits = free & (np.isnan(angles[row]) | (np.abs(angles[row] - angles) <= FLAT_DEG))
 
     def run(rows: Iterable[int]) -> list[int]:
         """The first in succession that fit, all of one angle."""
         found: list[int] = []
         for other in rows:
-            if fits(other) and (
-                not found or _same(labels[found[0]].angle_deg, labels[other].angle_deg)
-            ):
+            with_first = not found or abs(angles[found[0]] - angles[other]) <= FLAT_DEG
+            if fits[other] and with_first:
                 found.append(other)
             elif found:
                 break
         return found
 
-    return run(range(row - 1, -1, -1)) or run(range(row + 1, len(labels)))
-
-
-def _same(one: float | None, other: float | None) -> bool:
-    """Whether two angles [deg] are known to be the same."""
-    return one is not None and other is not None and abs(one - other) <= FLAT_DEG
+    return run(range(row - 1, -1, -1)) or run(range(row + 1, len(angles)))
 
 
 def _touches(labels: Sequence[FrameLabel]) -> Array:
@@ -288,7 +277,7 @@ def _touches(labels: Sequence[FrameLabel]) -> Array:
     table = np.full((len(rows), max(1, *map(len, rows)), 3), np.nan)
     for row, touches in enumerate(rows):
         for k, touch in enumerate(touches):
-            table[row, k] = touch.x, touch.y, _or_nan(touch.force)
+            table[row, k] = touch.x, touch.y, math.nan if touch.force is None else touch.force
     return table
 
 
