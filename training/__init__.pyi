@@ -56,13 +56,13 @@ from eitskin.training.pipeline.pipeline import (
 from eitskin.training.pipeline.references import (
     StoredReference as StoredReference,
 )
-from eitskin.training.reconstruction.figures_of_merit import (
+from eitskin.training.reconstruction.pixel_grid import (
     FiguresOfMerit as FiguresOfMerit,
 )
-from eitskin.training.reconstruction.figures_of_merit import (
+from eitskin.training.reconstruction.pixel_grid import PixelGrid as PixelGrid
+from eitskin.training.reconstruction.pixel_grid import (
     figures_of_merit as figures_of_merit,
 )
-from eitskin.training.reconstruction.pixel_grid import PixelGrid as PixelGrid
 from eitskin.training.reconstruction.reconstructor import (
     Reconstructor as Reconstructor,
 )

@@ -5,8 +5,7 @@ import pytest
 
 from eitskin.errors import DataError
 from eitskin.geometry.design.outline import Disc
-from eitskin.training.reconstruction.figures_of_merit import figures_of_merit
-from eitskin.training.reconstruction.pixel_grid import PixelGrid
+from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit
 
 GRID = PixelGrid.of(Disc(0.1), 10_000)
 CENTRE, RADIUS = (0.13, 0.09), 0.02

@@ -12,7 +12,7 @@ from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
-from eitskin.training.reconstruction.figures_of_merit import figures_of_merit
+from eitskin.training.reconstruction.pixel_grid import figures_of_merit
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor, back_projection
 from eitskin.training.reconstruction.regularised_inverse import Regularisation
 

@@ -155,7 +155,8 @@ def write_position_report(
     score = PositionScore.of(touches, dataset).as_dict()
     true, found = held_out_positions(touches, dataset)
     errors = np.linalg.norm(found - true, axis=1)
-    shown, caption = true[:MOST_VECTORS], f"Localisation errors of {len(true)} touches."
+    shown = true[:MOST_VECTORS]
+    caption = f"Localisation errors of {len(true)} touches; the largest are in the last bin."
     drawings = {
         "error_vectors.png": lambda: draw_error_vectors(
             touches.layout.known_design, shown, shown, found[:MOST_VECTORS], true[:0]
