@@ -9,7 +9,6 @@ calibration.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,8 +67,8 @@ class BendCurve:
 
     def grid(self, count: int) -> tuple[Array, Array]:
         """Angles (count,) [deg] over the range learned from, and values there (count, K)."""
-        angles, powers = _grid(*self.angle_deg, count, len(self.mean))
-        return angles, powers @ self.coefficients
+        angles = np.linspace(*self.angle_deg, count)
+        return angles, self.value(angles)
 
     def slope(self, angle_deg: float) -> Array:
         """Derivative by the angle (K,) [1/deg]."""
@@ -78,15 +77,16 @@ class BendCurve:
 
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
         """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
-        exponents, factors = _value_and_slope(len(self.mean))
-        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self.coefficients
+        u, orders = angle_deg / SCALE, np.arange(1.0, len(self.mean) + 1)
+        powers = u ** (orders - 1.0)
+        value, slope = np.array([u * powers, orders / SCALE * powers]) @ self.coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (K, K) of B(angle) - B(reference) that w contributes."""
-        u, reference = angle_deg / SCALE, reference_deg / SCALE
         random, channels = self.effects.shape
-        weights = np.array([u**k - reference**k for k in range(1, random + 1)])
+        orders = np.arange(1.0, random + 1)
+        weights = (angle_deg / SCALE) ** orders - (reference_deg / SCALE) ** orders
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self.blocks
         return covariance.reshape(channels, channels)
 
@@ -205,9 +205,11 @@ class BendCurvePrior:
         normal = np.linalg.slogdet(2.0 * np.pi * frames.noise)[1]
         width = np.linalg.slogdet(self.covariance)[1]
         logs = []
-        for told in self._effects(frames):
-            misfit = told.square - float(told.evidence @ told.effects)
-            logs.append(-0.5 * (misfit + told.width + width + told.frames * normal))
+        for _, residual, posterior in self._posteriors(frames):
+            misfit = float(np.sum(residual @ posterior.precision_of_noise * residual))
+            misfit -= float(posterior.evidence @ posterior.effects)
+            widths = _log_determinant(posterior.factor) + width + len(residual) * normal
+            logs.append(-0.5 * (misfit + widths))
         return np.array(logs)
 
     def expected(self, frames: BentFrames) -> Array:
@@ -216,32 +218,20 @@ class BendCurvePrior:
         They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames.
         """
         curves = []
-        for told in self._effects(frames):
-            effects = told.effects.reshape(-1, frames.change.shape[1])
-            curves.append(told.prior.coefficients.copy())
-            curves[-1][: len(effects)] += effects
+        for prior, _, posterior in self._posteriors(frames):
+            effects = posterior.effects.reshape(-1, frames.change.shape[1])
+            curves.append(replace(prior, effects=effects).coefficients)
         return np.array(curves)
 
-    def _effects(self, frames: BentFrames) -> Iterator["_Effects"]:
-        """Posterior of the random effects of each curve."""
-        angle_deg, change = frames.angle_deg, frames.change
-        precision, inverse = np.linalg.inv(frames.noise), np.linalg.inv(self.covariance)
-        size = len(self.covariance) // change.shape[1]
+    def _posteriors(self, frames: BentFrames) -> "Iterator[tuple[BendCurve, Array, _Posterior]]":
+        """Prior of each curve, what it leaves of its frames, and the posterior of its effects."""
+        size = len(self.covariance) // frames.change.shape[1]
+        precision, inverse = _inverse(frames.noise), _inverse(self.covariance)
         for rows in _groups(frames.curve):
-            prior = self.of(frames.features[rows[0]])
-            powers = _powers(angle_deg[rows, None] / SCALE, size)
-            residual = change[rows] - prior.value(angle_deg[rows])
-            weighted = residual @ precision
-            evidence = (powers.T @ weighted).ravel()
-            factor = cho_factor(inverse + np.kron(powers.T @ powers, precision))
-            yield _Effects(
-                prior,
-                len(rows),
-                evidence,
-                cho_solve(factor, evidence),
-                float(np.sum(weighted * residual)),
-                _log_determinant(factor),
-            )
+            prior, angle_deg = self.of(frames.features[rows[0]]), frames.angle_deg[rows]
+            powers = _powers(angle_deg[:, None] / SCALE, size)
+            residual = frames.change[rows] - prior.value(angle_deg)
+            yield prior, residual, _Posterior.of(powers, residual, precision, inverse)
 
     @classmethod
     def flat(cls, features: int, channels: int) -> "BendCurvePrior":
@@ -281,24 +271,27 @@ class BendCurvePrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Effects:
+class _Posterior:
     """Posterior of the random effects w of one specimen, given its frames.
 
     Attributes:
-        prior: of its curve.
-        frames: number of them.
         evidence: their part in the posterior of w (R K,).
-        effects: mean of that posterior (R K,).
-        square: of their residuals without w, in the metric of the noise.
-        width: logarithm of the determinant of the posterior's precision.
+        factor: Cholesky factor of its precision.
+        effects: its mean (R K,).
+        precision_of_noise: inverse covariance of one frame's change (K, K).
     """
 
-    prior: BendCurve
-    frames: int
     evidence: Array
+    factor: tuple[Array, bool]
     effects: Array
-    square: float
-    width: float
+    precision_of_noise: Array
+
+    @classmethod
+    def of(cls, powers: Array, residual: Array, precision: Array, inverse: Array) -> "_Posterior":
+        """By what frames leave (n, K), of powers (n, R) of their angles; `inverse` that of w."""
+        evidence = (powers.T @ (residual @ precision)).ravel()
+        factor = cho_factor(inverse + np.kron(powers.T @ powers, precision))
+        return cls(evidence, factor, cho_solve(factor, evidence), precision)
 
 
 def _log_determinant(factor: tuple[Array, bool]) -> float:
@@ -306,24 +299,14 @@ def _log_determinant(factor: tuple[Array, bool]) -> float:
     return 2.0 * float(np.sum(np.log(np.diagonal(factor[0]))))
 
 
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
 def _powers(u: Array, count: int) -> Array:
     """Powers u, u^2, ... (..., count) of u (..., 1)."""
     powers: Array = u ** np.arange(1, count + 1)
     return powers
-
-
-@lru_cache(maxsize=16)
-def _grid(low: float, high: float, count: int, powers: int) -> tuple[Array, Array]:
-    """Angles (count,) [deg] and their powers (count, powers)."""
-    angles = np.linspace(low, high, count)
-    return angles, _powers(angles[:, None] / SCALE, powers)
-
-
-@lru_cache(maxsize=16)
-def _value_and_slope(powers: int) -> tuple[Array, Array]:
-    """Exponents and factors (2, powers): u^1, u^2, ... and, over SCALE, u^0, 2 u^1, ..."""
-    orders = np.arange(1.0, powers + 1)
-    return orders - [[0.0], [1.0]], np.array([np.ones(powers), orders / SCALE])
 
 
 def _mixed_model(
@@ -335,21 +318,15 @@ def _mixed_model(
     mean and covariance of w_s given the residuals. Maximisation step: average over s of
     w_s w_s^T plus that covariance.
     """
-    precision = np.linalg.inv(noise)
-    terms = []
-    for rows in _groups(specimen):
-        X = powers[rows]
-        terms.append((X.T @ X, (X.T @ residual[rows] @ precision).ravel()))
-    size = powers.shape[1] * residual.shape[1]
+    precision = _inverse(noise)
+    groups, size = _groups(specimen), powers.shape[1] * residual.shape[1]
     covariance = np.eye(size) * float(np.mean(residual**2))
     for _ in range(EM_ITERATIONS):
-        inverse = np.linalg.inv(covariance)
-        total = np.zeros_like(covariance)
-        for gram, evidence in terms:
-            posterior = np.linalg.inv(inverse + np.kron(gram, precision))
-            expected = posterior @ evidence
-            total += posterior + np.outer(expected, expected)
-        covariance = total / len(terms)
+        inverse, total = _inverse(covariance), np.zeros_like(covariance)
+        for rows in groups:
+            found = _Posterior.of(powers[rows], residual[rows], precision, inverse)
+            total += cho_solve(found.factor, np.eye(size)) + np.outer(found.effects, found.effects)
+        covariance = total / len(groups)
         # Keeps the covariance invertible in directions in which no specimen departs.
         covariance += 1e-9 * np.trace(covariance) / size * np.eye(size)
     return covariance
