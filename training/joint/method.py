@@ -43,8 +43,8 @@ from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
     AngleEstimate,
-    CandidateRows,
     SpecimenModel,
+    candidate_rows,
 )
 from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
@@ -137,11 +137,11 @@ class JointMethod(Method):
     own_output: Array | None = None
     own_latent: Array | None = None
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
-    _rows: CandidateRows = field(init=False, repr=False)
+    _rows: Mapping[int, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Evaluate the response network at the candidate positions."""
-        rows = CandidateRows(self.response, self.places, self.bend_prior.angle_deg)
+        rows = candidate_rows(self.response, self.places, self.bend_prior.angle_deg)
         object.__setattr__(self, "_rows", rows)
 
     @classmethod
@@ -201,11 +201,11 @@ class JointMethod(Method):
         def untouched() -> CombinedChange:
             return self._combined(static, own_share + static_share, frame.age[0])
 
-        def bend_deg() -> float:
-            return specimen.angle_by_networks(untouched())[0]
+        def bend_deg() -> float | None:
+            by_networks = specimen.angle_by_networks(untouched())
+            return by_networks and by_networks[0]
 
-        by_networks = bend_deg if specimen.has_networks else None
-        found = self._fitted(change, reference, specimen, by_networks)
+        found = self._fitted(change, reference, specimen, bend_deg)
         static[[member for fault in found.faults for member in fault.members]] = np.nan
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
@@ -227,7 +227,7 @@ class JointMethod(Method):
         change: CombinedChange,
         reference: AngleEstimate,
         specimen: SpecimenModel,
-        bend_deg: Callable[[], float] | None,
+        bend_deg: Callable[[], float | None],
     ) -> FrameFit:
         """The fit to one frame, with the bend curve that the reference tells or the frame itself.
 
@@ -236,7 +236,7 @@ class JointMethod(Method):
         """
         angle_deg = reference.angle_deg
         proposed = self._proposed(change, angle_deg, specimen) if self.touches else None
-        candidates = specimen.candidates(angle_deg)
+        candidates = specimen.candidates(angle_deg, self.places, self._rows)
 
         def fit(curve: BendCurve) -> FrameFit:
             parts = (specimen.response, curve, self.touch_prior)
@@ -311,16 +311,16 @@ class JointMethod(Method):
             p = self.features.bounded(flat)
             curve = self.calibrated or self.bend_prior.of(p)
             usual = self.usual if self.calibrated is None else None
+            told = self.angle_features.apply(flat) if self.angle_features else p
+            networks = (self.angles, told) if self.angles and self.calibrated is None else None
             self._specimens[key] = SpecimenModel(
                 p,
                 self.response_of(flat),
                 curve,
                 possible_faults(self.protocol, flat, self.combinations),
                 calibration_problems(flat, self.calibrated_flat),
-                self._rows,
-                self.angles if self.calibrated is None else None,
+                networks,
                 usual.of(p) if usual else None,
-                self.angle_features.apply(flat) if self.angle_features else None,
             )
         return self._specimens[key]
 

@@ -64,29 +64,42 @@ class FrameFit:
     """Selected model of one frame and the estimates of its unknowns.
 
     Attributes:
-        angle_deg: of the bend [deg].
+        unknowns: touches and bend angle.
         angle_deviation_deg: standard error of its change since the reference [deg].
-        touches: x [m], y [m] and force [N] of each (k, 3).
         covariance: of each touch's x, y and force (k, 3, 3).
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         gains: rise of the misfit without each touch, to second order (k,).
-        misfit: sum of squares of the whitened residual, with what combinations of measurements
-            leave of it, and of the prior's terms.
-        degrees_of_freedom: number of measurements minus number of unknowns.
         faults: whose measurements were left out.
         estimate: from which they follow.
     """
 
-    angle_deg: float
+    unknowns: Unknowns
     angle_deviation_deg: float
-    touches: Array
     covariance: Array
     evidence: float
     gains: Array
-    misfit: float
-    degrees_of_freedom: int
     faults: tuple[ChannelFault, ...]
     estimate: MapEstimate
+
+    @property
+    def angle_deg(self) -> float:
+        """Bend angle [deg]."""
+        return self.unknowns.angle_deg
+
+    @property
+    def touches(self) -> Array:
+        """x [m], y [m] and force [N] of each touch (k, 3)."""
+        return self.unknowns.touches
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares of the whitened residual, with its remainder, and the prior's terms."""
+        return self.estimate.whole()[1]
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of measurements minus number of unknowns."""
+        return self.estimate.whole()[2]
 
     @property
     def improbability(self) -> float:
@@ -102,7 +115,7 @@ def fit_frame(
     candidates: TouchCandidates,
     proposed: Array | None = None,
     possible: PossibleFaults | None = None,
-    bend_deg: Callable[[], float] | None = None,
+    bend_deg: Callable[[], float | None] = lambda: None,
 ) -> FrameFit:
     """Select the number of touches and estimate bend and touches of one frame.
 
@@ -114,7 +127,7 @@ def fit_frame(
         candidates: positions that are tried for further touches.
         proposed: positions (k, 2) [m] from which the fit starts.
         possible: faults that are considered; none by default.
-        bend_deg: gives the angle [deg] of the sensor, should it be untouched.
+        bend_deg: gives the angle [deg] of the sensor, should it be untouched, if it is known.
     """
     untouched, found, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
@@ -126,8 +139,8 @@ def fit_frame(
         objective, found = better.objective, better.found
         untouched = levenberg_marquardt(objective, untouched.unknowns, *FINE)
         evidence = gain_of(objective, untouched, found)
-    if bend_deg and found.misfit_sigma > REPORTED_SIGMA:
-        nothing = Unknowns(np.zeros((0, 3)), bend_deg())
+    if found.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
+        nothing = Unknowns(np.zeros((0, 3)), angle_deg)
         alone = levenberg_marquardt(objective, nothing, *FINE)
         if alone.improbability < improbability(found):
             found, evidence = alone, 0.0
@@ -287,19 +300,16 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
     that the model explains badly are larger than it has them (Birge 1932).
     """
     unknowns = found.minimum(FINE[1])
-    touches = unknowns.touches
     growth = max(found.misfit / found.degrees_of_freedom, 1.0)
     covariance = growth * lapack.inverse(found.quadratic.hessian)
-    blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
+    blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(unknowns.touches))]
     covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
     return FrameFit(
-        unknowns.angle_deg,
+        unknowns,
         ANGLE_UNIT * math.sqrt(covariance[0, 0]),
-        touches,
         covariances * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
         gains_of(found),
-        *found.whole()[1:],
         faults,
         found,
     )

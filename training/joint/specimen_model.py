@@ -6,7 +6,7 @@ and networks, where there are some. `SpecimenModel.angle` combines them.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,25 +285,19 @@ def posterior_angle(
     return replace(likeliest, angle_deg=mean, deviation_deg=max(spread, NORMAL_DEG))
 
 
-class CandidateRows:
-    """Response network at every candidate position, the same for all specimens.
+def candidate_rows(
+    response: TouchResponse, places: Array, angle_deg: tuple[float, float]
+) -> dict[int, Array]:
+    """Response network at places (n, 2) [m] and the middle force, the same for all specimens.
 
-    Evaluated once, at the middle force and at steps of the angle over the range learned from.
+    Evaluated once, at steps of the angle [deg] over the range learned from, by their numbers.
     """
-
-    def __init__(
-        self, response: TouchResponse, places: Array, angle_deg: tuple[float, float]
-    ) -> None:
-        """Evaluate `response` at `places` (n, 2) [m] between two angles [deg]."""
-        self.places, self.force = places, response.ranges.middle_force
-        low, high = angle_deg
-        steps = range(_step(low - BEYOND_DEG), _step(high + BEYOND_DEG) + 1)
-        touches = np.column_stack([places, np.full(len(places), self.force)])
-        self.rows: Mapping[int, Array] = {
-            step: response.hidden(touches, step * STEP_DEG) for step in steps
-        }
+    low, high = (round(end / STEP_DEG) for end in np.add(angle_deg, (-BEYOND_DEG, BEYOND_DEG)))
+    touches = np.column_stack([places, np.full(len(places), response.ranges.middle_force)])
+    return {step: response.hidden(touches, step * STEP_DEG) for step in range(low, high + 1)}
 
 
+@dataclass(slots=True, eq=False)
 class SpecimenModel:
     """The learned model for one specimen.
 
@@ -313,33 +307,20 @@ class SpecimenModel:
         curve: of bending.
         faults: that are considered.
         problems: reasons to doubt the model, in words.
+        networks: of the angle, with the features that they are told; None without.
         usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
             curve is known.
     """
 
-    def __init__(
-        self,
-        features: Array,
-        response: SpecimenResponse,
-        curve: BendCurve,
-        faults: PossibleFaults,
-        problems: tuple[str, ...],
-        rows: CandidateRows,
-        networks: AngleNetworks | None = None,
-        usual: BendCurve | None = None,
-        told: Array | None = None,
-    ) -> None:
-        """Take the parts of the model; candidates follow when they are asked for.
-
-        `told` are the features of the specimen that networks are told; `features` when omitted.
-        """
-        self.usual = usual
-        self.features, self.response, self.curve = features, response, curve
-        self._told = features if told is None else told
-        self.faults, self.problems = faults, problems
-        self._rows, self._networks = rows, networks
-        self._last: tuple[bytes, AngleEstimate] | None = None
-        self._candidates: dict[int, TouchCandidates] = {}
+    features: Array
+    response: SpecimenResponse
+    curve: BendCurve
+    faults: PossibleFaults
+    problems: tuple[str, ...] = ()
+    networks: tuple[AngleNetworks, Array] | None = None
+    usual: BendCurve | None = None
+    _last: tuple[bytes, AngleEstimate] | None = field(default=None, init=False)
+    _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
 
     def angle(self, combined: CombinedChange) -> AngleEstimate:
         """Bend angle of an untouched frame.
@@ -354,20 +335,12 @@ class SpecimenModel:
             self._last = (key, self._angle(combined))
         return self._last[1]
 
-    def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float]:
-        """Angle of an untouched frame and its standard error [deg] by the networks alone.
-
-        Raises ValueError where there are none.
-        """
-        if self._networks is None:
-            raise ValueError("expected networks of the angle, got a specimen without")
-        drift = math.sqrt(combined.drift)
-        return self._networks.estimate(combined.change, self._told, drift)
-
-    @property
-    def has_networks(self) -> bool:
-        """Whether networks estimate the angle of this specimen."""
-        return self._networks is not None
+    def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float] | None:
+        """Angle of an untouched frame and its standard error [deg] by the networks, if any."""
+        if self.networks is None:
+            return None
+        networks, features = self.networks
+        return networks.estimate(combined.change, features, math.sqrt(combined.drift))
 
     def _angle(self, combined: CombinedChange) -> AngleEstimate:
         """Angle of a sensor that bends as usual or in any other way, by the evidence for each."""
@@ -387,14 +360,12 @@ class SpecimenModel:
         nothing tells which of both is right.
         """
         found = robust_angle(self.curve, combined, self.faults)
-        if not self.has_networks:
-            return posterior_angle(self.curve, combined, found)
-        if not combined.good.all():
-            return found
         by_networks = self.angle_by_networks(combined)
+        if by_networks is None:
+            return posterior_angle(self.curve, combined, found)
         by_curve = (found.angle_deg, found.deviation_deg)
         apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
-        if found.faults and apart < CONTRADICTION:
+        if not combined.good.all() or (found.faults and apart < CONTRADICTION):
             return found
         if found.faults:
             angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
@@ -404,15 +375,16 @@ class SpecimenModel:
         told = None if found.faults or lost else by_curve
         return replace(found, angle_deg=angle, deviation_deg=deviation, by_curve=told)
 
-    def candidates(self, angle_deg: float) -> TouchCandidates:
-        """Touch candidates at the step nearest to an angle [deg]."""
-        step = _step(angle_deg)
+    def candidates(
+        self, angle_deg: float, places: Array, rows: Mapping[int, Array]
+    ) -> TouchCandidates:
+        """Touch candidates at places (n, 2) [m] and the step nearest to an angle [deg].
+
+        The `candidate_rows` are those of all specimens at these places.
+        """
+        step = round(angle_deg / STEP_DEG)
         if step not in self._candidates:
-            change = self._rows.rows[step] @ self.response.output.T
-            self._candidates[step] = TouchCandidates(self._rows.places, self._rows.force, change)
+            force, change = self.response.response.ranges.middle_force, rows[step]
+            change = change @ self.response.output.T
+            self._candidates[step] = TouchCandidates(places, force, change)
         return self._candidates[step]
-
-
-def _step(angle_deg: float) -> int:
-    """Number of the step nearest to an angle [deg]."""
-    return round(angle_deg / STEP_DEG)

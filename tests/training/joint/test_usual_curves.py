@@ -123,8 +123,8 @@ def test_a_mixture_has_the_moments_of_its_parts():
 def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
     none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS), COMBINATIONS)
-    both = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, (), None, None, usual.of(()))
-    alone = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, (), None)
+    both = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, usual=usual.of(()))
+    alone = SpecimenModel(np.zeros(0), None, everywhere.of(()), none)
     for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
         combined = COMBINATIONS.combined(change, 1.0, 0.0)
         found, before = both.angle(combined), alone.angle(combined)
