@@ -1,6 +1,6 @@
 """Training of the angle networks on bent frames. Imports torch at its top."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -71,7 +71,7 @@ def fit_angles(
     empty = _without_layers(frames)
     bends = curves.expected(frames)
     clamps = ClampCurves.fit(frames, curves, bends, seed)
-    inputs = _Inputs.of(frames, features, bends, empty, clamps)
+    inputs = _Inputs(frames, features, bends, empty, clamps)
     sizes = [inputs.raw.shape[1], *HIDDEN, 2]
     trained, learned = [], []
     for member in range(MEMBERS):
@@ -114,7 +114,6 @@ def _without_layers(frames: BentFrames) -> AngleNetworks:
     return AngleNetworks((), (), unit, drift, np.linalg.solve(moments, drift), ends)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Inputs:
     """Inputs of the networks, K combinations and Q features of n frames, and their targets.
 
@@ -123,53 +122,33 @@ class _Inputs:
         target: angles, in units (n, 1).
         noise: of a frame and of its reference (K,).
         drift, filter: as of the networks (K,).
-        curve: number of each frame's bend curve (n,).
-        bends: coefficients (curves, M, K) of the expected curves.
+        bends: coefficients of the expected curve of each frame (curves, M, K), and their `curve`.
         powers: of each frame's angle (n, M).
         moved: share of the steps in which each frame moves to another clamp (n, 1).
-        specimen: number of each frame's specimen (n,).
-        left: coefficients (S, M, K) of the mean curve of each specimen's clamp.
+        left: coefficients (S, M, K) of the mean curve of the clamp of each `specimen`.
         drawn: coefficients (D, M, K) of those of clamps to which frames move.
     """
 
-    raw: Tensor
-    target: Tensor
-    noise: Tensor
-    drift: Tensor
-    filter: Tensor
-    curve: Tensor
-    bends: Tensor
-    powers: Tensor
-    moved: Tensor
-    specimen: Tensor
-    left: Tensor
-    drawn: Tensor
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         frames: BentFrames,
         features: Array,
         bends: Array,
         empty: AngleNetworks,
         clamps: ClampCurves,
-    ) -> "_Inputs":
+    ) -> None:
         """Inputs from bent frames and their curves, for networks without layers."""
         still = np.full(len(frames.change), DRIFT[0])
-        return cls(
-            as_tensor(empty.inputs(frames.change, features, still)),
-            as_tensor(frames.angle_deg[:, None] / UNIT_DEG),
-            as_tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit),
-            as_tensor(empty.drift),
-            as_tensor(empty.filter),
-            torch.as_tensor(frames.curve),
-            as_tensor(bends / empty.unit),
-            as_tensor((frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)),
-            as_tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None]),
-            torch.as_tensor(frames.specimen),
-            as_tensor(clamps.own / empty.unit),
-            as_tensor(clamps.drawn / empty.unit),
-        )
+        powers = (frames.angle_deg[:, None] / SCALE) ** np.arange(1, bends.shape[1] + 1)
+        self.raw = as_tensor(empty.inputs(frames.change, features, still))
+        self.target = as_tensor(frames.angle_deg[:, None] / UNIT_DEG)
+        self.noise = as_tensor(np.sqrt(2.0) * frames.combinations.unit / empty.unit)
+        self.drift, self.filter = as_tensor(empty.drift), as_tensor(empty.filter)
+        self.bends, self.curve = as_tensor(bends / empty.unit), torch.as_tensor(frames.curve)
+        self.powers = as_tensor(powers)
+        self.moved = as_tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None])
+        self.specimen = torch.as_tensor(frames.specimen)
+        self.left, self.drawn = (as_tensor(x / empty.unit) for x in (clamps.own, clamps.drawn))
 
     def plain(self, rows: Tensor, chosen: Tensor, _: torch.Generator) -> tuple[Tensor, Tensor]:
         """Inputs and targets of some of the frames `rows`."""

@@ -153,15 +153,8 @@ class BentFrames:
 
     def __getitem__(self, rows: "slice | NDArray[np.generic]") -> "BentFrames":
         """Some of the frames."""
-        return replace(
-            self,
-            change=self.change[rows],
-            angle_deg=self.angle_deg[rows],
-            features=self.features[rows],
-            specimen=self.specimen[rows],
-            image=self.image[rows],
-            clamp=self.clamp[rows],
-        )
+        names = ("change", "angle_deg", "features", "specimen", "image", "clamp")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
     def specimens(self) -> int:
