@@ -125,7 +125,7 @@ def test_candidates_of_the_search_have_the_twins_response(method, learned):
     twin = Twin(learned, 0.15)
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
     one = method.adapt(replace(flat, twin=twin))[0]
-    candidates = one._specimen(FLAT).candidates(0.0)
+    candidates = one._specimen(FLAT).candidates(0.0, method.places, method._rows)
     seen = np.column_stack([candidates.places, np.full(len(candidates.places), candidates.force)])
     inside = (seen[:, 0] < 0.115) & (seen[:, 0] > 0.012) & (np.abs(seen[:, 1] - 0.030) < 0.017)
     exact = twin.changes(seen, 0.0, RADIUS)
