@@ -1,10 +1,8 @@
 """Cost estimate of a dataset: time and size, from a small measured part."""
 
 import itertools
-import math
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,18 +43,9 @@ class CostEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """Measured part of a dataset.
-
-    Attributes:
-        frames: number of frames.
-        first_seconds: of a first run, in which everything is new.
-        seconds: of a second run, for as many other frames of flat, solved specimens.
-        specimen_seconds: for each flat specimen.
-        size: of a shard [bytes].
-    """
+    """Measured part of a dataset: frames, seconds, of each flat specimen beside, size [bytes]."""
 
     frames: int
-    first_seconds: float
     seconds: float
     specimen_seconds: float
     size: int
@@ -79,12 +68,16 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     """
     prepare(recipe, workers=workers)
     most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
-    first = _FIRST_SOLVED if solved_frames(recipe) else _FIRST_FRAMES
-    trials = [_run_trial(recipe, min(first, most))]
-    while trials[-1].frames < most and _is_short(trials):
-        trials.append(_run_trial(recipe, min(_GROWTH * trials[-1].frames, most)))
+    slow = bool(solved_frames(recipe))
+    frames = min(_FIRST_SOLVED if slow else _FIRST_FRAMES, most)
+    trials = [_run_trial(recipe, frames)]  # in which everything is new
+    if not (slow and trials[0].seconds > _LONG_SECONDS):  # beside which that counts little
+        trials.append(_run_trial(recipe, frames, again=True))
+        while trials[-1].seconds < _ENOUGH_SECONDS and frames < most:
+            frames = min(_GROWTH * frames, most)
+            trials.append(_run_trial(recipe, frames, again=True))
     last = trials[-1]
-    once = max(0.0, trials[0].first_seconds - trials[0].seconds)
+    once = max(0.0, trials[0].seconds - trials[min(1, len(trials) - 1)].seconds)
     shards = (specimen_numbers(recipe, recipe.shard_range(n)) for n in range(recipe.shards))
     flat = last.specimen_seconds * sum(map(len, shards))
     at_once = min(workers, recipe.shards, os.cpu_count() or 1)
@@ -98,32 +91,17 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     )
 
 
-def _is_short(trials: Sequence[_Trial]) -> bool:
-    """Whether a further trial is worth its time: a second one unless the first took long."""
-    few = trials[0].frames < _FIRST_FRAMES
-    first = _LONG_SECONDS if few else math.inf
-    return trials[-1].seconds < (first if len(trials) < 2 else _ENOUGH_SECONDS)
-
-
-def _run_trial(recipe: Recipe, frames: int) -> _Trial:
-    """Time of a first run with `frames` frames, and of a second run with as many others.
-
-    A long first run of few frames, beside which work done once counts little, is not repeated.
-    """
+def _run_trial(recipe: Recipe, frames: int, again: bool = False) -> _Trial:
+    """Time of `frames` frames; where it is done `again`, of others, after their flat specimens."""
+    numbers = _frame_numbers(recipe, frames, 0.5 if again else 0.0)
     start = time.perf_counter()
-    data = simulate_frames(recipe, _frame_numbers(recipe, frames, 0.0))
-    first = time.perf_counter()
-    if frames < _FIRST_FRAMES and first - start > _LONG_SECONDS:
-        return _Trial(frames, first - start, first - start, 0.0, len(shard_bytes(data)))
-    others = _frame_numbers(recipe, frames, 0.5)
-    specimens = {sample(recipe, index).specimen for index in others}
+    specimens = {sample(recipe, index).specimen for index in numbers} if again else set()
     for number in specimens:
         flat_impedance(specimen(recipe, number), recipe, instrument(recipe, number))
     solved = time.perf_counter()
-    simulate_frames(recipe, others)
-    end = time.perf_counter()
-    each = (solved - first) / len(specimens)
-    return _Trial(frames, first - start, end - solved, each, len(shard_bytes(data)))
+    data = simulate_frames(recipe, numbers)
+    each = (solved - start) / max(len(specimens), 1)
+    return _Trial(frames, time.perf_counter() - solved, each, len(shard_bytes(data)))
 
 
 def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:
@@ -141,8 +119,9 @@ def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:
 def _size(recipe: Recipe, trials: list[_Trial]) -> float:
     """Size of all shards [bytes]: a part for each file and a part for each frame."""
     last = trials[-1]
-    if len(trials) == 1:
+    fewer = next((each for each in trials if each.frames < last.frames), None)
+    if fewer is None:
         return recipe.frames * last.size / last.frames
-    per_frame = (last.size - trials[-2].size) / (last.frames - trials[-2].frames)
+    per_frame = (last.size - fewer.size) / (last.frames - fewer.frames)
     per_file = last.size - last.frames * per_frame
     return recipe.shards * per_file + recipe.frames * per_frame

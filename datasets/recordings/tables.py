@@ -109,6 +109,7 @@ class TextReader(TableReader):
                 keep_default_na=False,
                 na_values=dict.fromkeys(values, _EMPTY),
                 skipinitialspace=True,
+                low_memory=False,
             )
             if len(frame) != len(block):
                 raise DataError(
