@@ -65,6 +65,10 @@ class Counted(ForceTerm):
         """Whether no cell is inverted."""
         return self._solid.admissible(x)
 
+    def __getattr__(self, name: str) -> Any:
+        """Any other attribute of the solid."""
+        return getattr(self._solid, name)
+
 
 def incompressible(quick: bool) -> Iterator[Case]:
     """Cases of a punch on a layer, from compressible to nearly incompressible."""
