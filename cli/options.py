@@ -19,6 +19,7 @@ from eitskin.errors import ConfigurationError, cut
 
 if TYPE_CHECKING:
     from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.hardware.boards.board import Board
     from eitskin.training.method.interface import Method
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
@@ -163,9 +164,12 @@ def named_board(uri: str | None, output: "Output") -> str:
     return uri or VIRTUAL
 
 
-def seeded(uri: str, seed: int) -> dict[str, Any]:
-    """Seed as an option of a virtual board whose URI has none."""
-    return {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
+def opened_board(uri: str, seed: int) -> "Board":
+    """Board of a URI, open; the seed is for a virtual one whose URI has none."""
+    from eitskin.hardware.opening import open_board
+
+    drawn = uri.startswith(VIRTUAL) and "seed=" not in uri
+    return open_board(uri, **({"seed": seed} if drawn else {}))
 
 
 @contextlib.contextmanager

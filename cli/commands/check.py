@@ -16,8 +16,8 @@ from eitskin.cli.options import (
     MethodCode,
     Output,
     named_board,
+    opened_board,
     own_method,
-    seeded,
     with_output,
 )
 from eitskin.errors import ConfigurationError, FrameError
@@ -117,10 +117,8 @@ def check_board(
     seed: int,
 ) -> None:
     """Check a board by a pipeline, which was `named`, or is the shipped one."""
-    from eitskin.hardware.opening import open_board
-
     spec = pipeline.layout
-    with open_board(board, **seeded(board, seed)) as opened:
+    with opened_board(board, seed) as opened:
         suits = named or opened.protocol == spec.known_protocol
         if suits:
             spec.require_same_measurements(opened.protocol, opened.info.frequency)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from eitskin.cli.commands.simulate import announce_unsolved, simulator
-from eitskin.cli.options import Output, seeded
+from eitskin.cli.options import Output, opened_board
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -171,7 +171,6 @@ def _from_board(
     import numpy as np
 
     from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.opening import open_board
     from eitskin.protocol import Protocol
 
     design = design or SensorDesign.reference()
@@ -180,7 +179,7 @@ def _from_board(
         raise ConfigurationError(
             f"expected --frames of a board from 1 to {MOST_PICTURES}, got '{frames}'"
         )
-    with open_board(uri, **seeded(uri, seed)) as board:
+    with opened_board(uri, seed) as board:
         if protocol:
             Protocol.named(protocol, len(design.electrodes)).require_same(
                 board.protocol, "--protocol names", "the board measures", "leave --protocol out"

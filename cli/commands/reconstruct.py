@@ -16,9 +16,9 @@ from eitskin.cli.options import (
     SensorFile,
     ended_by_signals,
     one_of,
+    opened_board,
     read_design,
     require_parent,
-    seeded,
     with_output,
 )
 from eitskin.cli.page.access import (
@@ -204,13 +204,12 @@ def _follow_live(
     from eitskin.cli.page.live_page import LivePage
     from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
-    from eitskin.hardware.opening import open_board
     from eitskin.protocol import Protocol
 
     design = read_design(sensor)
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
-        board = stack.enter_context(open_board(uri, **seeded(uri, seed)))
+        board = stack.enter_context(opened_board(uri, seed))
         if protocol:
             Protocol.named(protocol, len(design.electrodes)).require_same(
                 board.protocol, "--protocol names", "the board measures", "leave --protocol out"

@@ -12,9 +12,9 @@ from eitskin.cli.options import (
     Model,
     Output,
     Specimen,
+    opened_board,
     own_method,
     require_parent,
-    seeded,
     with_output,
 )
 from eitskin.errors import ConfigurationError
@@ -75,9 +75,7 @@ def command(
     if dataset is not None:
         reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
     else:
-        from eitskin.hardware.opening import open_board
-
-        with open_board(str(board), **seeded(str(board), seed)) as opened:
+        with opened_board(str(board), seed) as opened:
             output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
             reference = taken_from_board(pipeline, opened, frames, zero)
     reference.write(out)

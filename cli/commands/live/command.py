@@ -24,8 +24,8 @@ from eitskin.cli.options import (
     ended_by_signals,
     named_board,
     one_of,
+    opened_board,
     own_method,
-    seeded,
     with_output,
 )
 from eitskin.cli.page.access import (
@@ -125,7 +125,6 @@ def command(
     """
     from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
-    from eitskin.hardware.opening import open_board
     from eitskin.hardware.streams.publisher import open_publisher
     from eitskin.training.pipeline.pipeline import open_pipeline
 
@@ -141,7 +140,7 @@ def command(
         stack.enter_context(ended_by_signals())
         for each in _recordings(record, mcap):
             recordings.append(stack.enter_context(closing(each)))
-        opened = stack.enter_context(open_board(board, **seeded(board, seed)))
+        opened = stack.enter_context(opened_board(board, seed))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         if reference is not None:
             use_reference(pipeline, reference, opened.info, output)

@@ -14,7 +14,7 @@ from eitskin.cli.commands.live.session import Recording, SessionPipeline, expect
 from eitskin.cli.commands.live.task import Task
 from eitskin.cli.commands.own_sensor.adapt import angles_of, open_start
 from eitskin.cli.commands.own_sensor.poses import Dialogue, asked, staged
-from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupResult, Wanted, design_of
+from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, design_of
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
 from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, read_command
 from eitskin.closeable import Closeable
@@ -88,8 +88,8 @@ def guided_setup(
     model: Path,
     method: "type[Method] | None",
     out: Path,
-    wanted: Wanted,
-) -> SetupResult:
+    command: "SetupCommand",
+) -> Setup:
     """Go through the steps of a set-up.
 
     Args:
@@ -98,15 +98,18 @@ def guided_setup(
         model: trained pipeline to start from.
         method: class of the user's own method; None for one of eitskin's.
         out: of the sensor's own pipeline.
-        wanted: what is taken of the sensor.
+        command: what is taken of the sensor.
     """
     task.show(f"opening {model}")
     start, dialogue = open_start(model, method), PageDialogue(task)
     virtual = board.stage is not None
     hand = staged(FORCE) if virtual else asked(dialogue)
-    setup = Setup(model, start, design_of(start), out, wanted, dialogue, hand)
+    angles, presses, frames = angles_of(command.angles), command.presses, command.frames
+    design = design_of(start)
+    setup = Setup(model, start, design, out, angles, presses, frames, dialogue, hand)
     try:
-        return setup.run(lambda: SessionBoard(board, task))
+        setup.run(lambda: SessionBoard(board, task))
+        return setup
     finally:
         if virtual:
             _flatten(board)
@@ -165,6 +168,7 @@ class SetupCommand:
                 f"expected 0 to {MOST} presses and 1 to {MOST} frames in each pose, got "
                 f"{self.presses} and {self.frames}"
             )
+        angles_of(self.angles)
 
 
 class SessionTasks(Closeable, SessionCommands):
@@ -285,16 +289,12 @@ class SessionTasks(Closeable, SessionCommands):
         return "\n".join(each.message for each in found.findings) or healthy
 
     def _set_up(self, command: SetupCommand) -> None:
-        wanted = Wanted(angles_of(command.angles), command.presses, command.frames)
         out = self._fresh("setup", ".eitmodel")
         board = self._session.connection.board
 
         def work(task: Task) -> str:
-            done = guided_setup(task, board, self._model, self._method, out, wanted)
-            text = (
-                f"{done.saved}: {done.words}\nfor later: eitskin live {done.saved} "
-                f"--board '{board.uri}'{done.reference_option} --page"
-            )
+            done = guided_setup(task, board, self._model, self._method, out, command)
+            text = f"{done.out}: {done.words}\nfor later: {done.live_command(board.uri)}"
             task.say(text)
             if task.ask(USE, {"": "use it now", "n": "not now"}):
                 return text
@@ -302,16 +302,16 @@ class SessionTasks(Closeable, SessionCommands):
 
         self._start("set up", work)
 
-    def _exchange(self, done: SetupResult) -> str:
+    def _exchange(self, done: Setup) -> str:
         """Go on with the pipeline that was set up; between two frames."""
         from eitskin.training.pipeline.references import StoredReference
 
-        done.adapted.use(None if done.zero is None else StoredReference.read(done.zero))
-        self._pipeline.current = done.adapted
-        self._session.stored = done.adapted.stored
-        self._session.expected = expected_magnitudes(done.adapted)
+        pipeline = self._pipeline.current = done.adapted or self._pipeline.current
+        pipeline.use(None if done.zero is None else StoredReference.read(done.zero))
+        self._session.stored = pipeline.stored
+        self._session.expected = expected_magnitudes(pipeline)
         text = "this session goes on with it"
-        self._session.say(f"{done.saved}: {text}")
+        self._session.say(f"{done.out}: {text}")
         return text
 
     def _record(self, begin: bool) -> None:

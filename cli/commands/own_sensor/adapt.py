@@ -25,8 +25,8 @@ from eitskin.cli.options import (
     Model,
     Output,
     Replace,
+    opened_board,
     own_method,
-    seeded,
     with_output,
 )
 from eitskin.errors import ConfigurationError
@@ -322,9 +322,7 @@ def _from_board(
     seed: int,
     output: Output,
 ) -> "Iterator[Frame]":
-    from eitskin.hardware.opening import open_board
-
-    with open_board(uri, **seeded(uri, seed)) as board:
+    with opened_board(uri, seed) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
         alone = left_alone if board.stage is None or "scene=" in uri else staged(0.0)
         hand = alone if no_prompt else asked(TerminalDialogue(output))

@@ -36,7 +36,7 @@ from eitskin.cli.options import (
     Output,
     Replace,
     SensorFile,
-    seeded,
+    opened_board,
     with_output,
 )
 from eitskin.errors import ConfigurationError, DataError, DeviceError, PartialError
@@ -82,10 +82,20 @@ def command(
     require_writable(out, replace)
     start = open_start(model, None)
     design = SensorDesign.from_toml(sensor) if sensor else design_of(start)
-    wanted = Wanted(angles_of(angles), presses, frames)
     dialogue = TerminalDialogue(output)
     hand = staged(FORCE) if no_prompt else asked(dialogue)
-    setup = Setup(model, start, design, out, wanted, dialogue, hand, asks=not no_prompt)
+    setup = Setup(
+        model,
+        start,
+        design,
+        out,
+        angles_of(angles),
+        presses,
+        frames,
+        dialogue,
+        hand,
+        asks=not no_prompt,
+    )
     if setup.recorded.exists() and not replace:
         raise ConfigurationError(
             f"{setup.recorded} exists and is not replaced; {setup.going_on}, choose another --out, "
@@ -93,19 +103,19 @@ def command(
         )
     try:
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
-        done = setup.run(partial(_opened, uri, seed))
+        adapted = setup.run(partial(opened_board, uri, seed))
     except (KeyboardInterrupt, typer.Abort):
         output.note(setup.kept, whole=True)
         raise KeyboardInterrupt from None
-    following = f"eitskin live {done.saved} --board '{uri}'{done.reference_option} --page"
-    result = {**done.as_dict(), "next": following}
-    output.result(result, f"{done.saved}: {done.words}\nnext: {following}")
-
-
-def _opened(uri: str, seed: int) -> "Board":
-    from eitskin.hardware.opening import open_board
-
-    return open_board(uri, **seeded(uri, seed))
+    following = setup.live_command(uri)
+    result = {
+        "out": str(setup.out),
+        "frames": str(setup.recorded),
+        "reference": str(setup.zero or ""),
+        **said(adapted),
+        "next": following,
+    }
+    output.result(result, f"{setup.out}: {setup.words}\nnext: {following}")
 
 
 def _chosen_board(dialogue: Dialogue) -> str:
@@ -128,53 +138,6 @@ def _chosen_board(dialogue: Dialogue) -> str:
         dialogue.note(f"expected {expected}, got {text!r}")
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """Frames that a set-up takes of a sensor.
-
-    Attributes:
-        angles: known bend angles [deg].
-        presses: number of presses at named places.
-        frames: number in each pose.
-    """
-
-    angles: list[float]
-    presses: int
-    frames: int
-
-
-@dataclass(frozen=True, slots=True)
-class SetupResult:
-    """Result of a set-up.
-
-    Attributes:
-        saved: folder of the sensor's own pipeline.
-        recorded: folder of its labelled frames.
-        zero: file of its stored reference; None where that was skipped.
-        adapted: the pipeline.
-    """
-
-    saved: Path
-    recorded: Path
-    zero: Path | None
-    adapted: "Pipeline"
-
-    @property
-    def words(self) -> str:
-        """Frames that the pipeline learned from."""
-        return in_words(self.adapted)
-
-    @property
-    def reference_option(self) -> str:
-        """Option of `eitskin live`, after a space; empty without a stored reference."""
-        return f" --reference {self.zero}" if self.zero else ""
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain data."""
-        files = {"out": str(self.saved), "frames": str(self.recorded)}
-        return {**files, "reference": str(self.zero or ""), **said(self.adapted)}
-
-
 @dataclass
 class Setup:
     """State of a set-up: what was chosen, and what is kept so far.
@@ -184,24 +147,30 @@ class Setup:
         start: that pipeline; None for none.
         design: of the sensor; None where nothing tells it.
         out: of the sensor's own pipeline.
-        wanted: what is taken of the sensor.
+        angles: known bend angles [deg].
+        presses: number of presses at named places.
+        frames: number in each pose.
         dialogue: with the person at it.
         hand: way of bringing it into a pose.
         asks: whether steps can be repeated and skipped.
         taken: labelled frames by the step that took them.
         zero: file of the stored reference; None before it was taken.
+        adapted: the sensor's own pipeline, in the end.
     """
 
     model: Path
     start: "Pipeline | None"
     design: "SensorDesign | None"
     out: Path
-    wanted: Wanted
+    angles: list[float]
+    presses: int
+    frames: int
     dialogue: Dialogue
     hand: "Hand"
     asks: bool = True
     taken: "dict[str, list[tuple[Frame, FrameLabel]]]" = field(default_factory=dict)
     zero: Path | None = None
+    adapted: "Pipeline | None" = None
 
     @property
     def recorded(self) -> Path:
@@ -222,12 +191,21 @@ class Setup:
         """Words that say how to learn from the labelled frames that are kept."""
         return f"go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
 
-    def run(self, opened: "Callable[[], Board]") -> SetupResult:
+    @property
+    def words(self) -> str:
+        """Frames that the pipeline learned from."""
+        return in_words(self.adapted) if self.adapted else ""
+
+    def live_command(self, uri: str) -> str:
+        """Command that goes on with the sensor's own pipeline."""
+        reference = f" --reference {self.zero}" if self.zero else ""
+        return f"eitskin live {self.out} --board '{uri}'{reference} --page"
+
+    def run(self, opened: "Callable[[], Board]") -> "Pipeline":
         """Go through all steps with a board, which each opens and closes.
 
         Raises ConfigurationError where no step took frames to learn from.
         """
-        angles, presses = self.wanted.angles, self.wanted.presses
 
         def step(name: str, what: str, work: "Callable[[Board], str]") -> None:
             self._step(name, what, lambda: self._with_board(opened, work))
@@ -235,10 +213,10 @@ class Setup:
         if self.start is not None:
             step("check", "is the sensor on the board healthy?", self._check)
             step("zero", "its flat, untouched state is stored", self._tare)
-        if self.start is not None and self.start.targets.angle and angles:
-            step("angles", f"{len(angles)} known bend angles", self._bend)
-        if presses:
-            step("presses", f"{presses} presses at named places", self._press)
+        if self.start is not None and self.start.targets.angle and self.angles:
+            step("angles", f"{len(self.angles)} known bend angles", self._bend)
+        if self.presses:
+            step("presses", f"{self.presses} presses at named places", self._press)
         return self._finish()
 
     def _step(self, name: str, what: str, run: Callable[[], str]) -> None:
@@ -289,12 +267,10 @@ class Setup:
         return f"{self.zero} is the zero of this sensor, for --reference"
 
     def _bend(self, board: "Board") -> str:
-        return self._take(
-            board, "angles", [bent(0.0), *(bent(angle) for angle in self.wanted.angles)]
-        )
+        return self._take(board, "angles", [bent(0.0), *(bent(angle) for angle in self.angles)])
 
     def _press(self, board: "Board") -> str:
-        count = self.wanted.presses
+        count = self.presses
         if self.design is None:
             raise ConfigurationError(
                 "expected the sensor's outline, to name places on it, got none; give --sensor"
@@ -313,7 +289,7 @@ class Setup:
         done = frames_in_poses(
             board,
             poses,
-            self.wanted.frames,
+            self.frames,
             self.hand,
             lambda pose: self.dialogue.note(f"taken: {pose.words}"),
             newest=self.asks,
@@ -325,7 +301,7 @@ class Setup:
         self.taken = taken
         return f"{len(taken[name])} frames in {len(poses)} poses"
 
-    def _finish(self) -> SetupResult:
+    def _finish(self) -> "Pipeline":
         """Adapt to the labelled frames, and save."""
         from eitskin.datasets.store.folder import open_dataset
 
@@ -335,8 +311,9 @@ class Setup:
                 f"{self.kept}"
             )
         self.dialogue.note("learning from the labelled frames")
-        adapted = adapt(self.start, open_dataset(self.recorded))
-        return SetupResult(adapted.save(self.out), self.recorded, self.zero, adapted)
+        self.adapted = adapt(self.start, open_dataset(self.recorded))
+        self.out = self.adapted.save(self.out)
+        return self.adapted
 
 
 def design_of(start: "Pipeline | None") -> "SensorDesign | None":
