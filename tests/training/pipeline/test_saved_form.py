@@ -1,6 +1,5 @@
 """Pipelines on disk: the same after loading, refused when anything is wrong with them."""
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -142,31 +141,6 @@ def test_missing_sums_or_folder_are_refused(folder):
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"format_version": 2}, r"version 2.*up to 1"),
-        ({"format": "else"}, "got 'else'"),
-        *(({key: ...}, key) for key in ("layout", "settings", "noise", "kind", "format_version")),
-    ],
-)
-def test_newer_other_and_incomplete_documents_are_refused(folder, changes, message):
-    document = json.loads((folder / "pipeline.json").read_text()) | changes
-    kept = {key: value for key, value in document.items() if value is not ...}
-    (folder / "pipeline.json").write_text(json.dumps(kept))
-    reseal(folder)
-    with pytest.raises(DataError, match=message):
-        Pipeline.load(folder)
-
-
-@pytest.mark.parametrize("document", [b"[]", b"\xff{"])
-def test_documents_that_are_no_json_are_refused(folder, document):
-    (folder / "pipeline.json").write_bytes(document)
-    reseal(folder)
-    with pytest.raises(DataError, match="no pipeline"):
-        Pipeline.load(folder)
-
-
-@pytest.mark.parametrize(
     "name",
     [
         "bend_angle.coefficients",
@@ -182,19 +156,6 @@ def test_pipeline_that_computes_something_else_is_refused(folder, name):
     save_file(weights, folder / "weights.safetensors")
     reseal(folder)
     with pytest.raises(DataError, match="does not compute"):
-        Pipeline.load(folder)
-
-
-def test_weights_that_are_missing_or_misshapen_are_refused(folder):
-    weights = load_file(folder / "weights.safetensors")
-    matrix = weights.pop("reconstruction.matrix")
-    save_file(weights, folder / "weights.safetensors")
-    reseal(folder)
-    with pytest.raises(DataError, match="matrix"):
-        Pipeline.load(folder)
-    save_file(weights | {"reconstruction.matrix": matrix[:, :20]}, folder / "weights.safetensors")
-    reseal(folder)
-    with pytest.raises(DataError, match="not whole"):
         Pipeline.load(folder)
 
 
@@ -253,19 +214,6 @@ def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     evaluate.command(out, data)
     table = capsys.readouterr().out
     assert all(figure in table for figure in ("4.8 +- 2.8 mm", "0.94", "> 97 %", "606.6 ms"))
-
-
-@pytest.mark.slow
-def test_commands_learn_touch_positions_without_geometry(dataset, tmp_path, capsys):
-    recording = dataclasses.replace(dataset, design=None).select(
-        np.repeat(np.flatnonzero(dataset.state == State.TOUCH), 2)
-    )
-    data, out = tmp_path / "data", tmp_path / "skin.eitmodel"
-    save_dataset(recording, data)
-    train.command(data, out=out, as_json=True, quiet=True)
-    assert json.loads(capsys.readouterr().out)["frames"] == 32
-    evaluate.command(out, data, as_json=True, quiet=True)
-    assert json.loads(capsys.readouterr().out)["frames"] == 8
 
 
 def test_a_place_that_cannot_be_is_refused_before_training(tmp_path):
