@@ -24,14 +24,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from eitskin.benchmarks.markdown_tables import NUMBER, tables
-from eitskin.benchmarks.results import RESULTS, Results, found_results
-from eitskin.benchmarks.skinbench import fill
-from eitskin.benchmarks.skinbench.tracks import TRACKS
+from eitskin.benchmarks.results import NUMBER, RESULTS, Results, found_results, row_labels
+from eitskin.benchmarks.skinbench.leaderboard import (
+    TRACKS,
+    fill,
+    page_with,
+    read_leaderboard,
+    write_leaderboard,
+)
 from eitskin.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "benchmarks" / "published"
+_RULE = re.compile(r"\|(\s*:?-+:?\s*\|)+")
 
 _TABLE = re.compile(r"^<!-- figures: (\w+)(?:: (.+?)| (\|.*?))? -->\n((?:\|.*\n)+)", re.MULTILINE)
 _ABOVE_TABLE = re.compile(r"^<!-- figures: ", re.MULTILINE)
@@ -40,6 +45,21 @@ _CODE = re.compile(r"(?:^ {4}.*\n?)+", re.MULTILINE)
 _ROW_COMMENT = re.compile(r"<!-- ((?:(?!-->).)*) -->\s*$")
 _IN_PROSE = re.compile(r"(?<![\w.])" + NUMBER.pattern)
 _NO_FIGURE = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class MarkdownTable:
+    """Table in Markdown.
+
+    Attributes:
+        title: the heading or bold line above it, if there is one since the table before.
+        head: of the columns.
+        rows: cells under the head.
+    """
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +139,38 @@ def main(folders: Sequence[str]) -> None:
         if new != text:
             page.write_text(new, encoding="utf-8")
             print(f"changed: {page.relative_to(ROOT)}")
-    board = ROOT / "docs" / "leaderboard.json"
-    if not folders and board.is_file():
-        files = [str(PUBLISHED / track.results / RESULTS) for track in TRACKS]
-        fill.main([str(board), *files, "--page", str(board.with_suffix(".md"))])
+    path = ROOT / "docs" / "leaderboard.json"
+    if not folders and path.is_file():
+        board = fill(
+            read_leaderboard(path), [PUBLISHED / track.results / RESULTS for track in TRACKS]
+        )
+        write_leaderboard(path, board)
+        page = path.with_suffix(".md")
+        page.write_text(page_with(page.read_text(encoding="utf-8"), board), encoding="utf-8")
+
+
+def tables(text: str) -> list[MarkdownTable]:
+    """All tables of a text in turn."""
+    found: list[MarkdownTable] = []
+    title = ""
+    lines = text.splitlines()
+    for number, line in enumerate(lines):
+        if line.startswith(("#", "**")):
+            title = line.strip("#* ")
+        elif number and _RULE.fullmatch(line.strip()):
+            head = _cells(lines[number - 1])
+            rows = []
+            for below in lines[number + 1 :]:
+                if not below.startswith("|"):
+                    break
+                rows.append(_cells(below))
+            found.append(MarkdownTable(title, head, tuple(rows)))
+            title = ""
+    return found
+
+
+def _cells(line: str) -> tuple[str, ...]:
+    return tuple(cell.strip() for cell in line.strip().strip("|").split("|"))
 
 
 def _of_table(match: re.Match[str]) -> Iterator[Figure]:
@@ -138,7 +186,9 @@ def _of_table(match: re.Match[str]) -> Iterator[Figure]:
         )
     start = match.start(4)
     lines = text.splitlines(keepends=True)
-    for line, label, offset in zip(lines[2:], table.labels(), _offsets(lines)[2:], strict=True):
+    for line, label, offset in zip(
+        lines[2:], row_labels(table.rows), _offsets(lines)[2:], strict=True
+    ):
         cells = list(re.finditer(r"(?<=\|)[^|\n]*(?=\|)", line))
         comment = _ROW_COMMENT.search(cells[0][0])
         rows = (comment[1] if comment else label).split("; ")

@@ -1,13 +1,16 @@
-"""Results of a benchmark in its folder `OUT/NAME`: results.json, table.csv and pictures.
+"""Results of a benchmark, as they are written to its folder `OUT/NAME` and shown.
 
-results.json says what a run found, as figures by name, and what it was measured with; table.csv
-holds its rows. All benchmarks write through here, each file whole.
+results.json has the figures by name, and what they were measured with; table.csv holds the rows;
+pictures stand beside them. All benchmarks write through here, each file whole.
 """
 
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +22,14 @@ from eitskin.errors import DataError
 from eitskin.files import atomic_file
 from eitskin.provenance import Provenance
 
+NUMBER = re.compile(r"[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[-+]?\d+)?")
 RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
 Plots = Mapping[str, Callable[[Path], object]]
 """What draws each picture into the path given, by the picture's name."""
+Watch = Callable[[str, Sequence[Any]], Iterable[Any]]
+"""Gives back the items that its text is about; shows progress where wanted."""
+Progress = Callable[[str, int, int], None]
+"""Is told of the work that its text is about how much of how much is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +60,101 @@ class Results:
         mine = self.provenance
         now = Provenance.now(mine.seed if seed is None else seed)
         return (mine.seed, mine.packages) == (now.seed, now.packages) and self.quick <= quick
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """Table as it is shown: headings, rows of cells, and how many first columns name a row."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    names: int = 1
+
+    def figures(self, title: str = "") -> Iterator[tuple[str, float]]:
+        """Numbers of all cells but the first of each row, by `title / row / heading`.
+
+        The second and further numbers of a cell have keys that end in ` #2` and so on.
+        """
+        for label, row in zip(row_labels(self.rows), self.rows, strict=True):
+            for heading, cell in zip(self.headings[1:], row[1:], strict=True):
+                key = " / ".join(filter(None, (title, label.replace("  ", "&emsp;"), heading)))
+                for place, number in enumerate(NUMBER.findall(cell), 1):
+                    yield (f"{key} #{place}" if place > 1 else key), float(number.replace(",", ""))
+
+
+def row_labels(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Labels of rows: the first cell, with the second where that is a name as well.
+
+    Rows that are still called the same are numbered.
+    """
+    firsts = [row[0] for row in rows]
+    if len(set(firsts)) == len(firsts):
+        return firsts
+    seconds = [row[1] for row in rows]
+    both = [", ".join(pair) for pair in zip(firsts, seconds, strict=True)]
+    named = all(cell and not NUMBER.fullmatch(cell) for cell in seconds)
+    if named and len(set(both)) == len(both):
+        return both
+    seen: Counter[str] = Counter()
+    names = []
+    for first in firsts:
+        seen[first] += 1
+        names.append(f"{first} ({seen[first]})" if seen[first] > 1 else first)
+    return names
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One run of one benchmark: its results, and how they are shown.
+
+    Attributes:
+        results: of the run.
+        rows: of table.csv; the figures themselves where there are none.
+        tables: as shown.
+        sentences: below the tables.
+        plots: pictures to draw.
+        failed: whether the run found something wrong.
+    """
+
+    results: Results
+    rows: Sequence[dict[str, Any]] = ()
+    tables: Sequence[ReportTable] = ()
+    sentences: Sequence[str] = ()
+    plots: Plots = field(default_factory=dict)
+    failed: bool = False
+
+    def write(self, out: Path) -> list[Path]:
+        """Write the results as `write_results` does; returns all paths."""
+        return write_results(self.results, out, self.rows, self.plots)
+
+
+def measured(
+    name: str,
+    figures: Iterable[tuple[str, float]],
+    *,
+    began: float,
+    seed: int = 0,
+    quick: bool = False,
+    options: str = "",
+) -> Results:
+    """Results of a run of `eitskin bench NAME` that ends now.
+
+    Args:
+        name: of the benchmark.
+        figures: by name; those that are no numbers are left out.
+        began: `time.perf_counter()` at the start [s].
+        seed, quick: of the run.
+        options: that the command had, besides.
+    """
+    words = ["eitskin bench", name, options or f"--seed {seed}", "--quick" * quick]
+    return Results(
+        name=name,
+        command=" ".join(filter(None, words)),
+        provenance=Provenance.now(seed),
+        seconds=time.perf_counter() - began,
+        quick=quick,
+        figures={key: value for key, value in figures if math.isfinite(value)},
+    )
 
 
 def write_results(

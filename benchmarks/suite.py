@@ -7,11 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from eitskin.benchmarks.markdown_tables import figures
-from eitskin.benchmarks.results import RESULTS, Results, read_results, write_results
-from eitskin.datasets.store.folder import make_folder
-from eitskin.errors import DataError
-from eitskin.provenance import Provenance
+from eitskin.benchmarks.results import RESULTS, read_results
+from eitskin.errors import ConfigurationError, DataError
 
 EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
 Start = Callable[[Sequence[str]], int]
@@ -27,10 +24,8 @@ class Benchmark:
     Attributes:
         name: of the command, and of the folder of its results.
         minutes: that all of it takes, by estimate; decides which are long.
-        options: besides the seed; `{out}` stands for the folder of all results, `{own}` for that of
-            its own, `{data}` for that of real recordings.
-        report: the file in its folder that it writes a report to, whose tables become results;
-            empty where it writes results itself.
+        options: besides the seed; `{out}` stands for the folder of all results,
+            `{data}` for that of real recordings.
         seeded: whether it takes a seed.
         needs: a path without which it cannot run, with the same stand-ins.
     """
@@ -38,7 +33,6 @@ class Benchmark:
     name: str
     minutes: float
     options: tuple[str, ...] = ("--out", "{out}")
-    report: str = ""
     seeded: bool = False
     needs: str = ""
 
@@ -60,9 +54,20 @@ ALL = (
     Benchmark("world", 8, seeded=True),
     Benchmark("speed", 5, seeded=True),
     Benchmark("paper", 40, ("--out", "{out}", "--seeds", "2", "--paper-seeds", "1")),
+    Benchmark("recordings", 8, ("{data}", "--out", "{out}"), needs="{data}/ohmc8.mat"),
     Benchmark("transfer", 8, seeded=True),
-    Benchmark("layouts", 90, ("--out", "{own}"), report="layouts.md"),
+    Benchmark("methods", 10, seeded=True),
+    Benchmark("layouts", 90),
 )
+
+
+def chosen(only: Sequence[str] | None, long: bool) -> list[Benchmark]:
+    """Benchmarks by name, or all except long ones; raises ConfigurationError for other names."""
+    names = [each.name for each in ALL]
+    for name in only or ():
+        if name not in names:
+            raise ConfigurationError(f"no benchmark {name!r}; there are: {', '.join(names)}")
+    return [each for each in ALL if (each.name in only if only else long or not each.long)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +102,9 @@ def run_all(
         start: runs a command; in a process of its own when omitted.
     """
     for each in benchmarks:
-        folder = (out / each.name).absolute()
-        places = {
-            "out": str(out.absolute()),
-            "own": str(folder),
-            "data": str(data and data.absolute()),
-        }
-        needs = each.needs.format_map(places)
-        if not fresh and _is_there(folder / RESULTS, seed if each.seeded else None, quick):
+        places = {"out": str(out.absolute()), "data": str(data and data.absolute())}
+        needs, path = each.needs.format_map(places), out / each.name / RESULTS
+        if not fresh and _is_there(path, seed if each.seeded else None, quick):
             yield Done(each.name, "kept", "the same version and seed")
         elif "{data}" in each.needs and data is None:
             yield Done(each.name, "left out", "needs real recordings; give their folder as --data")
@@ -112,35 +112,10 @@ def run_all(
             yield Done(each.name, "left out", f"needs {needs}")
         else:
             began = time.perf_counter()
-            why = _run(each, places, seed, quick, start or run_process)
+            status = (start or run_process)([*EITSKIN, *each.arguments(places, seed, quick)])
+            why = f"exit status {status}" if status else ""
             outcome = "failed" if why else "measured"
             yield Done(each.name, outcome, why, time.perf_counter() - began)
-
-
-def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, start: Start) -> str:
-    """Run one benchmark; returns the reason of a failure, or an empty text."""
-    folder = Path(places["own"])
-    make_folder(folder)
-    began = time.perf_counter()
-    status = start([*EITSKIN, *each.arguments(places, seed, quick)])
-    if status:
-        return f"exit status {status}"
-    if not each.report:
-        return ""
-    found = figures((folder / each.report).read_text(encoding="utf-8"))
-    if not found:
-        return f"no figures in {folder / each.report}"
-    said = {"out": "OUT", "own": f"OUT/{each.name}", "data": "DATA"}
-    results = Results(
-        name=each.name,
-        command=" ".join(["eitskin", *each.arguments(said, seed, quick)]),
-        provenance=Provenance.now(seed),
-        seconds=time.perf_counter() - began,
-        quick=quick,
-        figures=found,
-    )
-    write_results(results, folder.parent)
-    return ""
 
 
 def run_process(command: Sequence[str]) -> int:

@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 
 from eitskin import __version__
 from eitskin.cli.commands import (
+    bench,
     board,
     check,
     dataset,
@@ -23,7 +24,6 @@ from eitskin.cli.commands import (
     train,
     twin,
 )
-from eitskin.cli.commands.bench import group as bench
 from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, setup
 from eitskin.cli.demo import command as demo

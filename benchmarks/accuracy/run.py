@@ -2,33 +2,163 @@
 
 Two errors on the reference sensor: of the 28 flat resistances, and of their change under smooth
 touch-sized drops of conductivity, the signal; each against a reference far finer, whose own error
-is known. Times are per frame of 28 after meshing, of one core.
+is known. Times are per frame of 28 after meshing, of one core. Besides, errors of the signals of
+bent and pressed sensors, by the named resolutions.
 """
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from eitskin.benchmarks.accuracy import cases, deformed, peer
-from eitskin.benchmarks.accuracy.cases import ModelCase
-from eitskin.benchmarks.accuracy.truth import Truth, judge, model_frame
+from eitskin.benchmarks.accuracy import models
+from eitskin.benchmarks.accuracy.models import ModelCase, Truth, judge, model_frame
+from eitskin.benchmarks.plots import plot_errors
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
-from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.electrical.resolution import discretisation
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+from eitskin.simulator.scene.scene import Scene, Touch
+from eitskin.simulator.simulator import Simulator
 from eitskin.threads import one_thread
+
+Array = NDArray[np.float64]
 
 # hp-FEM, converged to nine digits: pairs (0,1) .. (0,7), and the sum over all 28 [ohm].
 HP_FIRST = (530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.32498)
 HP_SUM = 16209.0957
 HP_CONTACT = 1e-4
 
-Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
+# The first is the truth, the second says how far it can be trusted.
+References: TypeAlias = tuple[Discretisation, Discretisation]
+DEFORMED_REFERENCES: References = (
+    ((5, 5, 5, 5, 4, 3), Grading(finest=4e-5, coarsest=5e-3, growth=3.0)),
+    ((6, 6, 5, 4, 3), Grading(finest=4e-5, coarsest=6e-3, growth=2.5)),
+)
+QUICK_DEFORMED_REFERENCES: References = (
+    ((4, 4, 3, 2, 1), Grading(finest=1e-4, coarsest=6e-3, growth=3.0)),
+    ((4, 4, 3, 2, 1), Grading(finest=2e-4, coarsest=6e-3, growth=3.0)),
+)
+
+# Smooth at the ends of the bend: F may jump at element faces only.
+FIXTURE = Hinge(transition=0.010)
+
+
+def sheared(axis: int) -> Displaced:
+    """Simple shear of the whole layer by 45 deg, along x (0) or y (1)."""
+    slope = np.zeros((3, 3))
+    slope[axis, 2] = 1.0
+    return Displaced(
+        lambda x: np.asarray(x @ slope.T), lambda x: np.broadcast_to(slope, (*x.shape[:-1], 3, 3))
+    )
+
+
+PRESSES: Mapping[str, Scene] = {
+    "10 N": Scene(touches=(Touch(0.060, 0.030),)),
+    "10 N in the middle": Scene(touches=(Touch(0.075, 0.030),)),
+    "10 N at (45, 15)": Scene(touches=(Touch(0.045, 0.015),)),
+    "10 N at (75, 15)": Scene(touches=(Touch(0.075, 0.015),)),
+    "10 N by an electrode": Scene(touches=(Touch(0.075, 0.0075),)),
+    "2 N, ball": Scene(touches=(Touch(0.060, 0.030, 2.0, Sphere(0.003)),)),
+    "2 N, ball at (45, 15)": Scene(touches=(Touch(0.045, 0.015, 2.0, Sphere(0.003)),)),
+    "10 N, 20 mm cylinder": Scene(touches=(Touch(0.045, 0.015, 10.0, Cylinder(0.010)),)),
+    "10 N, bend 30": Scene(Bend(30.0), (Touch(0.110, 0.035),)),
+    "10 N in the bend": Scene(Bend(30.0), (Touch(0.075, 0.030),)),
+}
+SHEARS: Mapping[str, Displaced] = {"sheared along x": sheared(0), "sheared along y": sheared(1)}
+SCENES: Mapping[str, Scene | Displaced] = {
+    "bend 50": Scene(Bend(50.0)),
+    "bend -20": Scene(Bend(-20.0)),
+    **PRESSES,
+    **SHEARS,
+}
+QUICK_SCENES: Mapping[str, Scene | Displaced] = {
+    name: SCENES[name] for name in ("bend 50", "10 N", "sheared along x")
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Deformed:
+    """Signal errors of one resolution.
+
+    Attributes:
+        name: of the resolution.
+        unknowns: of the matrix.
+        frame_seconds: median per frame, deformation evaluated, assembled and solved anew.
+        signal_errors: per scene, norm of the error of the relative change over norm of the
+            change, of the bend or, in scenes that are pressed, of the press.
+    """
+
+    name: str
+    unknowns: int
+    frame_seconds: float
+    signal_errors: dict[str, float]
+
+    @property
+    def press_error(self) -> float:
+        """Largest error of a press."""
+        return max(error for name, error in self.signal_errors.items() if name in PRESSES)
+
+    @property
+    def shear_error(self) -> float | None:
+        """Largest error of a sheared layer; None where none was measured."""
+        return max((e for name, e in self.signal_errors.items() if name in SHEARS), default=None)
+
+
+def signals(
+    sim: Simulator, scenes: Mapping[str, Scene | Displaced]
+) -> tuple[dict[str, Array], list[float]]:
+    """Relative change of each measurement that each scene makes, and the time of each [s]."""
+    changes, times = {}, []
+
+    @cache
+    def resistances(scene: Scene | Displaced) -> Array:
+        start = time.process_time()
+        frame = sim.measure(scene) if isinstance(scene, Scene) else sim.deformed(scene)
+        times.append(time.process_time() - start)
+        return frame.impedance.real
+
+    for name, scene in scenes.items():
+        before = Scene()
+        if isinstance(scene, Scene) and scene.touches:
+            before = Scene(bend=scene.bend)
+        changes[name] = resistances(scene) / resistances(before) - 1.0
+    return changes, times
+
+
+def compare_deformed(
+    resolutions: Sequence[Resolution],
+    references: References,
+    scenes: Mapping[str, Scene | Displaced],
+) -> tuple[Deformed, ...]:
+    """Errors of each resolution, and of the second reference, against the first reference.
+
+    On the reference sensor, bent by a hinge with transitions.
+    """
+    design = SensorDesign.reference()
+    truth, _ = signals(Simulator(design, references[0], FIXTURE), scenes)
+    rows = []
+    named: dict[str, Resolution | Discretisation]
+    named = {"second reference": references[1], **{name: name for name in resolutions}}
+    for name, resolution in named.items():
+        sim = Simulator(design, resolution, FIXTURE)
+        found, times = signals(sim, scenes)
+        errors = {
+            scene: float(np.linalg.norm(found[scene] - truth[scene]) / np.linalg.norm(truth[scene]))
+            for scene in scenes
+        }
+        rows.append(Deformed(name, sim.model.unknowns, float(np.median(times)), errors))
+    return tuple(rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,65 +205,6 @@ class Duel:
         return self.other.frame_seconds / self.own.frame_seconds
 
 
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """Everything that one run found.
-
-    Attributes:
-        provenance: what it was measured with.
-        seconds: that the run took [s].
-        quick: whether fewer models and a coarser reference had to do.
-        resistance_error, signal_error: of the reference, as in `Truth`.
-        results: of our models.
-        duels: at equal nodes; empty where pyEIT is not installed.
-        deformed: bent and pressed scenes.
-    """
-
-    provenance: Provenance
-    seconds: float
-    quick: bool
-    resistance_error: float
-    signal_error: float
-    results: tuple[ModelResult, ...]
-    duels: tuple[Duel, ...]
-    deformed: tuple[deformed.Deformed, ...]
-
-    @property
-    def points(self) -> tuple[ModelResult, ...]:
-        """All results: eitskin's, then pyEIT's."""
-        own, others = (d.own for d in self.duels), (d.other for d in self.duels)
-        return (*self.results, *own, *others)
-
-
-def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Accuracy:
-    """Measure everything on one core.
-
-    Args:
-        seed: of the places of the conductivity drops.
-        quick: fewer models and a coarser reference, in seconds instead of minutes.
-        watch: gives back the items that its text is about; shows progress where wanted.
-    """
-    start = time.perf_counter()
-    own = cases.QUICK if quick else cases.FULL
-    peers = (cases.QUICK_PEERS if quick else cases.PEERS) if peer.is_installed() else ()
-    with one_thread():
-        references = cases.QUICK_REFERENCES if quick else cases.REFERENCES
-        (truth,) = (Truth.compute(seed, pair) for pair in watch("reference", [references]))
-        results = tuple(measure(case, truth) for case in watch("models", own))
-        duels = tuple(compare(case, truth) for case in watch("pyEIT", peers))
-        (pressed,) = (f(quick) for f in watch("bent and pressed", [_deformed]))
-    return Accuracy(
-        provenance=Provenance.now(seed),
-        seconds=time.perf_counter() - start,
-        quick=quick,
-        resistance_error=truth.resistance_error,
-        signal_error=truth.signal_error,
-        results=results,
-        duels=duels,
-        deformed=pressed,
-    )
-
-
 def measure(case: ModelCase, truth: Truth) -> ModelResult:
     """Errors and times of one forward model."""
     start = time.process_time()
@@ -172,7 +243,7 @@ def compare(case: ModelCase, truth: Truth) -> Duel:
     order, _ = discretisation(case.resolution, truth.design, case.cells)
     plane = len(order) == 1
     mesh = ForwardModel(truth.design, case.resolution).mesh
-    model = peer.PointElectrodeModel(truth.design, mesh, plane)
+    model = models.PointElectrodeModel(truth.design, mesh, plane)
     found = judge(model.frame(truth.design.conductivity), truth)
     cells = "triangles" if plane else "tetrahedra"
     other = ModelResult(
@@ -193,11 +264,118 @@ def compare(case: ModelCase, truth: Truth) -> Duel:
     return Duel(dataclasses.replace(own, nodes=model.nodes), other)
 
 
-def _deformed(quick: bool) -> tuple[deformed.Deformed, ...]:
+def _deformed(quick: bool) -> tuple[Deformed, ...]:
     if quick:
-        return deformed.compare_deformed(
-            ("fast",), deformed.QUICK_REFERENCES, deformed.QUICK_SCENES
-        )
-    return deformed.compare_deformed(
-        ("fast", "standard", "fine"), deformed.REFERENCES, deformed.SCENES
+        return compare_deformed(("fast",), QUICK_DEFORMED_REFERENCES, QUICK_SCENES)
+    return compare_deformed(("fast", "standard", "fine"), DEFORMED_REFERENCES, SCENES)
+
+
+def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
+    """Measure everything on one core.
+
+    Args:
+        seed: of the places of the conductivity drops.
+        quick: fewer models and a coarser reference, in seconds instead of minutes.
+        watch: gives back the items that its text is about; shows progress where wanted.
+    """
+    began = time.perf_counter()
+    peers = (models.QUICK_PEERS if quick else models.PEERS) if models.has_pyeit() else ()
+    references = models.QUICK_REFERENCES if quick else models.REFERENCES
+    with one_thread():
+        (truth,) = (Truth.compute(seed, pair) for pair in watch("reference", [references]))
+        own = watch("models", models.QUICK if quick else models.FULL)
+        results = [measure(case, truth) for case in own]
+        duels = [compare(case, truth) for case in watch("pyEIT", peers)]
+        (deformed,) = (f(quick) for f in watch("bent and pressed", [_deformed]))
+    points = [*results, *(d.own for d in duels), *(d.other for d in duels)]
+    sentences = [
+        f"two references differ by {truth.resistance_error:.1e} in R and "
+        f"{truth.signal_error:.1e} in the signal",
+        *(
+            f"{each.other.family}, {each.other.nodes} nodes: ours on the same nodes is "
+            f"{each.ratio:.0f} times faster"
+            for each in duels
+        ),
+    ]
+    if not duels:
+        sentences.append("pyEIT is not installed and was left out: pip install 'eitskin[bench]'")
+    scenes = [
+        (scene, *(f"{row.signal_errors[scene]:.1e}" for row in deformed))
+        for scene in deformed[0].signal_errors
+    ]
+    figures = dict(_figures(truth, results, duels, deformed))
+    return Report(
+        results=measured("accuracy", figures.items(), began=began, seed=seed, quick=quick),
+        rows=[dataclasses.asdict(point) for point in points],
+        tables=[
+            ReportTable(_HEADINGS, [_cells(point) for point in points], 2),
+            ReportTable(("signal errors", *(row.name for row in deformed)), scenes),
+        ],
+        sentences=sentences,
+        plots={"accuracy.png": partial(plot_errors, **_plotted(points))},
     )
+
+
+_HEADINGS = ("mesh and element", "", "unknowns", "ms/frame", "error of R", "of signal", "z = 1e-4")
+
+
+def _cells(point: ModelResult) -> tuple[str, ...]:
+    return (
+        point.family,
+        point.name,
+        str(point.unknowns),
+        f"{1e3 * point.frame_seconds:.1f}",
+        f"{point.resistance_error:.1e}",
+        f"{point.signal_error:.1e}",
+        "" if point.published_error is None else f"{point.published_error:.1e}",
+    )
+
+
+def _plotted(points: Sequence[ModelResult]) -> dict[str, Any]:
+    """Both errors over the time per frame, a line for each family."""
+    titles = {
+        "resistance_error": "28 flat resistances: largest relative error",
+        "signal_error": "change under a 30 % drop of conductivity: relative error",
+    }
+    panels: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    for quantity, title in titles.items():
+        for point in points:
+            line = panels.setdefault(title, {}).setdefault(point.family, [])
+            line.append((1e3 * point.frame_seconds, getattr(point, quantity)))
+    return {"panels": panels, "x": "time per frame of 28 [ms]", "y": "error"}
+
+
+def _figures(
+    truth: Truth,
+    results: Sequence[ModelResult],
+    duels: Sequence[Duel],
+    deformed: Sequence[Deformed],
+) -> Iterator[tuple[str, float]]:
+    """All figures by name: points by family and name, duels by the peer's family."""
+    yield "references.resistance_error", truth.resistance_error
+    yield "references.signal_error", truth.signal_error
+    for point in results:
+        yield from _figures_of(f"{point.family}, {point.name}", point)
+    for duel in duels:
+        peer = f"{duel.other.family}, {duel.other.name}"
+        yield from _figures_of(peer, duel.other)
+        yield from _figures_of(f"ours on the nodes of {peer}", duel.own)
+        yield f"{peer}.times_longer", duel.ratio
+    for row in deformed:
+        yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
+        yield f"bent and pressed, {row.name}.largest of presses", row.press_error
+        if row.shear_error is not None:
+            yield f"bent and pressed, {row.name}.largest of shears", row.shear_error
+        for scene, error in row.signal_errors.items():
+            yield f"bent and pressed, {row.name}.{scene}", error
+
+
+def _figures_of(label: str, point: ModelResult) -> Iterator[tuple[str, float]]:
+    yield f"{label}.nodes", point.nodes
+    yield f"{label}.unknowns", point.unknowns
+    yield f"{label}.frame_ms", 1e3 * point.frame_seconds
+    yield f"{label}.setup_seconds", point.setup_seconds
+    yield f"{label}.resistance_error", point.resistance_error
+    yield f"{label}.signal_error", point.signal_error
+    if point.published_error is not None:
+        yield f"{label}.published_error", point.published_error

@@ -6,15 +6,22 @@ sensitivity misses the signal altogether. The derivative by the angle is that of
 the press. docs/layouts.md gives the errors of both.
 """
 
+import hashlib
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.layouts.candidates import Layout
+from eitskin.datasets.store.folder import make_folder
+from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import ConfigurationError
+from eitskin.files import remove_leftovers, write_file
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
@@ -29,6 +36,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 FORCE = 10.0  # of the press [N]
+_VERSION = 1  # of what a stored file means; raised when the calculation changes
 _COMPARED = 15  # singular values: further ones depend on how many places there are
 _DIGITS = 9  # of places in metres, to recognise an electrode in the mirror
 _PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
@@ -64,6 +72,11 @@ class Sampling:
                 f"{extent:g} m"
             )
         return self.margin + np.linspace(0.0, room, math.ceil(room / self.spacing - 1e-9) + 1)
+
+
+Question: TypeAlias = "tuple[Layout, Sampling]"
+Judge = Callable[[Sequence[Question]], "list[SheetBound]"]
+Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,3 +238,86 @@ def _signal(
     change = np.log(np.abs(found.resistance / untouched.resistance))
     white: Array = change / untouched.noise(instrument, full_scale)
     return white
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBound:
+    """Finished layout in a file.
+
+    Attributes:
+        asked: version, design, angle, force and sampling.
+        found: fields of its `SheetBound`.
+    """
+
+    asked: dict[str, Any]
+    found: dict[str, Any]
+
+
+def judge_layouts(
+    folder: Path, workers: int, watch: Watch, questions: Sequence[Question]
+) -> list[SheetBound]:
+    """Bounds of layouts in order; questions that differ only in the layout's name share one.
+
+    Each is a small file in `folder`, named by a hash of what was asked, and is taken only for the
+    same: a run that was stopped goes on.
+
+    Args:
+        folder: for the files; made where it is missing.
+        workers: processes that judge; with one, this one does.
+        watch: called with the name of each layout that is finished.
+        questions: layouts, and how they are sampled.
+
+    Raises PartialError where a file cannot be written or a process died; run again to go on.
+    """
+    make_folder(folder)
+    remove_leftovers(folder)
+    by_path = {_path(folder, question): question for question in questions}
+    missing = []
+    for path, question in by_path.items():
+        if _read(path, question) is None:
+            missing.append((path, question))
+        else:
+            watch(question[0].name)
+    for (_, question), _ in run_tasks(_write, missing, workers if workers > 1 else 0):
+        watch(question[0].name)
+    found = [_read(_path(folder, question), question) for question in questions]
+    return [bound for bound in found if bound is not None]
+
+
+def _asked(question: Question) -> dict[str, Any]:
+    layout, sampling = question
+    return {
+        "version": _VERSION,
+        "design": layout.design.to_toml(),
+        "angle_deg": layout.angle_deg,
+        "force": FORCE,
+        **asdict(sampling),
+    }
+
+
+def _path(folder: Path, question: Question) -> Path:
+    content = msgspec.json.encode(_asked(question), order="sorted")
+    return folder / f"{hashlib.sha256(content).hexdigest()[:20]}.json"
+
+
+def _read(path: Path, question: Question) -> SheetBound | None:
+    """Bound stored in a file; None where it is missing or belongs to another question."""
+    try:
+        part = msgspec.json.decode(path.read_bytes(), type=StoredBound)
+    except (OSError, msgspec.MsgspecError):
+        return None
+    if part.asked != _asked(question) or set(part.found) != {f.name for f in fields(SheetBound)}:
+        return None
+    arrays: dict[str, Any] = {
+        name: np.array(value) if isinstance(value, list) else value
+        for name, value in part.found.items()
+    }
+    return SheetBound(**arrays)
+
+
+def _write(task: tuple[Path, Question]) -> None:
+    path, question = task
+    bound = sheet_bound(*question)
+    values = {each.name: getattr(bound, each.name) for each in fields(bound)}
+    found = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+    write_file(path, msgspec.json.encode(StoredBound(_asked(question), found)) + b"\n")

@@ -1,46 +1,70 @@
-"""Comparison of layouts: sweeps, searches, and the figures of each layout."""
+"""Comparison of layouts, sweeps and a search: `eitskin bench layouts`."""
 
-import dataclasses
+import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.layouts import free as layouts_free
-from eitskin.benchmarks.layouts.bound import Sampling, SheetBound
+from eitskin.benchmarks.layouts.bound import Judge, Sampling, SheetBound, Watch, judge_layouts
 from eitskin.benchmarks.layouts.candidates import (
+    PAPER,
     SIZE,
     Layout,
     paper,
     sweeps,
     with_electrodes,
 )
-from eitskin.benchmarks.layouts.free import FreePlan, free_search
-from eitskin.benchmarks.layouts.ring import solved_ring
-from eitskin.benchmarks.layouts.search import (
-    COUNT,
-    QUICK,
-    Candidate,
-    SearchPlan,
-    at_arcs,
-    possible,
-    search,
-)
-from eitskin.benchmarks.layouts.store import Judge, Watch, judging
+from eitskin.benchmarks.layouts.search import COUNT, QUICK, SearchPlan, search
+from eitskin.benchmarks.results import Report, ReportTable, measured
 from eitskin.errors import ConfigurationError
+from eitskin.extras import require
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware.protocol.frame_parts import PER_PACKET
-from eitskin.provenance import Provenance
 
-SEED = 0  # of the search without symmetry, and of pipelines; nothing else is random
-SEARCH, FREE = "search", "free"  # sweeps
-MIRRORED, TURNED, FREED = "best with both mirrors", "best with a half turn", "best of all"
-NAMES = (*sweeps(), SEARCH, FREE)
+SEARCH = "search"
+MIRRORED, TURNED = "best with both mirrors", "best with a half turn"
+NAMES = (*sweeps(), SEARCH)
 SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
 QUICK_SAMPLING = Sampling(0.0225)
-FREE_WIDTHS = (0.002, 0.008)  # of the electrodes of the best layouts, beside 5 mm [m]
+HEADINGS = (
+    "n",
+    "scan [ms]",
+    "50 % [mm]",
+    "90 %",
+    "worst",
+    "paced",
+    "force [N]",
+    "angle [deg]",
+    "weak/strong",
+    "condition",
+    "patterns",
+)
+LEGEND = (
+    "bound of the place of 10 N: median, 90 % and worst over the sheet, and 90 % paced, for as "
+    "many frames as take the time of the paper's; force: 90 %; angle: of the untouched sheet; "
+    "* a frame that does not fit into one packet on the wire"
+)
+# The first of these that were judged and are not drawn already are drawn; without any, the first
+# layouts.
+_DRAWN = (
+    (SEARCH, PAPER),
+    ("search", "best with both mirrors"),
+    ("search", "best with a half turn"),
+    ("count", "16 on the rim"),
+    ("placement", "on top, beside the rim"),
+    ("placement", "inside, 2 x 4"),
+    ("search", "even, half a pitch on"),
+    ("count", "10 on the rim"),
+)
+_MOST = 6
+_COLUMNS = 2
+_TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+_ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,28 +165,6 @@ class LayoutFigures:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class LayoutComparison:
-    """All judged layouts and their provenance."""
-
-    judged: tuple[JudgedLayout, ...]
-    provenance: Provenance
-    quick: bool
-
-    @property
-    def figures(self) -> list[LayoutFigures]:
-        """Figures of each layout, in order."""
-        return [LayoutFigures.of(each) for each in self.judged]
-
-    def found(self, sweep: str, resolution: str) -> dict[str, LayoutFigures]:
-        """Figures of the layouts that a search ends with, by name; empty where it was not run."""
-        return {
-            each.layout.name: LayoutFigures.of(each)
-            for each in self.judged
-            if (each.sweep, each.sampling.resolution) == (sweep, resolution)
-        }
-
-
 def run(
     folder: Path,
     *,
@@ -170,48 +172,76 @@ def run(
     quick: bool = False,
     workers: int = 1,
     watch: Watch = lambda _: None,
-) -> LayoutComparison:
+) -> Report:
     """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
 
     Args:
         folder: for the files of finished layouts; a run that was stopped goes on from them.
-        names: of sweeps; "search" and "free" are two.
+        names: of sweeps, of which "search" is one.
         quick: few places, few layouts in the search.
         workers: processes that judge.
         watch: called with the name of each finished layout.
 
-    Raises ConfigurationError for an unknown sweep, PartialError as `judging` does.
+    Raises ConfigurationError for an unknown sweep, PartialError as `judge_layouts` does.
     """
     if unknown := sorted(set(names) - set(NAMES)):
         raise ConfigurationError(
-            f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}"
+            f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}; the search "
+            "without symmetry, free, is in docs/results/studies.md"
         )
+    began = time.perf_counter()
     sampling = QUICK_SAMPLING if quick else SAMPLING
-    with judging(folder, workers, watch) as judge:
-        asked = [
-            (name, layout)
-            for name, layouts in sweeps().items()
-            if name in names
-            for layout in layouts
-        ]
-        bounds = judge([(layout, sampling) for _, layout in asked])
-        judged = [
-            JudgedLayout(name, layout, sampling, bound)
-            for (name, layout), bound in zip(asked, bounds, strict=True)
-        ]
-        if SEARCH in names:
-            judged += _searched(judge, quick)
-        if FREE in names:
-            judged += _freed(judge, folder, quick)
-    return LayoutComparison(tuple(judged), Provenance.now(SEED), quick)
+    judge = partial(judge_layouts, folder, workers, watch)
+    asked = [(name, each) for name, some in sweeps().items() if name in names for each in some]
+    bounds = judge([(layout, sampling) for _, layout in asked])
+    judged = [
+        JudgedLayout(name, layout, sampling, bound)
+        for (name, layout), bound in zip(asked, bounds, strict=True)
+    ]
+    if SEARCH in names:
+        judged += _searched(judge, quick)
+    return _report(judged, began, quick)
 
 
-def best_found(judge: Judge, folder: Path, quick: bool) -> dict[str, Candidate]:
-    """Best layouts with both mirrors and without any symmetry, by name."""
-    mirrored, _ = search(judge, QUICK if quick else SearchPlan())
-    plan = layouts_free.QUICK if quick else FreePlan(seed=SEED)
-    ring = solved_ring(folder, plan.pitch, plan.sampling)
-    return {MIRRORED: mirrored, FREED: free_search(judge, ring, plan, [mirrored.arcs])}
+def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report:
+    tables: dict[str, ReportTable] = {}
+    for each in judged:
+        finer = (
+            f", {each.sampling.resolution} mesh, places {1e3 * each.sampling.spacing:g} mm apart"
+        )
+        title = f"{each.sweep}{finer if each.sweep == SEARCH else ''}"
+        table = tables.setdefault(title, ReportTable((title, *HEADINGS), []))
+        tables[title] = replace(table, rows=[*table.rows, _cells(LayoutFigures.of(each))])
+    figures = [pair for title, table in tables.items() for pair in table.figures(title)]
+    sentences = [LEGEND]
+    for each in judged:
+        if each.layout.name in (MIRRORED, TURNED):
+            middles = LayoutFigures.of(each).electrodes_mm
+            sentences.append(f"{each.layout.name}: middles at (x y) {middles} mm")
+    return Report(
+        results=measured("layouts", figures, began=began, quick=quick, options="--workers 2"),
+        rows=[asdict(LayoutFigures.of(each)) for each in judged],
+        tables=list(tables.values()),
+        sentences=sentences,
+        plots={"layouts.png": partial(plot_maps, judged)},
+    )
+
+
+def _cells(each: LayoutFigures) -> tuple[str, ...]:
+    return (
+        each.layout,
+        f"{each.measurements}{'' if each.fits_wire else '*'}",
+        f"{each.scan_ms:.0f}",
+        f"{each.place_mm:.2f}",
+        f"{each.place_90_mm:.2f}",
+        f"{each.place_worst_mm:.2f}",
+        f"{each.place_90_paced_mm:.2f}",
+        f"{each.force_90_n:.2f}",
+        f"{each.angle_untouched_deg:.3f}",
+        f"{each.uniformity:.3f}",
+        f"{each.condition:.3g}",
+        str(each.patterns),
+    )
 
 
 def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
@@ -222,29 +252,16 @@ def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
     layouts = [
         paper(),
         with_electrodes("even, half a pitch on", electrodes),
-        dataclasses.replace(mirrored.layout, name=MIRRORED),
-        dataclasses.replace(turned.layout, name=TURNED),
+        replace(mirrored.layout, name=MIRRORED),
+        replace(turned.layout, name=TURNED),
     ]
     yield from _twice(SEARCH, layouts, plan.sampling, judge, quick)
-
-
-def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[JudgedLayout]:
-    """Best of all beside the best with mirrors and the paper's, and both in other widths."""
-    best = best_found(judge, folder, quick)
-    layouts = [paper(), *(at_arcs(name, found.arcs) for name, found in best.items())]
-    layouts += [
-        at_arcs(f"{name}, {1e3 * width:g} mm wide", found.arcs, width)
-        for name, found in best.items()
-        for width in (() if quick else FREE_WIDTHS)
-        if possible(found.arcs, width)
-    ]
-    yield from _twice(FREE, layouts, QUICK_SAMPLING if quick else SAMPLING, judge, quick)
 
 
 def _twice(
     sweep: str, layouts: Sequence[Layout], sampling: Sampling, judge: Judge, quick: bool
 ) -> Iterator[JudgedLayout]:
-    fine = dataclasses.replace(sampling if quick else FINE, resolution="standard")
+    fine = replace(sampling if quick else FINE, resolution="standard")
     questions = [(layout, each) for each in (sampling, fine) for layout in layouts]
     for (layout, each), bound in zip(questions, judge(questions), strict=True):
         yield JudgedLayout(sweep, layout, each, bound)
@@ -253,3 +270,74 @@ def _twice(
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:
     median, most, worst = np.percentile(values, (50, 90, 100)).tolist()
     return median, most, worst
+
+
+def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
+    """Draw the bound of the place [mm] of up to six layouts on one logarithmic scale."""
+    shown = drawn(judged)
+    values = np.concatenate([1e3 * each.bound.place.ravel() for each in shown])
+    ends = np.percentile(values, (2, 100))
+    scale = require("matplotlib.colors", "bench").LogNorm(float(ends[0]), float(ends[1]))
+    rows = -(-len(shown) // _COLUMNS)
+    figure = require("matplotlib.figure", "bench").Figure(
+        figsize=(9.5, 2.05 * rows + 0.4), layout="constrained"
+    )
+    grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True, sharey=True)
+    for axes, each in zip(grid.ravel(), shown, strict=False):
+        filled = _draw(axes, each, scale)
+    for axes in grid.ravel()[len(shown) :]:
+        axes.set_visible(False)
+    bar = figure.colorbar(
+        filled, ax=grid, label="bound of the place of 10 N [mm]", shrink=0.8, extend="min"
+    )
+    ticks = [tick for tick in _TICKS if ends[0] <= tick <= ends[1]]
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.ax.minorticks_off()
+    figure.savefig(path, dpi=120, facecolor="white")
+
+
+def drawn(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
+    """Layouts for the picture; the finer judgement of each layout that was judged twice."""
+    by_name = {(each.sweep, each.layout.name): each for each in judged}
+    chosen: list[JudgedLayout] = []
+    for each in (by_name[key] for key in _DRAWN if key in by_name):
+        if all(each.layout.design != other.layout.design for other in chosen):
+            chosen.append(each)
+    return (chosen or list(by_name.values()))[:_MOST]
+
+
+def _draw(axes: Any, judged: JudgedLayout, scale: Any) -> Any:
+    bound, design = judged.bound, judged.layout.design
+    length, width = 1e3 * design.outline.length, 1e3 * design.outline.width
+    values = 1e3 * bound.place
+    filled = axes.pcolormesh(
+        1e3 * bound.x, 1e3 * bound.y, values, norm=scale, cmap="viridis", shading="nearest"
+    )
+    corners = np.array([(0, 0), (length, 0), (length, width), (0, width), (0, 0)])
+    axes.plot(*corners.T, color="#444444", linewidth=1.0)
+    for electrode in design.electrodes:
+        extent = 1e3 * np.array([electrode.width, electrode.height or electrode.width])
+        if electrode.on == "side":
+            upright = electrode.x in (0.0, design.outline.length)
+            along = 1e3 * electrode.width
+            extent = np.array([2 * _ON_RIM, along] if upright else [along, 2 * _ON_RIM])
+        low = 1e3 * np.array([electrode.x, electrode.y]) - extent / 2
+        patch = require("matplotlib.patches", "bench").Rectangle(
+            low,
+            *extent,
+            facecolor="#d9a41a",
+            edgecolor="black",
+            linewidth=0.5,
+            clip_on=False,
+            zorder=3,
+        )
+        axes.add_patch(patch)
+    most = np.percentile(values, 90)
+    axes.set_title(f"{judged.layout.name}: 90 % below {most:.2f} mm", fontsize=9)
+    axes.set(aspect="equal", xlim=(-3, length + 3), ylim=(-3, width + 3))
+    axes.set_xlabel("x [mm]", fontsize=8)
+    axes.set_ylabel("y [mm]", fontsize=8)
+    axes.label_outer()
+    axes.spines[:].set_visible(False)
+    axes.tick_params(labelsize=7)
+    return filled

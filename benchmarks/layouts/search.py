@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.layouts.bound import Sampling, SheetBound
+from eitskin.benchmarks.layouts.bound import Judge, Sampling, SheetBound
 from eitskin.benchmarks.layouts.candidates import SIZE, Layout, with_electrodes
-from eitskin.benchmarks.layouts.store import Judge
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle

@@ -1,21 +1,19 @@
 """Run of the paper's experiments with its own pipeline and with another: `eitskin bench paper`."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eitskin.benchmarks.paper import limits as paper_limits
 from eitskin.benchmarks.paper import scores as paper_scores
-from eitskin.benchmarks.paper.limits import SignalToNoise
-from eitskin.benchmarks.paper.scores import Figures
-from eitskin.benchmarks.paper.sets import Progress, Sets, make
+from eitskin.benchmarks.paper.scores import Figures, SignalToNoise
+from eitskin.benchmarks.paper.sets import Sets, make
+from eitskin.benchmarks.results import Progress
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.provenance import Provenance
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.settings import TrainingSettings
@@ -28,8 +26,6 @@ BOUNDED, BOUNDED_QUICK = 12, 4  # frames of each kind whose bound is computed
 PAPER = "paper's"
 OWN, UNSEEN, OURS = f"{PAPER}, own sensor", f"{PAPER}, unseen", "ours, unseen"
 """Columns; each further method has two like the paper's, after ours."""
-
-Variants = Callable[[Pipeline], Sequence[tuple[str, Pipeline]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,25 +61,11 @@ class Contender:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Variant:
-    """Pipeline variant, measured on all touches of the unseen sensors.
-
-    Attributes:
-        name: in words.
-        figures: of `paper_scores.touch_scores`, one of each seed.
-    """
-
-    name: str
-    figures: tuple[Figures, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PaperComparison:
     """Everything that was measured; every tuple has one entry per seed.
 
     Attributes:
-        provenance: of the measurement; its seed is the last.
-        seconds: that the run took [s], less where frames were kept from an earlier one.
+        began: `time.perf_counter()` at its start [s].
         seeds: of the frames and of the training of the paper's pipeline.
         quick: whether a tenth of the frames had to do.
         pipeline: what "ours" is.
@@ -92,12 +74,10 @@ class PaperComparison:
             it was trained for, perhaps none.
         bounds: of figures, by their names.
         signal_to_noise: of the touches on unseen sensors.
-        variants: for the plot of error against time.
         contenders: further methods.
     """
 
-    provenance: Provenance
-    seconds: float
+    began: float
     seeds: tuple[int, ...]
     quick: bool
     pipeline: str
@@ -105,7 +85,6 @@ class PaperComparison:
     figures: dict[str, tuple[Figures, ...]]
     bounds: tuple[Figures, ...]
     signal_to_noise: tuple[SignalToNoise, ...]
-    variants: tuple[Variant, ...]
     contenders: tuple[Contender, ...] = ()
 
 
@@ -117,12 +96,6 @@ class _Measured:
     figures: dict[str, Figures]
     bounds: Figures
     signal_to_noise: SignalToNoise
-    variants: dict[str, Figures]
-
-
-def no_variants(ours: Pipeline) -> Sequence[tuple[str, Pipeline]]:  # noqa: ARG001
-    """Empty choice of variants: only the two pipelines of the table."""
-    return ()
 
 
 def run(
@@ -132,7 +105,6 @@ def run(
     quick: bool = False,
     workers: int = 2,
     progress: Progress = lambda *_: None,
-    variants: Variants = no_variants,
     paper_seeds: int | None = None,
     contenders: Sequence[Contender] = (),
 ) -> PaperComparison:
@@ -145,7 +117,6 @@ def run(
         quick: a tenth of the frames.
         workers: processes that generate frames.
         progress: told of every part.
-        variants: of the pipeline, by name, for the plot of error against time.
         paper_seeds: of how many seeds the paper's pipeline is trained, which takes ten minutes or
             more each; of all when omitted.
         contenders: further methods, trained like the paper's pipeline for each seed.
@@ -167,21 +138,18 @@ def run(
         sets = make(place, seed, quick, workers, progress)
         trained = {}
         if paper_seeds is None or seed < paper_seeds:
-            trained[PAPER] = _paper_pipeline(
-                sets.training, place / "paper.eitmodel", seed, progress
-            )
+            settings = TrainingSettings.preset("paper", seed)
+            trained[PAPER] = _pipeline(sets.training, place / "paper.eitmodel", settings, progress)
         for each in contenders:
             kept = place / f"{each.name.replace(':', '-')}.eitmodel"
             trained[each.name] = _pipeline(
                 sets.training, kept, each.settings(seed), progress, each.method
             )
-        parts.append(_measured(sets, trained, ours, variants(ours), seed, quick, progress))
+        parts.append(_measured(sets, trained, ours, seed, quick, progress))
     columns = [OWN, UNSEEN, OURS]
     columns += [column for each in contenders for column in columns_of(each.name)]
-    names = list(parts[0].variants)
     return PaperComparison(
-        provenance=Provenance.now(seeds - 1),
-        seconds=time.perf_counter() - began,
+        began=began,
         seeds=tuple(range(seeds)),
         quick=quick,
         pipeline=f"{pipeline.name}, {_description(ours)}",
@@ -192,10 +160,6 @@ def run(
         },
         bounds=tuple(part.bounds for part in parts),
         signal_to_noise=tuple(part.signal_to_noise for part in parts),
-        variants=tuple(
-            Variant(n, tuple(part.variants[n] for part in parts if n in part.variants))
-            for n in names
-        ),
         contenders=tuple(contenders),
     )
 
@@ -204,13 +168,12 @@ def _measured(
     sets: Sets,
     trained: Mapping[str, Pipeline],
     ours: Pipeline,
-    variants: Iterable[tuple[str, Pipeline]],
     seed: int,
     quick: bool,
     progress: Progress,
 ) -> _Measured:
     def said(what: str, done: int) -> None:
-        progress(f"measuring, seed {seed}: {what}", done, len(trained) + 4)
+        progress(f"measuring, seed {seed}: {what}", done, len(trained) + 2)
 
     figures, unseen = {}, {OURS: ours}
     for number, (name, pipeline) in enumerate(trained.items()):
@@ -222,28 +185,11 @@ def _measured(
         said(column, len(trained))
         calibrated = paper_scores.calibrated_scores(pipeline, sets.unseen, sets.calibration)
         figures[column] = paper_scores.scores(pipeline, sets.unseen) | calibrated
-    said("variants", len(trained) + 1)
-    others = {
-        name: paper_scores.touch_scores(pipeline, sets.unseen["touch"])
-        for name, pipeline in variants
-    }
-    said("bounds", len(trained) + 2)
+    said("bounds", len(trained) + 1)
     count = BOUNDED_QUICK if quick else BOUNDED
-    bounds = paper_limits.bounds(sets.unseen, sets.recipe, count, seed)
-    said("done", len(trained) + 4)
-    stages = {"paper's stages": figures[UNSEEN]} if PAPER in trained else {}
-    return _Measured(
-        sets.recipe,
-        figures,
-        bounds,
-        SignalToNoise.of(sets.unseen),
-        {**stages, "ours": figures[OURS], **others},
-    )
-
-
-def _paper_pipeline(data: Dataset, place: Path, seed: int, progress: Progress) -> Pipeline:
-    """Pipeline trained as published on `data`, or loaded from `place` if it is there and valid."""
-    return _pipeline(data, place, TrainingSettings.preset("paper", seed), progress)
+    bounds = paper_scores.bounds(sets.unseen, sets.recipe, count, seed)
+    said("done", len(trained) + 2)
+    return _Measured(sets.recipe, figures, bounds, SignalToNoise.of(sets.unseen))
 
 
 def columns_of(name: str) -> tuple[str, str]:

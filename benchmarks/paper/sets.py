@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.results import Progress
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.episode import Episodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import specimen
@@ -28,8 +29,6 @@ KNOWN_DEG = (-20.0, 15.0, 30.0, 42.5, 50.0)
 REFERENCE_FRAMES = 8
 QUICK = 10  # times fewer frames
 OWN = 500  # added to seeds: other scenes and other noise on the sensor that was trained on
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,127 +1,103 @@
-"""Methods side by side: the same frames to learn from, the same unseen specimens to be judged by.
+"""Methods side by side, on the same frames and the same unseen specimens: `eitskin bench methods`.
 
-    python -m eitskin.benchmarks.skinbench.methods --out FOLDER [--frames 2000] [--specimens 40]
-        [--presets ridge ... quick joint] [--methods FILE.py:CLASS ...] [--leaderboard FILE]
-
-The baselines are trained where no presets are named. FOLDER keeps the frames: a small part of the
-recipe `training`, on a coarse mesh. Prints a table in Markdown; its last row is the pipeline that
-comes with eitskin, which has learned from other frames, of 500 other specimens. Times are of the
-processor, which other programs do not lengthen. With a leaderboard of skinbench the rows are
-entered there, too, where all frames are asked for.
+The frames are a small part of the recipe `training`, on a coarse mesh. The last row is the pipeline
+that comes with eitskin, which has learned from other frames, of 500 other specimens. Times are of
+the processor, which other programs do not lengthen.
 """
 
-import argparse
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.markdown_tables import figures
-from eitskin.benchmarks.results import Results
-from eitskin.benchmarks.skinbench.leaderboard import (
-    code_digest,
-    frames_digest,
-    read_leaderboard,
-    write_leaderboard,
-)
-from eitskin.benchmarks.skinbench.tracks import SEED
+from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
-from eitskin.provenance import Provenance
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
 from eitskin.training.method.interface import Method
 from eitskin.training.method.settings import BASELINES, TrainingSettings
-from eitskin.training.pipeline.methods import named_method
 from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED
 
-MODULE = "eitskin.benchmarks.skinbench.methods"
 FRAMES, SPECIMENS = 2000, 40
-PRESETS = (*BASELINES, "paper", "quick", "joint")
-SHIPPED = "reference.eitmodel"
+QUICK_FRAMES, QUICK_SPECIMENS = 300, 6
 TIMED = 100  # frames
-HEADINGS = {
-    "states": "states right, %",
-    "error_mm": "touches: error, mm",
-    "found": "found, %",
-    "false_per_touch": "false, %",
-    "angle_rmse_deg": "angle: RMSE, deg",
+_COLUMNS = {
+    "states": ("states right, %", 100.0, 1),
+    "error_mm": ("touches: error, mm", 1.0, 2),
+    "found": ("found, %", 100.0, 1),
+    "false_per_touch": ("false, %", 100.0, 1),
+    "angle_rmse_deg": ("angle: RMSE, deg", 1.0, 2),
 }
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the frames")
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--specimens", type=int, default=SPECIMENS)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--presets", nargs="*", default=BASELINES, choices=PRESETS)
-    parser.add_argument("--methods", nargs="*", default=(), help="FILE.py:CLASS")
-    parser.add_argument("--leaderboard", type=Path, help="of skinbench, a JSON file")
-    options = parser.parse_args()
-    quick = (options.frames, options.specimens) != (FRAMES, SPECIMENS)
-    if options.leaderboard is not None and (quick or options.seed):
-        parser.error("a leaderboard takes all frames, with seed 0")
-    place = options.out / "frames"
-    recipe = small_recipe(options.frames, options.specimens)
-    generate(recipe, place, options.workers, resume=(place / "recipe.toml").is_file())
+def run(
+    folder: Path,
+    presets: Sequence[str],
+    methods: Sequence[type[Method]],
+    seed: int,
+    quick: bool,
+    workers: int,
+    progress: Progress,
+) -> Report:
+    """Train and judge methods.
+
+    Args:
+        folder: of the frames, which are kept.
+        presets: names of settings; the baselines where nothing is named.
+        methods: of one's own.
+        seed: of the training.
+        quick: fewer frames and specimens.
+        workers: processes that make frames.
+        progress: told of every part.
+    """
+    began, place = time.perf_counter(), folder / ("quick-frames" if quick else "frames")
+    recipe = small_recipe(*((QUICK_FRAMES, QUICK_SPECIMENS) if quick else (FRAMES, SPECIMENS)))
+
+    def show(done: int, total: int) -> None:
+        progress("frames", done, total)
+
+    generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
     data = open_dataset(place)
-    own: list[type[Method]] = [named_method(name) for name in options.methods]
-    asked = [
-        *((name, TrainingSettings.preset(name, options.seed), None) for name in options.presets),
-        *((each.KIND, TrainingSettings(seed=options.seed), each) for each in own),
+    chosen = presets or (() if methods else BASELINES)
+    asked: list[tuple[str, TrainingSettings, type[Method] | None]] = [
+        *((name, TrainingSettings.preset(name, seed), None) for name in chosen),
+        *((each.KIND, TrainingSettings(seed=seed), each) for each in methods),
     ]
-    lines = [f"| | {' | '.join(HEADINGS.values())} | training, s | frame, ms |"]
-    lines.append("| --- " * (len(HEADINGS) + 3) + "|")
-    print("\n".join(lines))
-    for name, settings, method in asked:
+    rows = []
+    for number, (name, settings, method) in enumerate(asked):
+        progress(name, number, len(asked))
         start = time.process_time()
         pipeline = Pipeline.fit(data, replace(settings, whole_specimens=True), method=method)
         seconds = time.process_time() - start
         unseen = data.select(pipeline.held_out(data))
-        lines.append(row(name, pipeline, unseen, f"{seconds:.1f}"))
-        print(lines[-1], flush=True)
-    lines.append(row("shipped", Pipeline.load(SHIPPED), unseen, ""))
-    print(lines[-1])
+        rows.append(_row(name, pipeline, unseen, f"{seconds:.1f}"))
+    rows.append(_row("shipped", Pipeline.load(SHIPPED), unseen, ""))
+    heads = ("", *(head for head, *_ in _COLUMNS.values()), "training, s", "frame, ms")
+    shown = ReportTable(heads, rows)
+    options = "".join(f" --preset {name}" for name in presets)
+    options += "".join(f" --method {each.KIND}" for each in methods)
     specimens = len(np.unique(unseen.specimen))
-    print(
-        f"\n{len(data) - len(unseen)} frames to learn from, {len(unseen)} of {specimens} other "
-        f"specimens to be judged by; {Provenance.now(options.seed)}"
+    return Report(
+        results=measured(
+            "methods",
+            shown.figures(),
+            began=began,
+            seed=seed,
+            quick=quick,
+            options=f"--seed {seed}{options}",
+        ),
+        tables=[shown],
+        sentences=[
+            f"{len(data) - len(unseen)} frames to learn from, {len(unseen)} of {specimens} other "
+            "specimens to be judged by"
+        ],
     )
-    if options.leaderboard is not None:
-        words = ["--presets", *options.presets]
-        words += ["--methods", *options.methods] if own else []
-        codes = {method.KIND: code for method, code in zip(own, options.methods, strict=True)}
-        enter(options.leaderboard, "\n".join(lines), " ".join(words), codes, place)
-
-
-def enter(
-    leaderboard: Path, table: str, words: str, codes: Mapping[str, str], frames: Path
-) -> None:
-    """Enter the rows of a table into a leaderboard of skinbench.
-
-    Args:
-        leaderboard: its file.
-        table: Markdown.
-        words: options that it was measured with.
-        codes: FILE.py:CLASS of own methods, by their names.
-        frames: folder of the dataset.
-    """
-    results = Results(
-        name="methods",
-        command=f"python -m {MODULE} {words}",
-        provenance=Provenance.now(SEED),
-        figures=figures(table),
-    )
-    digests = {name: code_digest(code) for name, code in codes.items()}
-    board = read_leaderboard(leaderboard)
-    write_leaderboard(leaderboard, board.with_results(results, frames_digest(frames), digests))
 
 
 def small_recipe(frames: int, specimens: int) -> Recipe:
@@ -141,20 +117,14 @@ def small_recipe(frames: int, specimens: int) -> Recipe:
     )
 
 
-def row(name: str, pipeline: Pipeline, unseen: Dataset, seconds: str) -> str:
-    """Row of the table: figures of a pipeline on unseen frames."""
+def _row(name: str, pipeline: Pipeline, unseen: Dataset, seconds: str) -> tuple[str, ...]:
+    """Cells of a pipeline on unseen frames."""
     found = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
-    cells: Sequence[str] = [
+    cells = [
         "" if (value := found[key]) is None else f"{factor * value:.{digits}f}"
-        for key, factor, digits in (
-            ("states", 100.0, 1),
-            ("error_mm", 1.0, 2),
-            ("found", 100.0, 1),
-            ("false_per_touch", 100.0, 1),
-            ("angle_rmse_deg", 1.0, 2),
-        )
+        for key, (_, factor, digits) in _COLUMNS.items()
     ]
-    return f"| {name} | {' | '.join(cells)} | {seconds} | {frame_ms(pipeline, unseen):.2f} |"
+    return (name, *cells, seconds, f"{frame_ms(pipeline, unseen):.2f}")
 
 
 def frame_ms(pipeline: Pipeline, data: Dataset) -> float:
@@ -171,7 +141,3 @@ def frame_ms(pipeline: Pipeline, data: Dataset) -> float:
         times.append(time.process_time() - start)
     pipeline.reset()
     return 1e3 * float(np.median(times))
-
-
-if __name__ == "__main__":
-    main()

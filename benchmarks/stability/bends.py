@@ -109,8 +109,10 @@ def compositions(quick: bool) -> Iterator[Case]:
     for name, scene in scenes.items():
         solve = partial(_scene, scene, FreeArc(L), quick)
         yield Case("compositions", name, solve, invariant_limit=5e-3)
-    rim = partial(_scene, Scene(Bend(90.0), (Touch(0.075, 0.0),)), FreeArc(L), quick)
-    yield Case("compositions", "press on the rim, arc of 90 deg", rim, "refused", "from the edge")
+    if not quick:  # dents in closed form know no edge
+        rim = partial(_scene, Scene(Bend(90.0), (Touch(0.075, 0.0),)), FreeArc(L), quick)
+        name = "press on the rim, arc of 90 deg"
+        yield Case("compositions", name, rim, "refused", "from the edge")
     for gap in (0.016, 0.0):
         name = f"two presses {1e3 * gap:g} mm apart"
         yield Case("compositions", name, partial(_two, gap, quick), None, invariant_limit=5e-2)

@@ -29,8 +29,6 @@ class CaseValues:
             unbalanced force over the largest force. Condition times the precision of numbers.
         invariant: worst relative violation of what always holds; see the families.
         error: relative, against a closed form, or outside rigorous bounds.
-        naive: the same error of the plain method that the case is hard for.
-        iterations: of Newton's method, all steps of the load together.
         reached: in words, how far it went.
         refused: why it went no further.
     """
@@ -38,8 +36,6 @@ class CaseValues:
     residual: float | None = None
     invariant: float | None = None
     error: float | None = None
-    naive: float | None = None
-    iterations: int | None = None
     reached: str = ""
     refused: str = ""
 
@@ -78,8 +74,7 @@ class CaseResult:
             another outcome than the expected one.
         reached: how far it went, in words.
         reason: why it is not ok, or went no further.
-        residual, invariant, error, naive, iterations: as in `CaseValues`; None also for what is not
-            a number.
+        residual, invariant, error: as in `CaseValues`; None also for what is not a number.
         seconds: that it took [s].
     """
 
@@ -91,8 +86,6 @@ class CaseResult:
     residual: float | None
     invariant: float | None
     error: float | None
-    naive: float | None
-    iterations: int | None
     seconds: float
 
 
@@ -124,8 +117,6 @@ def judge(case: Case, patience: float = _PATIENCE) -> CaseResult:
         residual=_number(found.residual),
         invariant=_number(found.invariant),
         error=_number(found.error),
-        naive=_number(found.naive),
-        iterations=found.iterations,
         seconds=time.perf_counter() - start,
     )
 

@@ -6,46 +6,18 @@ family, and residuals say how many digits rounding left; `CaseValues` says which
 """
 
 import dataclasses
-import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeAlias
+from collections.abc import Iterator, Sequence
 
-from eitskin.benchmarks.results import Results, write_results
-from eitskin.benchmarks.stability import bends, electrical, places, solids, stacks
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.stability import bends, electrical, solids
 from eitskin.benchmarks.stability.case import Case, CaseResult, judge
-from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
-from eitskin.provenance import Provenance
+from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.threads import one_thread
 
-Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
-
-_NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?j?")
-
-
-@dataclass(frozen=True, slots=True)
-class Stability:
-    """Outcomes of all cases of one run.
-
-    Attributes:
-        provenance: what it was measured with.
-        seconds: that the run took [s].
-        quick: whether fewer and smaller cases had to do.
-        rows: of all cases, random ones each by itself.
-    """
-
-    provenance: Provenance
-    seconds: float
-    quick: bool
-    rows: tuple[CaseResult, ...]
-
-    @property
-    def wrong(self) -> tuple[CaseResult, ...]:
-        """Rows of the cases that went wrong."""
-        return tuple(row for row in self.rows if row.outcome == "wrong")
+_OUTCOMES = ("ok", "refused", "left out", "wrong")
+_QUANTITIES = ("residual", "invariant", "error")
 
 
 def cases(seed: int, quick: bool) -> Iterator[Case]:
@@ -61,78 +33,58 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
     yield from bends.compositions(quick)
     yield from solids.incompressible(quick)
     yield from solids.presses(quick)
-    yield from stacks.stacks(quick)
+    yield from solids.stacks(quick)
     yield from electrical.contrasts(ratios)
     yield from electrical.contacts()
-    yield from places.electrodes(quick)
+    yield from electrical.electrodes(quick)
     yield from electrical.layers((1e-6, 1.0, 1e6), (0.01,) if quick else (0.5, 0.1, 0.01, 1e-3))
-    yield from places.cells(quick)
+    yield from electrical.cells(quick)
     yield from random_designs(seed, 20 if quick else 300)
 
 
-def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stability:
-    """Compute and judge all cases on one core.
+def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
+    """Compute and judge all cases on one core; the report fails where one is wrong.
 
     Args:
         seed, quick: as in `cases`.
         watch: gives back the items that its text is about; shows progress where wanted.
     """
-    start = time.perf_counter()
+    began = time.perf_counter()
     with one_thread():
-        rows = tuple(judge(case) for case in watch("cases", tuple(cases(seed, quick))))
-    return Stability(Provenance.now(seed), time.perf_counter() - start, quick, rows)
-
-
-def write(found: Stability, out: Path) -> list[Path]:
-    """Write results and all rows as table.csv into `out/stability`, each whole."""
-    results = Results(
-        name="stability",
-        command=f"eitskin bench stability --seed {found.provenance.seed}"
-        + " --quick" * found.quick,
-        provenance=found.provenance,
-        seconds=found.seconds,
-        quick=found.quick,
-        figures=dict(figures(found)),
+        rows = [judge(case) for case in watch("cases", tuple(cases(seed, quick)))]
+    figures = dict(_figures(rows)) | {"all.seconds": time.perf_counter() - began}
+    wrong = [row for row in rows if row.outcome == "wrong"]
+    remarks = [f"{row.outcome} {row.family}, {row.case}: {row.reason}" for row in wrong]
+    remarks += [f"{row.family}, {row.case}: {row.reached}" for row in rows if row.reached]
+    families = ["all", *dict.fromkeys(row.family for row in rows)]
+    heads = ("cases", *_OUTCOMES, *_QUANTITIES)
+    cells = [(name, *(_cell(figures.get(f"{name}.{head}")) for head in heads)) for name in families]
+    return Report(
+        results=measured("stability", figures.items(), began=began, seed=seed, quick=quick),
+        rows=[dataclasses.asdict(row) for row in rows],
+        tables=[ReportTable(("family", *heads), cells)],
+        sentences=remarks,
+        failed=bool(wrong),
     )
-    return write_results(results, out, [dataclasses.asdict(row) for row in found.rows])
 
 
-def figures(found: Stability) -> Iterator[tuple[str, float]]:
+def _cell(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.0f}" if value == int(value) else f"{value:.0e}"
+
+
+def _figures(rows: Sequence[CaseResult]) -> Iterator[tuple[str, float]]:
     """Figures of each family and of all: counts of the outcomes and worst values."""
-    yield "all.seconds", found.seconds
-    families = {"all": found.rows}
-    for name in dict.fromkeys(row.family for row in found.rows):
-        families[name] = tuple(row for row in found.rows if row.family == name)
-    for name, rows in families.items():
-        yield f"{name}.cases", len(rows)
-        counts = Counter(row.outcome for row in rows)
-        for outcome in ("ok", "refused", "left out", "wrong"):
+    families = {"all": list(rows)}
+    for row in rows:
+        families.setdefault(row.family, []).append(row)
+    for name, some in families.items():
+        yield f"{name}.cases", len(some)
+        counts = Counter[str](row.outcome for row in some)
+        for outcome in _OUTCOMES:
             yield f"{name}.{outcome}", counts[outcome]
-        for quantity in ("residual", "invariant", "error"):
-            worst = [value for row in rows if (value := getattr(row, quantity)) is not None]
+        for quantity in _QUANTITIES:
+            worst = [value for row in some if (value := getattr(row, quantity)) is not None]
             if worst:
                 yield f"{name}.{quantity}", max(worst)
-
-
-def tallied(rows: Sequence[CaseResult]) -> list[CaseResult]:
-    """Rows of all cases; random designs are grouped by outcome and kind of message.
-
-    Their case says how many they are, numbers are the worst, and seconds the sum.
-    """
-    kinds: dict[tuple[str, str], list[CaseResult]] = {}
-    for row in rows:
-        if row.family == RANDOM:
-            kinds.setdefault((row.outcome, _NUMBERS.sub("#", row.reason)), []).append(row)
-    alone = [row for row in rows if row.family != RANDOM]
-    return alone + [_together(same) for same in sorted(kinds.values(), key=len, reverse=True)]
-
-
-def _together(rows: Sequence[CaseResult]) -> CaseResult:
-    invariants = [row.invariant for row in rows if row.invariant is not None]
-    kind = _NUMBERS.sub("#", rows[0].reason)
-    return dataclasses.replace(
-        rows[0],
-        case=f"{len(rows)}: {kind}" if kind else f"{len(rows)}",
-        invariant=max(invariants, default=None),
-        seconds=sum(row.seconds for row in rows),
-    )

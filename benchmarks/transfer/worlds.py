@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.paper.sets import KNOWN_DEG, Progress
+from eitskin.benchmarks.paper.sets import KNOWN_DEG
+from eitskin.benchmarks.results import Progress
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup

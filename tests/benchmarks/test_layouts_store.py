@@ -1,20 +1,26 @@
 """`eitskin bench layouts`: what is kept of finished layouts, and going on from it."""
 
 import multiprocessing
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from layouts_fakes import FEWEST, flat_bound, moved
 
-from eitskin.benchmarks.layouts import store as layouts_store
+from eitskin.benchmarks.layouts import bound as layouts_store
+from eitskin.benchmarks.layouts.bound import judge_layouts
 from eitskin.benchmarks.layouts.candidates import PAPER, paper
-from eitskin.benchmarks.layouts.store import judging
 from eitskin.errors import PartialError
 
 
 def asked(*layouts):
     return [(layout, FEWEST) for layout in layouts]
+
+
+def judging(folder, workers=1, watch=lambda _: None):
+    return nullcontext(partial(judge_layouts, folder, workers, watch))
 
 
 def contents(folder):

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from eitskin.benchmarks.markdown_tables import figures
 from eitskin.benchmarks.results import (
+    ReportTable,
     Results,
     found_results,
     read_results,
@@ -16,32 +16,6 @@ from eitskin.benchmarks.results import (
 )
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
-
-REPORT = """
-Measured on a machine; 2026-11-22
-
-## bends
-
-| pair | -20 | +10 |
-| --- | ---: | --- |
-| 0-1 | -3.18 | +1.31 |
-| 0-2 | -2.60 | full queue |
-
-**times**
-
-| board | scene | frames/s | ms: p50 (p99) |
-|---|---|---|---|
-| fast | idle | 1,297.4 | 2.56 (9.01) |
-| fast | bent | 458.3 | 2.03 (7.40) |
-
-| row | a | b |
-|---|---|---|
-| error | 1.5e-3 | |
-| error | 2.5e-3 | 4 |
-
-- skew, at most [%]: 0.36
-- a remark without any number: none
-"""
 
 
 def made(name="one", quick=False, seed=0, **given):
@@ -118,20 +92,14 @@ def test_the_index_names_every_result_and_its_files(tmp_path):
     assert Provenance.now(0).machine in text
 
 
-def test_tables_of_a_report_are_figures_by_title_row_and_column():
-    found = figures(REPORT)
-    assert found == {
-        "bends / 0-1 / -20": -3.18,
-        "bends / 0-1 / +10": 1.31,
-        "bends / 0-2 / -20": -2.6,
+def test_numbers_of_a_table_are_figures_by_title_row_and_heading():
+    heads = ("board", "scene", "frames/s", "ms: p50 (p99)")
+    rows = [("fast", "idle", "1,297.4", "2.56 (9.01)"), ("fast", "bent", "full queue", "2.0e-3")]
+    assert dict(ReportTable(heads, rows).figures("times")) == {
         "times / fast, idle / frames/s": 1297.4,
         "times / fast, idle / ms: p50 (p99)": 2.56,
         "times / fast, idle / ms: p50 (p99) #2": 9.01,
-        "times / fast, bent / frames/s": 458.3,
-        "times / fast, bent / ms: p50 (p99)": 2.03,
-        "times / fast, bent / ms: p50 (p99) #2": 7.40,
-        "error / a": 1.5e-3,
-        "error (2) / a": 2.5e-3,
-        "error (2) / b": 4.0,
-        "skew, at most [%]": 0.36,
+        "times / fast, bent / ms: p50 (p99)": 2.0e-3,
     }
+    same = ReportTable(("row", "a"), [("error", "1"), ("error", ""), ("  of it", "-4 %")])
+    assert dict(same.figures()) == {"error / a": 1.0, "&emsp;of it / a": -4.0}

@@ -12,27 +12,25 @@ from command_line import run
 
 from eitskin.benchmarks.page_figures import PUBLISHED
 from eitskin.benchmarks.paper import sets as paper_sets
-from eitskin.benchmarks.results import Results, read_results
-from eitskin.benchmarks.skinbench import fill
+from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
 from eitskin.benchmarks.skinbench.leaderboard import (
-    Leaderboard,
-    code_digest,
-    frames_digest,
-    read_leaderboard,
-    write_leaderboard,
-)
-from eitskin.benchmarks.skinbench.methods import FRAMES, SPECIMENS, enter, small_recipe
-from eitskin.benchmarks.skinbench.tracks import (
     RECORDING_SHA256,
     SEED,
     TRACKS,
     VERSION,
+    Leaderboard,
+    code_digest,
+    enter,
+    fill,
+    frames_digest,
+    page_with,
+    read_leaderboard,
     track_of,
+    write_leaderboard,
 )
+from eitskin.benchmarks.skinbench.methods import FRAMES, SPECIMENS, small_recipe
 from eitskin.benchmarks.transfer import run as transfer
 from eitskin.benchmarks.transfer import worlds
-from eitskin.benchmarks.transfer.run import Row, Transfer
-from eitskin.benchmarks.transfer.scores import Labelled
 from eitskin.benchmarks.transfer.worlds import WORLDS
 from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError, DataError
@@ -43,7 +41,7 @@ FROZEN = ROOT / "benchmarks" / "skinbench" / "recipes"
 DATA = Path(os.environ.get("EITSKIN_DATA", ROOT.parent / "shared" / "data"))
 
 
-def results(figures, name="adaptation", **changes):
+def results(figures, name="recordings", **changes):
     made = Results(name, f"eitskin bench {name}", Provenance.now(0), 1.0, False, figures)
     return replace(made, **changes)
 
@@ -102,7 +100,7 @@ def test_the_best_come_first_and_unknown_is_last():
     figures = {"400 / worse": 9.0, "400 / best": 1.5, "5 / few": 3.0}
     board = Leaderboard().with_results(results(figures))
     assert [each.name for each in board.entries] == ["best", "worse", "few"]
-    table = board.table(track_of("adaptation")).splitlines()
+    table = board.table(track_of("recordings")).splitlines()
     assert table[2].startswith("| best | 1.50 |  |")
     assert all(line.count("|") == table[0].count("|") for line in table)
 
@@ -146,39 +144,22 @@ def test_digests_tell_frames_and_code_apart(tmp_path):
     assert code_digest("installed") == ""
 
 
-def test_bench_transfer_enters_its_pipelines(tmp_path, monkeypatch):
-    figures = {"place, mean [mm]": 2.5, "touches found": 1.0, "angle, rms [deg]": 4.0}
-    rows = tuple(Row("mine", world, Labelled(0, 0), figures) for world in WORLDS)
-    found = Transfer(Provenance.now(0), 1.0, False, rows, {})
-    monkeypatch.setattr(transfer, "run", lambda *_: found)
+def test_a_benchmark_enters_its_results_with_the_digests_of_frames_and_code(tmp_path, monkeypatch):
+    start = "my:Net / {}, 0 angles / place, mean [mm]"
+    found = results({start.format(world): 2.5 for world in WORLDS}, "transfer")
+    monkeypatch.setattr(transfer, "run", lambda *_: Report(found, tables=[ReportTable((), [])]))
     (tmp_path / "transfer").mkdir()
     (tmp_path / "transfer" / "manifest.json").write_text("{}")
-    board = tmp_path / "board.json"
+    board, code = tmp_path / "board.json", tmp_path / "my.py"
     words = ["bench", "transfer", "mine.eitmodel", "--out", tmp_path, "--leaderboard", board]
     assert run(*words).exit_code == 0
     (entry,) = read_leaderboard(board).entries
-    assert entry.scores == {
-        "as it is: place": 2.5,
-        "as it is: found": 100.0,
-        "as it is: angle": 4.0,
-    }
+    assert entry.scores == {"as it is: place": 2.5}
     assert entry.frames == frames_digest(tmp_path / "transfer")
-
-
-def test_rows_of_the_study_of_methods_are_entered(tmp_path):
-    table = """| | states right, % | touches: error, mm | found, % | training, s |
-| --- | --- | --- | --- | --- |
-| ridge | 94.4 | 8.33 | 63.7 | 0.1 |
-| my:Net |  | 2.50 | 91.0 | 7.0 |
-"""
-    code, board = tmp_path / "my.py", tmp_path / "board.json"
     code.write_text("class Net: ...\n")
-    enter(board, table, "--methods my.py:Net", {"my:Net": f"{code}:Net"}, tmp_path)
-    first, second = read_leaderboard(board).entries
-    assert (first.name, first.track) == ("my:Net", "common")
-    assert first.scores == {"touches: error": 2.5, "found": 91.0}
-    assert first.code == hashlib.sha256(code.read_bytes()).hexdigest()
-    assert (second.name, second.code, second.scores["states right"]) == ("ridge", "", 94.4)
+    enter(board, found, tmp_path / "transfer", {"my:Net": f"{code}:Net"})
+    codes = {each.code for each in read_leaderboard(board).entries}
+    assert hashlib.sha256(code.read_bytes()).hexdigest() in codes
 
 
 @pytest.mark.parametrize("words", [["--quick"], ["--seed", "1"]])
@@ -192,21 +173,18 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
 def test_the_page_and_the_file_are_those_of_the_published_results():
     board = read_leaderboard(ROOT / "docs" / "leaderboard.json")
     files = [PUBLISHED / track.results / "results.json" for track in TRACKS]
-    assert fill.fill(board, files) == board
+    assert fill(board, files) == board
     page = (ROOT / "docs" / "leaderboard.md").read_text()
-    assert fill.page_with(page, board) == page
+    assert page_with(page, board) == page
     published = {read_results(path).command for path in files}
     assert published <= {entry.command for entry in board.entries}
 
 
-def test_the_script_fills_both_files(tmp_path):
-    board, page = tmp_path / "board.json", tmp_path / "page.md"
-    page.write_text("# A page\n\n<!-- leaderboard real -->\n| old |\n\nend\n")
-    published = str(PUBLISHED / "adaptation" / "results.json")
-    fill.main([str(board), published, "--page", str(page)])
-    text = page.read_text()
-    assert read_leaderboard(board).table(track_of("adaptation")) in text
+def test_a_page_has_the_table_of_each_track_below_its_comment():
+    board = Leaderboard().with_results(results({"50 / maps": 3.0}))
+    text = page_with("# A page\n\n<!-- leaderboard real -->\n| old |\n\nend\n", board)
+    assert board.table(track_of("recordings")) in text
     assert "| old |" not in text
     assert text.endswith("|\n\nend\n")
     with pytest.raises(ConfigurationError):
-        fill.page_with("<!-- leaderboard other -->\n", Leaderboard())
+        page_with("<!-- leaderboard other -->\n", Leaderboard())

@@ -19,7 +19,6 @@ from eitskin.benchmarks.stability import run as stability
 from eitskin.benchmarks.stability import solids as stability_solids
 from eitskin.benchmarks.stability.case import Case, CaseValues, judge
 from eitskin.benchmarks.stability.closed_forms import punched_layer, sector
-from eitskin.benchmarks.stability.places import cells, electrodes
 from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
@@ -50,9 +49,9 @@ def failing(error, **options):
 
 
 def test_a_number_within_its_limits_is_ok() -> None:
-    row = judge(found(residual=1e-9, invariant=1e-7, error=1e-4, iterations=3, reached="far"))
+    row = judge(found(residual=1e-9, invariant=1e-7, error=1e-4, reached="far"))
     assert (row.outcome, row.reason, row.reached) == ("ok", "", "far")
-    assert (row.residual, row.invariant, row.error, row.iterations) == (1e-9, 1e-7, 1e-4, 3)
+    assert (row.residual, row.invariant, row.error) == (1e-9, 1e-7, 1e-4)
 
 
 def warning():
@@ -152,8 +151,12 @@ def test_electrical_cases_are_right_and_refusals_refused() -> None:
         *map(judge, stability_electrical.contrasts((1e6,))),
         *map(judge, stability_electrical.layers((1e-6,), (0.01,))),
         *named(stability_electrical.contacts(), "block, 1e+03", "block, 1e-09, 1e+03", "nan"),
-        *named(electrodes(quick=True), "1 um", "one on the other"),
-        *named(cells(quick=True), "15000 : 1 needle, hexahedra", "hexahedra sheared by 10000"),
+        *named(stability_electrical.electrodes(quick=True), "1 um", "one on the other"),
+        *named(
+            stability_electrical.cells(quick=True),
+            "15000 : 1 needle, hexahedra",
+            "hexahedra sheared by 10000",
+        ),
     ]
     refused = [row.case for row in rows if row.outcome == "refused"]
     assert refused == ["nan", "one on the other", "hexahedra sheared by 10000"]
@@ -193,14 +196,11 @@ def test_presses_and_bends_compose_or_are_refused() -> None:
     assert [row.outcome for row in rows] == ["ok", "refused"]
 
 
-def test_linear_triangles_lock_and_mixed_elements_do_not() -> None:
+def test_layers_do_not_lock() -> None:
     compressible, stiff = named(
         stability_solids.incompressible(quick=True), "nu = 0.3", "nu = 0.49999"
     )
     assert max(compressible.error, stiff.error) < 2e-3
-    assert compressible.naive < 0.1
-    assert 50.0 < stiff.naive < 100.0
-    assert stiff.iterations == 3
 
 
 def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
@@ -219,7 +219,6 @@ def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
     assert row.reached.startswith("30% deep, ")
     assert row.residual < 1e-9
     assert row.invariant < 1e-4
-    assert row.iterations > 5
 
 
 # Random designs
@@ -264,7 +263,7 @@ def test_the_command_writes_all_rows_and_ends_with_1_where_one_is_wrong(
     ran = bench(tmp_path, monkeypatch, [GOOD, REFUSED, BAD], "--json", "--quiet", "--seed", "4")
     assert ran.exit_code == 1
     data = json.loads(ran.stdout)
-    assert (data["wrong"], data["provenance"]["seed"]) == (1, 4)
+    assert (data["figures"]["all.wrong"], data["provenance"]["seed"]) == (1, 4)
     folder = tmp_path / "stability"
     assert data["files"] == [str(folder / "table.csv"), str(folder / "results.json")]
     _, *lines = (folder / "table.csv").read_text().splitlines()

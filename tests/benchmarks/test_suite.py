@@ -16,10 +16,8 @@ from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
 
-PRINTED = "| what | ms |\n|---|---|\n| a | 1.5 |\n"
-WRITES = Benchmark("writes", 1.0, ("--out", "{own}"), report="report.md")
-OWN = Benchmark("own", 1.0, seeded=True)
-BOTH = (WRITES, OWN)
+OTHER, OWN = Benchmark("other", 1.0), Benchmark("own", 1.0, seeded=True)
+BOTH = (OTHER, OWN)
 
 
 class Started:
@@ -32,13 +30,10 @@ class Started:
         self.commands.append(list(command))
         if self.status:
             return self.status
-        if "writes" in command:
-            (self.out / "writes" / "report.md").write_text(PRINTED)
-        else:
-            seed = int(command[command.index("--seed") + 1])
-            quick = "--quick" in command
-            made = Results("own", "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
-            write_results(made, self.out)
+        seed = int(command[command.index("--seed") + 1]) if "--seed" in command else 0
+        name, quick = command[command.index("bench") + 1], "--quick" in command
+        made = Results(name, "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
+        write_results(made, self.out)
         return 0
 
 
@@ -53,11 +48,9 @@ def test_each_runs_in_turn_and_leaves_results(tmp_path):
     start = Started(tmp_path)
     assert set(outcomes(tmp_path, start, seed=4).values()) == {"measured"}
     first, second = start.commands
-    assert first[3:] == ["bench", "writes", "--out", str(tmp_path / "writes")]
+    assert first[3:] == ["bench", "other", "--out", str(tmp_path)]
     assert second[3:] == ["bench", "own", "--seed", "4", "--out", str(tmp_path)]
-    written = read_results(tmp_path / "writes" / "results.json")
-    assert written.figures == {"a / ms": 1.5}
-    assert written.command == "eitskin bench writes --out OUT/writes"  # no path of this machine
+    assert read_results(tmp_path / "own" / "results.json").provenance.seed == 4
 
 
 def test_what_is_there_is_kept_unless_seed_or_wish_are_others(tmp_path):
@@ -66,7 +59,7 @@ def test_what_is_there_is_kept_unless_seed_or_wish_are_others(tmp_path):
     assert set(outcomes(tmp_path, again).values()) == {"kept"}
     assert again.commands == []
     assert outcomes(tmp_path, again, fresh=True)["own"] == "measured"
-    assert outcomes(tmp_path, again, seed=1) == {"writes": "kept", "own": "measured"}
+    assert outcomes(tmp_path, again, seed=1) == {"other": "kept", "own": "measured"}
 
 
 def test_results_that_are_broken_are_made_again(tmp_path):
@@ -82,19 +75,11 @@ def test_a_failure_is_named_and_the_next_one_runs(tmp_path):
     assert not list(tmp_path.glob("*/results.json"))
 
 
-def test_a_report_without_figures_is_a_failure(tmp_path):
-    def silent(_command):
-        (tmp_path / "writes" / "report.md").write_text("nothing")
-        return 0
-
-    assert outcomes(tmp_path, silent, [WRITES]) == {"writes": "failed"}
-
-
 def test_quick_runs_are_marked_and_take_the_place_of_no_whole_one(tmp_path):
     start = Started(tmp_path)
     assert set(outcomes(tmp_path, start, quick=True).values()) == {"measured"}
     assert all(command[-1] == "--quick" for command in start.commands)
-    assert read_results(tmp_path / "writes" / "results.json").quick
+    assert read_results(tmp_path / "other" / "results.json").quick
     assert set(outcomes(tmp_path, Started(tmp_path)).values()) == {"measured"}
 
 
@@ -130,7 +115,7 @@ def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(ran, tmp_
     failed = ran(2, "--fresh")
     assert failed.exit_code == 1
     names = [each["name"] for each in json.loads(failed.stdout)["benchmarks"]]
-    assert names == ["writes", "own"]
+    assert names == ["other", "own"]
 
 
 def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
@@ -144,8 +129,8 @@ def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
 
 
 def test_broken_results_of_others_hide_nothing(ran, tmp_path):
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "results.json").write_text("{")
+    (tmp_path / "third").mkdir()
+    (tmp_path / "third" / "results.json").write_text("{")
     done = ran()
     assert isinstance(done.exception, DataError)
     assert len(json.loads(done.stdout)["benchmarks"]) == 2
@@ -156,7 +141,7 @@ def test_one_can_be_chosen_and_others_are_refused_by_name(ran):
     assert [each["name"] for each in said] == ["own"]
     refused = ran(0, "--only", "gone")
     assert isinstance(refused.exception, ConfigurationError)
-    assert "no benchmark 'gone'; there are: writes, own" in str(refused.exception)
+    assert "no benchmark 'gone'; there are: other, own" in str(refused.exception)
 
 
 def test_long_ones_run_when_they_are_asked_for(ran, monkeypatch):

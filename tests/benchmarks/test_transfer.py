@@ -10,7 +10,7 @@ from command_line import printed_json
 
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import run, worlds
-from eitskin.benchmarks.transfer.scores import Judged, Labelled
+from eitskin.benchmarks.transfer.run import Judged, Labelled
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.schema import State

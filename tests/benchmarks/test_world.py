@@ -1,4 +1,4 @@
-"""`eitskin bench world`: errors against the reference, files, and tables that scenes look up."""
+"""`eitskin bench world`: errors against the reference, and files."""
 
 import math
 
@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from command_line import printed_json
 
+from eitskin.benchmarks.reference_cases import KINDS, cases
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.world.costs import counted
-from eitskin.benchmarks.world.models import KINEMATIC, SOLVED, TABULATED
-from eitskin.benchmarks.world.reference import KINDS, cases
-from eitskin.benchmarks.world.run import ModelError, World, sentences
-from eitskin.provenance import Provenance
+from eitskin.benchmarks.world import (
+    KINEMATIC,
+    SOLVED,
+    TABULATED,
+    ModelError,
+    World,
+    sentences,
+)
 
 
 def error(case: str, value: float, model: str = TABULATED, kind: str = "press") -> ModelError:
@@ -33,7 +37,7 @@ def test_median_and_worst_are_of_the_tables_and_of_3d_solutions_where_there_is_n
         *(error("a", 0.2, SOLVED), error("c", 0.02, SOLVED)),
         error("d", 0.003, kind="bend"),
     )
-    found = World(Provenance.now(0), 1.0, False, errors, (), {}, {"flat": 0}, ())
+    found = World(errors)
     assert (found.median("press"), found.worst("press").case) == (0.02, "b")
     pressed, bent, *_ = sentences(found)
     assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
@@ -50,25 +54,14 @@ def test_errors_of_bent_presses_are_of_what_the_presses_change() -> None:
     assert np.linalg.norm(bent.changes) > 5.0 * touched
 
 
-def test_scenes_look_up_no_tables_but_their_own() -> None:
-    found = counted()
-    assert not any(count for name, count in found.items() if name.startswith("flat"))
-    assert {name for name, count in found.items() if count} == {
-        "one touch, press tables",
-        "one touch, correction tables",
-        "bend, bend tables",
-    }
-
-
 @pytest.mark.slow
 def test_a_quick_run_compares_a_press_and_a_bend(tmp_path) -> None:
     data = printed_json("bench", "world", "--quick", "--out", tmp_path, "--seed", "3")
-    found = {(row["case"], row["model"]): row["error"] for row in data["errors"]}
+    found = {(row["case"], row["model"]): row["error"] for row in data["rows"]}
     for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
         assert found[case, TABULATED] < limit
         assert found[case, KINEMATIC] > 0.5
     results = read_results(tmp_path / "world" / "results.json")
     assert results.quick
     assert results.provenance.seed == 3
-    assert results.figures["stored / presses [kB]"] > 1000
     assert (tmp_path / "world" / "world.png").stat().st_size > 10_000

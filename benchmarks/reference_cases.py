@@ -17,7 +17,7 @@ from eitskin.simulator.scene.scene import Scene, Touch
 
 KINDS = ("press", "supported press", "bent press", "bend")
 """Kinds of cases: flat on a rigid base, flat on another support, pressed and bent, bent only."""
-PUBLISHED = Path(__file__).parents[1] / "published" / "world_reference.json"
+PUBLISHED = Path(__file__).parent / "published" / "world_reference.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,29 +1,43 @@
-"""Workloads of the simulator: scenes per second and errors.
+"""Speed of simulation, generation and pipeline: `eitskin bench speed`.
 
 Random presses of 4 to 12 N on the reference sensor in its default clamp: single ones and up to
 four, each with a bend of its own or many of one bend, by reanalysis and one by one, on two
 processes at once; and specimens of the recipe `training`, each set up and used for some scenes.
-Errors are those of the presses' signals against the resolution "fine".
+Errors are those of the presses' signals against the resolution "fine". Besides, pyEIT in the same
+run; frames per second and memory of making a dataset; and the time of a frame in the shipped
+pipeline.
 """
 
 import dataclasses
+import itertools
+import multiprocessing
+import resource
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import groupby, repeat
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.accuracy.models import PEERS, PointElectrodeModel, drops, has_pyeit
+from eitskin.benchmarks.plots import plot_errors
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.scene_group import draw_positions
+from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.opening import open_board
+from eitskin.hardware.virtual.stage import Script, Step
+from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.scene.scene import Scene, Touch
@@ -32,6 +46,10 @@ from eitskin.threads import one_thread
 
 Array = NDArray[np.float64]
 
+SCENES, QUICK_SCENES = 384, 32  # of each process
+FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
+SETTLED = 20  # frames before those whose time counts: references are taken then
+HEADINGS = ("scenes", "per second", "ms, one process alone", "error, median", "largest")
 ANGLES = (-20.0, 50.0)
 FORCES = (4.0, 12.0)
 PER_BEND = 32
@@ -191,3 +209,131 @@ LIVE_SCENES = {
     "four touches, bent": Scene(Bend(20.0), FOUR),
 }
 """What a live board shows when its rate is measured, by name."""
+
+
+def pyeit(seed: int, count: int = 5) -> dict[str, float]:
+    """Nodes and median processor time of a scene by pyEIT; nothing where it is not installed."""
+    if not has_pyeit():
+        return {}
+    design, case = SensorDesign.reference(), PEERS[0]
+    model = PointElectrodeModel(design, ForwardModel(design, case.resolution).mesh, False)
+    frame, times = model.frame(design.conductivity), []
+    for drop in drops(design, seed, count):
+        start = time.process_time()
+        frame(drop)
+        times.append(time.process_time() - start)
+    return {"pyEIT.nodes": model.nodes, "pyEIT.scene_ms": 1e3 * float(np.median(times))}
+
+
+def recipe(frames: int) -> Recipe:
+    """Recipe of single touches, each on a bend of its own."""
+    group = SceneGroup("touch", frames, ANGLES, force=FORCES)
+    return Recipe(name="rate", scenes=(group,), frames_per_shard=256)
+
+
+def generation(count: int, engine: Rate) -> dict[str, float]:
+    """Speed and memory of datasets of eight, one and four times `count` frames of `engine`."""
+    frames = 8 * count
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        generate(recipe(frames), Path(folder) / "set", workers=PROCESSES)
+        rate_made = frames / (time.perf_counter() - start)
+    found: dict[str, float] = {
+        "dataset.frames": frames,
+        "dataset.frames_per_second": rate_made,
+        "dataset.share_percent": 100.0 * rate_made / engine.scenes_per_second,
+    }
+    for name, size in {"small": count, "large": 4 * count}.items():
+        found |= {f"memory, {name}.frames": size, f"memory, {name}.mb": memory_mb(size)}
+    return found
+
+
+def memory_mb(frames: int) -> float:
+    """Peak memory [MB] of a worker that made a dataset.
+
+    Found in a process of its own: a system remembers the most that any child used.
+    """
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_children_mb, frames).result()
+
+
+def _children_mb(frames: int) -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        generate(recipe(frames), Path(folder) / "set", workers=1)
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+
+
+def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:
+    """Frame time of the shipped pipeline for a live scene with every term of the AD5940's chain."""
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    pipeline = Pipeline.load("reference.eitmodel")
+    script = Script((Step(Scene(), 12), Step(LIVE_SCENES[name], 1)), repeat=False)
+    settings = {"instrument": "ad5940", "speed": "max", "period": 0.01}
+    with open_board("virtual:", scene=script, seed=seed, **settings) as board:
+        shown = list(itertools.islice(board.frames(), frames + SETTLED))
+    seconds = []
+    for frame in shown:
+        start = time.perf_counter()
+        pipeline.process(frame)
+        seconds.append(time.perf_counter() - start)
+    median, p99 = np.percentile(1e3 * np.array(seconds[SETTLED:]), (50, 99))
+    return {f"pipeline, {name}.median_ms": float(median), f"pipeline, {name}.p99_ms": float(p99)}
+
+
+def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
+    """Measure everything on two cores.
+
+    Args:
+        seed: of the virtual board's noise and of the conductivities that pyEIT solves; scenes are
+            the same in every run.
+        quick: one workload and fewer scenes.
+        watch: gives back the items that its text is about; shows progress where wanted.
+    """
+    began = time.perf_counter()
+    count, frames = (QUICK_SCENES, QUICK_FRAMES) if quick else (SCENES, FRAMES)
+    workloads = WORKLOADS[:1] if quick else WORKLOADS
+    with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
+        rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
+    found: dict[str, float] = {}
+    with one_thread():
+        for solve in watch("pyEIT", [pyeit]):
+            found |= solve(seed)
+        if found:
+            found["pyEIT.times_longer"] = found["pyEIT.scene_ms"] / rates[0].scene_ms
+        for name in watch("pipeline", list(LIVE_SCENES)):
+            found |= frame_time(name, frames, seed)
+    for make in watch("datasets", [generation]):
+        found |= make(count, rates[0])
+    rows = [_cells(each) for each in rates]
+    cells = {
+        f"{row[0]} / {heading}": float(cell.removesuffix(" %"))
+        for row in rows
+        for heading, cell in zip(HEADINGS[1:], row[1:], strict=True)
+    }
+    points = {
+        each.name: [(each.scenes_per_second, 100 * e) for e in (each.error_median, each.error_max)]
+        for each in rates
+    }
+    x, y = "scenes per second, two processes", "error of the signal, median and largest [%]"
+    missing = "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
+    return Report(
+        results=measured("speed", (cells | found).items(), began=began, seed=seed, quick=quick),
+        rows=[dataclasses.asdict(each) for each in rates],
+        tables=[ReportTable(HEADINGS, rows)],
+        sentences=[
+            *(() if "pyEIT.nodes" in found else (missing,)),
+            *(f"{name}: {value:.4g}" for name, value in found.items()),
+        ],
+        plots={"speed.png": partial(plot_errors, panels={"": points}, x=x, y=y)},
+    )
+
+
+def _cells(each: Rate) -> tuple[str, ...]:
+    return (
+        each.name,
+        f"{each.scenes_per_second:.0f}",
+        f"{each.scene_ms:.0f}",
+        f"{100 * each.error_median:.1f} %",
+        f"{100 * each.error_max:.1f} %",
+    )

@@ -1,0 +1,251 @@
+"""Real recordings through the same code as simulated frames: `eitskin bench recordings`.
+
+The folder of the data holds `ohmc8.mat` (DSHardman/HydrogelEIT), 500 presses of a robot on a round
+hydrogel skin in the order of time; `openeit_background_8.txt`, a frame of all 28 pairs of another
+board; and `ktc2023_ref.mat` with `ktc2023_mesh_sparse.mat`, a round tank of plain water with 32
+electrodes (Kuopio Tomography Challenge 2023, Zenodo 8252370).
+
+Measured are the places of the last 100 presses, learned from k random presses of the first 400
+(means over seven draws), by maps of the channels with and without the sensor's design, and by
+regression; the size of the other board's values beside those of the shipped pipeline, and whether
+it accepts them; and what a fit of one conductivity leaves of the tank's voltages.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+
+from eitskin.benchmarks.plots import plot_errors
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
+from eitskin.datasets.recordings.recording import read_recording
+from eitskin.errors import DataError, FrameError
+from eitskin.extras import require
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Disc
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.electrical.resolution import Discretisation
+from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
+from eitskin.training.pipeline.pipeline import Pipeline
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Method = Callable[[LabelledPresses, Rows, Rows], tuple[Array, Array]]
+
+PRESSES, BOARD_FRAME = "ohmc8.mat", "openeit_background_8.txt"
+TANK = ("ktc2023_ref.mat", "ktc2023_mesh_sparse.mat")
+DESCRIPTIONS = Path(__file__).parents[1] / "docs" / "guides" / "recordings"
+COUNTS, QUICK_COUNTS = (5, 20, 50, 200, 400), (5, 50)
+DRAWS, TESTED = 7, 100
+# The first as fine as the mesh that the challenge gives, the second the same with quadratics.
+MESHES: dict[str, Discretisation] = {
+    "order 1": ((1,), Grading(finest=5.6e-3, coarsest=6e-3, growth=1.0)),
+    "order 2": ((2,), Grading(finest=5.6e-3, coarsest=6e-3, growth=1.0)),
+    "order 3, graded": ((3,), Grading(finest=1e-3, coarsest=3e-2, growth=1.5)),
+    "order 4, graded": ((4,), Grading(finest=2e-4, coarsest=3e-2, growth=1.5)),
+}
+HEIGHT = 0.05  # of the tank's model [m]; only sigma h and z sigma show in the voltages
+
+
+def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Report:
+    """Measure the recordings in a folder.
+
+    Args:
+        folder: of the data.
+        quick: few presses, one draw, and the tank's first mesh.
+        watch: gives back the items that its text is about; shows progress where wanted.
+
+    Raises DataError where a file is missing.
+    """
+    for name in (PRESSES, BOARD_FRAME, *TANK):
+        if not (folder / name).is_file():
+            raise DataError(f"{folder / name} is not there; name the folder of the recordings")
+    began = time.perf_counter()
+    skin, counts = read_skin(folder), QUICK_COUNTS if quick else COUNTS
+    errors: list[tuple[str, int, float, float]] = []
+    for count in watch("presses", counts):
+        errors += place_errors(skin, count, 1 if quick else DRAWS)
+    ratio, accepted = judge_board_frame(folder / BOARD_FRAME)
+    currents, senses, voltages, model = read_tank(folder)
+    fits = [
+        (name, fit_tank(currents, senses, voltages, model(MESHES[name])))
+        for name in watch("tank", list(MESHES)[: 1 if quick else None])
+    ]
+    places = dict(_mean_errors(errors))
+    methods = list(dict.fromkeys(method for method, *_ in errors))
+    figures = places | {
+        "mean error of a place [mm]": places[f"{counts[-1]} / {methods[0]}"],
+        "the same of always saying the middle [mm]": places[f"{counts[-1]} / mean place"],
+        "values of another board beside those trained with": ratio,
+    }
+    for name, residuals in fits:
+        figures |= {f"tank, {name} / {part}": 100 * value for part, value in residuals.items()}
+    rows = [(str(k), *(f"{places[f'{k} / {name}']:.1f}" for name in methods)) for k in counts]
+    tank = [(name, *(f"{value:.2%}" for value in found.values())) for name, found in fits]
+    points = {name: [(k, places[f"{k} / {name}"]) for k in counts] for name in methods}
+    return Report(
+        results=measured("recordings", figures.items(), began=began, quick=quick, options="DATA"),
+        rows=[
+            {"method": method, "presses": count, "error_mm": error, "error_ratio": over}
+            for method, count, error, over in errors
+        ],
+        tables=[
+            ReportTable(("presses: mean error [mm]", *methods), rows),
+            ReportTable(("tank: residual", *fits[0][1]), tank),
+        ],
+        sentences=[f"values of another board: {ratio:.1f} times those trained with; {accepted}"],
+        plots={
+            "adaptation.png": partial(
+                plot_errors,
+                panels={"": points},
+                x="labelled presses",
+                y="mean error of a place [mm]",
+            )
+        },
+    )
+
+
+def read_skin(folder: Path) -> LabelledPresses:
+    """Presses of the round skin in a folder."""
+    design = SensorDesign.from_toml(DESCRIPTIONS / "round-skin.toml")
+    names = RecordingNames(
+        "responsedowns", "responseups", "positions", columns={"depth": "positions:2"}
+    )
+    protocol = Protocol.from_file(DESCRIPTIONS / "round-skin.csv", 8)
+    form = RecordingForm(origin="centre")
+    recording = read_recording(folder / PRESSES, names, protocol, design=design, form=form)
+    return LabelledPresses.of(recording)
+
+
+def place_errors(
+    skin: LabelledPresses, count: int, draws: int
+) -> Iterator[tuple[str, int, float, float]]:
+    """Method, number of presses, mean error [mm], and error over standard error, of each draw."""
+    first = len(skin) - TESTED
+    test = np.arange(first, len(skin))
+    for draw in range(draws if count < first else 1):
+        train = np.sort(np.random.default_rng(draw).permutation(first)[:count])
+        for name, method in _methods().items():
+            place, deviation = method(skin, train, test)
+            error = np.linalg.norm(place - skin.places[test], axis=1)
+            ratio = float(np.sqrt(np.mean((error / deviation) ** 2)))
+            yield name, count, 1e3 * float(error.mean()), ratio
+
+
+def _methods() -> dict[str, Method]:
+    """Methods by name: places of tested presses and their standard errors, NaN without any."""
+    ensemble, linear = (
+        require(f"sklearn.{name}", "training") for name in ("ensemble", "linear_model")
+    )
+
+    def maps(design: bool, skin: LabelledPresses, train: Rows, test: Rows) -> tuple[Array, Array]:
+        presses = skin.select(train)
+        places = learn_places(presses if design else replace(presses, design=None))
+        found, _ = places.locator.locate(skin.ratios[test])
+        return found.place, found.deviation
+
+    def regression(
+        make: Callable[[], Any], skin: LabelledPresses, train: Rows, test: Rows
+    ) -> tuple[Array, Array]:
+        """Regressor of scikit-learn on the logarithms of the ratios."""
+        x = np.log(skin.ratios)
+        scale = x[train].std(axis=0)
+        fitted = make().fit(x[train] / scale, skin.places[train])
+        return fitted.predict(x[test] / scale), np.full(len(test), np.nan)
+
+    def mean(skin: LabelledPresses, train: Rows, test: Rows) -> tuple[Array, Array]:
+        place = np.tile(skin.places[train].mean(axis=0), (len(test), 1))
+        return place, np.full(len(test), np.nan)
+
+    forest = partial(ensemble.ExtraTreesRegressor, 300, random_state=0)
+    return {
+        "maps with the design": partial(maps, True),
+        "maps": partial(maps, False),
+        "ExtraTrees": partial(regression, forest),
+        "ridge": partial(regression, partial(linear.RidgeCV, np.logspace(-3, 3, 13))),
+        "mean place": mean,
+    }
+
+
+def _mean_errors(errors: list[tuple[str, int, float, float]]) -> Iterator[tuple[str, float]]:
+    """Means over the draws, by number of presses and method."""
+    for method, count in dict.fromkeys((method, count) for method, count, *_ in errors):
+        mine = np.array([each[2:] for each in errors if each[:2] == (method, count)])
+        error, ratio = mine.mean(axis=0).tolist()
+        yield f"{count} / {method}", error
+        yield f"{count} / {method}, error over standard error", ratio
+
+
+def judge_board_frame(path: Path) -> tuple[float, str]:
+    """Size of another board's values over those that were trained with, and what is said of them.
+
+    The shipped pipeline refuses a frame whose values are not those of its sensor.
+    """
+    pipeline = Pipeline.load("reference.eitmodel")
+    recording = read_recording(path, protocol=pipeline.layout.protocol)
+    values = np.abs(recording.impedance[0])
+    ratio = float(np.exp(np.median(np.log(values / pipeline.layout.reference))))
+    try:
+        pipeline.process(recording.frame(0))
+    except FrameError as error:
+        return ratio, f"refused: {error}"
+    return ratio, "accepted"
+
+
+def read_tank(
+    folder: Path,
+) -> tuple[Array, Array, Array, Callable[[Discretisation], ForwardModel]]:
+    """Read the tank's files.
+
+    Returns currents (electrodes, patterns) [mA], the electrode differences that the voltmeter reads
+    (electrodes, channels), voltages (channels, patterns) [V], and what makes the forward model of
+    the tank on a mesh: of 1 S/m, with contacts of nearly no impedance.
+    """
+    data, mesh = (loadmat(folder / name) for name in TANK)
+    currents, senses = (data[name].astype(np.float64) for name in ("Injref", "Mpat"))
+    voltages = data["Uelref"].astype(np.float64).reshape(currents.shape[1], senses.shape[1]).T
+    places = np.asarray(mesh["g"], dtype=np.float64) @ [1.0, 1.0j]
+    rims = [np.unique(np.asarray(faces, dtype=np.int64)) for faces in mesh["elfaces"].ravel()]
+    first = np.angle(places[rims[0]].sum())
+    widths = [np.ptp(np.angle(places[rim] / places[rim].sum())) for rim in rims]
+    angles = first + 2 * np.pi / len(rims) * np.arange(len(rims))
+    radius, width = float(np.abs(places).max()), float(np.mean(widths))
+
+    def model(resolution: Discretisation) -> ForwardModel:
+        x, y = radius * (1.0 + np.stack([np.cos(angles), np.sin(angles)]))
+        electrodes = tuple(
+            Electrode(px, py, width * radius, 1e-7)
+            for px, py in zip(x.tolist(), y.tolist(), strict=True)
+        )
+        design = SensorDesign(Disc(radius), HEIGHT, electrodes, encapsulated_thickness=HEIGHT)
+        return ForwardModel(design, resolution)
+
+    return currents, senses, voltages, model
+
+
+def fit_tank(
+    currents: Array, senses: Array, voltages: Array, model: ForwardModel
+) -> Mapping[str, float]:
+    """Relative residuals of the tank's voltages: all, those of driven electrodes, the others.
+
+    Fitted is one conductivity, by which all voltages scale; the fit is best as the contact
+    impedance vanishes.
+    """
+    unit = senses.T @ model.impedance().real @ currents
+    missed = float((unit * voltages).sum() / (unit**2).sum()) * unit - voltages
+    driven = (np.abs(senses).T @ np.abs(currents)) > 0
+    masks = {"all": np.ones_like(driven), "driven": driven, "others": ~driven}
+    return {
+        name: float(np.linalg.norm(missed[rows]) / np.linalg.norm(voltages[rows]))
+        for name, rows in masks.items()
+    }

@@ -1,1 +1,0 @@
-"""Studies of data: recordings, recipes, and pipelines trained on datasets."""

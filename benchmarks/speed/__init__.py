@@ -1,1 +1,0 @@
-"""Speed of simulation, generation and pipeline: `eitskin bench speed`."""

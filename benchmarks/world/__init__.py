@@ -1,1 +1,0 @@
-"""Presses and bends against reference solutions in 3D: `eitskin bench world`."""

@@ -1,0 +1,397 @@
+"""The command group `eitskin bench`: errors and run times, written and shown alike."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from eitskin.cli.options import (
+    TRAINING,
+    Json,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    ended_by_signals,
+    own_method,
+    watched,
+)
+from eitskin.cli.terminal import FigureTable
+from eitskin.datasets.store.folder import make_folder
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require_all
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.results import Progress, Report
+
+app = typer.Typer(help="Measure errors and run times.", no_args_is_help=True)
+
+Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases, for a look.")]
+Workers = Annotated[int, typer.Option(min=1, help="Number of worker processes.")]
+Presets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--preset", help="ridge, mlp, extra-trees, greit or quick; may be given several times."
+    ),
+]
+Methods = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        metavar="CODE",
+        help="A method of your own, whose code is run: FILE.py:CLASS, or the name of an installed "
+        "one; may be given several times.",
+    ),
+]
+LeaderboardFile = Annotated[
+    Path | None,
+    typer.Option(help="Also enter the scores into this leaderboard of skinbench, a JSON file."),
+]
+_OUT = Path("build/bench")
+_COLOURS = {"measured": "green", "failed": "bold red"}
+
+
+_SEEDED = {
+    "accuracy": "Measure error and run time of the forward model, beside pyEIT.",
+    "stability": "Run stiff and extreme cases; exit code 1 where one gives a wrong result.",
+    "world": "Compare every model of presses and bends with reference solutions in 3D.",
+    "speed": "Measure scenes per second beside their error, pyEIT, datasets, and the pipeline.",
+}
+"""Benchmarks that take a seed alone: `run(seed, quick, watch)` of their module."""
+
+
+def _seeded(name: str) -> Callable[..., None]:
+    """Command of one of `_SEEDED`."""
+
+    def command(
+        out: Out = _OUT,
+        *,
+        quick: Quick = False,
+        seed: Seed = 0,
+        as_json: Json = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+    ) -> None:
+        from eitskin.benchmarks import speed, world
+        from eitskin.benchmarks.accuracy import run as accuracy
+        from eitskin.benchmarks.stability import run as stability
+
+        modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
+        output = Output(as_json, quiet, verbose)
+        require_all(bench="matplotlib")
+        make_folder(out)
+        _present(output, modules[name].run(seed, quick, watched(output)), out)
+
+    return command
+
+
+for _name, _help in _SEEDED.items():
+    app.command(_name, help=_help)(_seeded(_name))
+
+
+@app.command()
+def recordings(
+    data: Annotated[Path, typer.Argument(help="Folder of the real recordings.")],
+    out: Out = _OUT,
+    *,
+    quick: Quick = False,
+    leaderboard: LeaderboardFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure real recordings: presses of a round skin, a frame of another board, a water tank."""
+    from eitskin.benchmarks.recordings import run
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING, bench="matplotlib")
+    _require_whole(leaderboard, quick)
+    _present(output, run(data, quick, watched(output)), out, leaderboard)
+
+
+@app.command()
+def transfer(
+    pipelines: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Pipelines, NAME.eitmodel; that which comes with eitskin if omitted."),
+    ] = None,
+    out: Out = _OUT,
+    *,
+    quick: Quick = False,
+    seed: Seed = 0,
+    workers: Workers = 2,
+    leaderboard: LeaderboardFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure pipelines on sensors with other clamps, layers, contacts and boards.
+
+    Each as it is, and adapted by 1 to 100 labelled frames, angles and presses. Frames are kept.
+    """
+    from eitskin.benchmarks.transfer.run import run
+    from eitskin.training.pipeline.saved_form import SHIPPED
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING)
+    named = {path.stem: path for path in pipelines or [SHIPPED]}
+    if len(named) < len(pipelines or []):
+        raise ConfigurationError("expected pipelines of different names; rename one")
+    _require_whole(leaderboard, quick, seed)
+    with output.progress() as bar:
+        found = run(named, _folder(out, "transfer"), seed, quick, workers, _progress(bar))
+    _present(output, found, out, leaderboard)
+
+
+@app.command()
+def methods(
+    out: Out = _OUT,
+    *,
+    preset: Presets = None,
+    method: Methods = None,
+    quick: Quick = False,
+    seed: Seed = 0,
+    workers: Workers = 2,
+    leaderboard: LeaderboardFile = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Train methods on the same frames, and judge them on the same unseen sensors.
+
+    The baselines where none is named. Frames are kept.
+    """
+    from eitskin.benchmarks.skinbench.methods import run
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING)
+    own = {each.KIND: (each, code) for code in method or () if (each := own_method(code))}
+    _require_whole(leaderboard, quick, seed)
+    folder, classes = _folder(out, "methods"), [each for each, _ in own.values()]
+    with output.progress() as bar:
+        found = run(folder, preset or (), classes, seed, quick, workers, _progress(bar))
+    codes = {name: code for name, (_, code) in own.items()}
+    _present(output, found, out, leaderboard, codes)
+
+
+@app.command()
+def paper(
+    out: Out = _OUT,
+    *,
+    pipeline: Annotated[
+        Path | None,
+        typer.Option(help="Pipeline, NAME.eitmodel; the one that comes with eitskin if omitted."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of seeds; the first is 0.")] = 3,
+    workers: Workers = 2,
+    paper_seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Seeds that the paper's pipeline is trained for; all if omitted, 0 for none.",
+        ),
+    ] = None,
+    preset: Presets = None,
+    method: Methods = None,
+    leaderboard: LeaderboardFile = None,
+    quick: Quick = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Repeat the paper's experiments: published, its pipeline trained here, ours, and others.
+
+    Frames are kept; a run that was stopped goes on from them.
+    """
+    from eitskin.benchmarks.paper.report import report
+    from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING, bench="matplotlib")
+    contenders = [Contender(each) for each in preset or ()]
+    own = [Contender(method=own_method(each)) for each in method or ()]
+    for each in (*contenders, *own):
+        each.settings(0)  # unknown names are told before the work
+    _require_whole(leaderboard, quick)
+    with output.progress() as bar:
+        found = run(
+            pipeline or REFERENCE,
+            _folder(out, "paper"),
+            seeds,
+            quick,
+            workers,
+            _progress(bar),
+            paper_seeds=paper_seeds,
+            contenders=[*contenders, *own],
+        )
+    codes = {each.name: code for each, code in zip(own, method or (), strict=True)}
+    _present(output, report(found), out, leaderboard, codes)
+
+
+@app.command()
+def layouts(
+    out: Out = _OUT,
+    *,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="count, placement, width, contact, bend or search; may be given several times, "
+            "all if omitted."
+        ),
+    ] = None,
+    workers: Workers = 2,
+    quick: Quick = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Cramer-Rao bounds of touches for electrode layouts: sweeps, and a search for the best eight.
+
+    Finished layouts are kept in the folder; a run that was stopped goes on from them.
+    """
+    from eitskin.benchmarks.layouts.run import NAMES, run
+
+    output = Output(as_json, quiet, verbose)
+    require_all(bench="matplotlib")
+    folder = _folder(out, "layouts") / "parts"
+    with output.progress() as bar:
+        task = bar.add_task("layouts", total=None, rate="")
+
+        def show(name: str) -> None:
+            bar.update(task, advance=1, rate=name)
+
+        found = run(folder, names=sweep or NAMES, quick=quick, workers=workers, watch=show)
+    _present(output, found, out)
+
+
+@app.command("all")
+def run_all(
+    out: Out = _OUT,
+    *,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Name of a benchmark; may be given several times.")
+    ] = None,
+    quick: Quick = False,
+    long: Annotated[
+        bool,
+        typer.Option("--long", help="Also benchmarks of more than ten minutes, hours in all."),
+    ] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Repeat also what is measured already.")
+    ] = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder with real recordings, which one benchmark needs."),
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Run all benchmarks, one after the other, into one folder with an index.md.
+
+    Goes on after a benchmark that failed; the exit code is 1 then.
+    """
+    from eitskin.benchmarks import suite
+    from eitskin.benchmarks.results import INDEX, write_index
+
+    output = Output(as_json, quiet, verbose)
+    chosen = suite.chosen(only, long or quick)
+    if only is None:
+        require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")
+    make_folder(out)
+    done = []
+    with ended_by_signals():  # or the benchmark that runs would go on without this one
+        for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
+            done.append(each)
+            why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
+            output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")
+    table = Table("benchmark", "outcome", "s", "", box=box.SIMPLE)
+    for each in done:
+        seconds, colour = f"{each.seconds:.0f}" if each.seconds else "", _COLOURS.get(each.outcome)
+        table.add_row(
+            each.name, f"[{colour or 'yellow'}]{each.outcome}[/]", seconds, escape(each.why)
+        )
+    rows = [{"name": d.name, "outcome": d.outcome, "why": d.why} for d in done]
+    output.result({"benchmarks": rows, "index": str(out / INDEX)}, table)
+    left_out = {each.name: each.why for each in done if each.outcome == "left out"}
+    output.note(f"written: {write_index(out, left_out)}")  # last: results of others may be broken
+    if any(each.outcome == "failed" for each in done):
+        raise typer.Exit(1)
+
+
+def _present(
+    output: Output,
+    found: "Report",
+    out: Path,
+    leaderboard: Path | None = None,
+    codes: Mapping[str, str] | None = None,
+) -> None:
+    """Write a report, enter it into a leaderboard where one is named, and show it.
+
+    Exit code 1 where it failed.
+    """
+    import msgspec
+
+    paths = found.write(out)
+    if leaderboard is not None:
+        from eitskin.benchmarks.skinbench.leaderboard import enter
+
+        enter(leaderboard, found.results, out / found.results.name, codes or {})
+        paths.append(leaderboard)
+    files = [str(path) for path in paths]
+    tables = [FigureTable(each.headings, each.rows, each.names) for each in found.tables]
+    rows = [{key: _finite(value) for key, value in row.items()} for row in found.rows]
+    data = msgspec.to_builtins(found.results) | {"rows": rows, "files": files}
+    output.result(data, tables[0])
+    for each in tables[1:]:
+        output.show(each)
+    for line in (*found.sentences, str(found.results.provenance)):
+        output.show(escape(line))
+    output.note("written: " + ", ".join(files))
+    if found.failed:
+        raise typer.Exit(1)
+
+
+def _finite(value: Any) -> Any:
+    """Value, None for a number that JSON has not."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _require_whole(leaderboard: Path | None, quick: bool, seed: int = 0) -> None:
+    """Raise ConfigurationError, before the work, where a run would be no entry; DataError too."""
+    if leaderboard is None:
+        return
+    from eitskin.benchmarks.skinbench.leaderboard import SEED, read_leaderboard
+
+    if quick or seed != SEED:
+        raise ConfigurationError(
+            f"a leaderboard takes full runs with seed {SEED}; leave --quick and --seed out, or "
+            "--leaderboard"
+        )
+    read_leaderboard(leaderboard)
+
+
+def _folder(out: Path, name: str) -> Path:
+    """Folder of one benchmark, made."""
+    make_folder(out / name)
+    return out / name
+
+
+def _progress(bar: Any) -> "Progress":
+    """Progress of a benchmark's parts on a bar, each by the name before its colon."""
+    tasks: dict[str, Any] = {}
+
+    def show(part: str, done: int, total: int) -> None:
+        name, _, rest = part.partition(": ")
+        if name not in tasks:
+            tasks[name] = bar.add_task(name, total=total, rate="")
+        bar.update(tasks[name], completed=done, total=total, rate=rest)
+
+    return show

@@ -1,1 +1,0 @@
-"""The commands `eitskin bench ...`, one module each."""
