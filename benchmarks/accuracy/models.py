@@ -267,7 +267,7 @@ def has_pyeit() -> bool:
 class PointElectrodeModel:
     """Point electrode model of pyEIT 1.2.4 (Liu et al. 2018), whose electrodes are single nodes.
 
-    Of a slab of tetrahedra or, averaged over the height, of triangles.
+    The slab is of tetrahedra or, averaged over the height, of triangles.
 
     Attributes:
         nodes: number of nodes.

@@ -23,6 +23,7 @@ from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.simulator.linalg.elimination_order import OrderName
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -76,7 +77,8 @@ def solved(
     """
     protocol = Protocol.pairwise(len(design.electrodes))
     found = []
-    for solver in ("block Cholesky", "sparse LU"):
+    orders: tuple[OrderName, ...] = ("block Cholesky", "nested dissection")
+    for solver in orders:
         model = ForwardModel(design, resolution, breaks, cells, solver)
         middles = model.mesh.points[model.mesh.cells].mean(axis=1)
         sigma = None if conductivity is None else conductivity(middles)

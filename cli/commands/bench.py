@@ -84,7 +84,7 @@ def _seeded(name: str) -> Callable[..., None]:
 
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
         output = Output(as_json, quiet, verbose)
-        require_all(bench="matplotlib")
+        require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
         make_folder(out)
         _present(output, modules[name].run(seed, quick, watched(output)), out)
 
