@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 import skfem
 from numpy.typing import NDArray
+from scipy.sparse import block_array, csc_array, eye_array, kron
+from skfem.models.poisson import mass
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp
@@ -16,11 +18,11 @@ from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
-from eitskin.simulator.bends.elastic_bond import ElasticBond
 from eitskin.simulator.mechanics.box_fields import CornerField, QuadraticField
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
     ForceTerm,
+    LinearSprings,
     Load,
     SolidError,
     follow,
@@ -253,12 +255,17 @@ class ClampedStack:
         mirrored = [3 * np.flatnonzero(X[:, axis] < _SAME) + axis for axis in (0, 1)]
         return np.flatnonzero(plate | end), np.unique(np.concatenate([moved, *mirrored]))
 
-    def _bonded(self) -> ElasticBond | None:
-        """Springs between faces and plates; None for a rigid bond."""
+    def _bonded(self) -> LinearSprings | None:
+        """Springs between faces and plates, traction = gap / compliance; None for a rigid bond."""
         if not self._clamp.compliance:
             return None
-        facets = self.solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
-        return ElasticBond(self.solid, facets, self._clamp.compliance)
+        solid = self.solid
+        facets = solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
+        faces = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=4)
+        scalar = csc_array(skfem.asm(mass, faces)) / self._clamp.compliance
+        rest = csc_array((solid.multipliers, solid.multipliers))
+        springs = kron(scalar, eye_array(solid.dim))
+        return LinearSprings(csc_array(block_array([[springs, None], [None, rest]])))
 
     def _moved(self, angle_deg: float) -> Array:
         """Displacements (unknowns,) of the plates, at the nodes that they hold."""
@@ -270,7 +277,7 @@ class ClampedStack:
     def _between(self, before: float, after: float, t: float) -> Load:
         """Load at the fraction t between two angles [deg]."""
         moved = self._moved(before + t * (after - before))
-        forces = self._bond.pull(moved) if self._bond else np.zeros_like(moved)
+        forces = self._bond.forces(moved) if self._bond else np.zeros_like(moved)
         return Load(self._fixed, moved[self._fixed], forces)
 
     def _result(self, angle_deg: float, x: Array) -> BentStack:

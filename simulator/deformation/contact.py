@@ -10,11 +10,11 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array
 
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.box_fields import shape_functions
-from eitskin.simulator.mechanics.load_stepping import ForceTerm
+from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -234,96 +234,74 @@ class DentField:
         return found
 
 
-class HeldContact(ForceTerm):
+def held_contact(
+    solid: Solid,
+    facets: Indices,
+    indenter: Indenter,
+    centre: Array,
+    radius: float,
+    stiffness: float,
+    numbers: tuple[int, int],
+    given: Callable[[Array], Array] | None = None,
+    frame: ContactFrame | None = None,
+) -> LinearSprings:
     """Springs that hold the displacement c of a contact area at -d n - g.
 
     n is the normal of the face, and g the displacement of the area by the dents of other indenters
     and by the curvature of a bend. The indenter neither tilts nor moves sideways, and sinks by a
-    further d under a force unchanged.
-    A smooth indenter holds c along its normal only. The unknown d [m] follows those of the solid.
+    further d under a force unchanged. A smooth indenter holds c along its normal only. The unknown
+    d [m] follows those of the solid. The springs are integrated over a circle on a face that is
+    level before any bend.
 
-    Attributes:
-        area: of the contact on the undeformed face [m2].
+    Args:
+        solid: the body.
+        facets: boundary facets of its mesh that the contact may reach.
+        indenter: gives the normal, and whether it is rough.
+        centre: of the contact, (2,) [m].
+        radius: of the undeformed contact [m].
+        stiffness: of the springs [Pa/m].
+        numbers: of the contact, among those of the solid, and of all of these.
+        given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
+        frame: of the bent face, on which the contact is a circle; of a level one when omitted.
     """
-
-    def __init__(
-        self,
-        solid: Solid,
-        facets: Indices,
-        indenter: Indenter,
-        centre: Array,
-        radius: float,
-        stiffness: float,
-        number: int,
-        given: Callable[[Array], Array] | None = None,
-        frame: ContactFrame | None = None,
-    ) -> None:
-        """Integrate the springs over a circle on a face that is level before any bend.
-
-        Args:
-            solid: the body.
-            facets: boundary facets of its mesh that the contact may reach.
-            indenter: gives the normal, and whether it is rough.
-            centre: of the contact, (2,) [m].
-            radius: of the undeformed contact [m].
-            stiffness: of the springs [Pa/m].
-            number: of the contact, among those of the solid.
-            given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
-            frame: of the bent face, on which the contact is a circle; of a level one when omitted.
-        """
-        basis = skfem.FacetBasis(
-            solid.mesh, solid.basis.elem, facets=facets, quadrature=_composite_rule()
-        )
-        away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
-        turn = np.eye(3)
-        if frame is not None:
-            away, turn = away * frame.stretches[:, None, None], frame.rotation
-        r = np.linalg.norm(away, axis=0)
-        weights = np.asarray(basis.dx) * (r < radius)
-        self.area = float(weights.sum())
-        functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
-        values = np.stack([*functions, np.ones_like(r)], axis=-1)
-        held = turn @ _held(indenter, away, r) @ turn.T
-        shares = values * (stiffness * weights)[..., None]
-        # A rough indenter holds all directions alike, with a ninth of the work.
-        K = (
-            np.einsum("fqa,fqb,ij->faibj", shares, values, held, optimize=True)
-            if held.ndim == 2
-            else np.einsum("fqa,fqij,fqb->faibj", shares, held, values, optimize=True)
-        )
-        dofs = basis.element_dofs.T.astype(np.int64)
-        numbers = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
-        numbers = np.hstack([numbers, np.full((len(dofs), 1), solid.unknowns + number)])
-        # The last of the vectors that are added up is d n.
-        sink = np.eye(3 * values.shape[-1])[:, : numbers.shape[1]]
-        sink[-3:, -1] = turn[:, 2]
-        K = sink.T @ K.reshape(len(dofs), len(sink), len(sink)) @ sink
-        rows = np.broadcast_to(numbers[:, :, None], K.shape).ravel()
-        columns = np.broadcast_to(numbers[:, None, :], K.shape).ravel()
-        self._entries = (K.ravel(), (rows, columns))
-        self._stiffness: csc_array | None = None
-        self._given: tuple[Indices, Array] | None = None
-        if given is not None:
-            points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-            g = given(points.reshape(-1, 3)).reshape(points.shape)
-            pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
-            self._given = numbers.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel()
-
-    def forces(self, x: Array) -> Array:
-        """Forces of the springs on the unknowns (n,) [N]."""
-        found = np.asarray(self._matrix(len(x)) @ x)
-        if self._given is not None:
-            np.add.at(found, *self._given)
-        return found
-
-    def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """Forces (n,) and their constant stiffness (n, n)."""
-        return self.forces(x), self._matrix(len(x))
-
-    def _matrix(self, size: int) -> csc_array:
-        if self._stiffness is None or self._stiffness.shape[0] != size:
-            self._stiffness = coo_array(self._entries, shape=(size, size)).tocsc()
-        return self._stiffness
+    number, contacts = numbers
+    size = solid.unknowns + contacts
+    basis = skfem.FacetBasis(
+        solid.mesh, solid.basis.elem, facets=facets, quadrature=_composite_rule()
+    )
+    away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
+    turn = np.eye(3)
+    if frame is not None:
+        away, turn = away * frame.stretches[:, None, None], frame.rotation
+    r = np.linalg.norm(away, axis=0)
+    weights = np.asarray(basis.dx) * (r < radius)
+    functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
+    values = np.stack([*functions, np.ones_like(r)], axis=-1)
+    held = turn @ _held(indenter, away, r) @ turn.T
+    shares = values * (stiffness * weights)[..., None]
+    # A rough indenter holds all directions alike, with a ninth of the work.
+    K = (
+        np.einsum("fqa,fqb,ij->faibj", shares, values, held, optimize=True)
+        if held.ndim == 2
+        else np.einsum("fqa,fqij,fqb->faibj", shares, held, values, optimize=True)
+    )
+    dofs = basis.element_dofs.T.astype(np.int64)
+    unknowns = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
+    unknowns = np.hstack([unknowns, np.full((len(dofs), 1), solid.unknowns + number)])
+    # The last of the vectors that are added up is d n.
+    sink = np.eye(3 * values.shape[-1])[:, : unknowns.shape[1]]
+    sink[-3:, -1] = turn[:, 2]
+    K = sink.T @ K.reshape(len(dofs), len(sink), len(sink)) @ sink
+    rows = np.broadcast_to(unknowns[:, :, None], K.shape).ravel()
+    columns = np.broadcast_to(unknowns[:, None, :], K.shape).ravel()
+    springs = coo_array((K.ravel(), (rows, columns)), shape=(size, size)).tocsc()
+    at_rest = np.zeros(size)
+    if given is not None:
+        points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+        g = given(points.reshape(-1, 3)).reshape(points.shape)
+        pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
+        np.add.at(at_rest, unknowns.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel())
+    return LinearSprings(springs, at_rest)
 
 
 def _composite_rule() -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.geometry.design.sensor import Rigid, SensorDesign, Substrate
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation import indentation_tables as tables
+from eitskin.simulator.deformation import pair_tables
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame
 from eitskin.simulator.deformation.indentation_tables import Indentations
 from eitskin.simulator.deformation.outline_sides import SideFade, sides_of
@@ -41,7 +42,7 @@ _VERSIONS = {"strip": 3, "end": 3, "side": 2, "disc": 1, "pair": 4, "pair-sides"
 _STRESS = 3  # component of fields
 
 
-class Correction(NamedTuple):
+class PressCorrection(NamedTuple):
     """Fields of a correction, and by how much deeper a press sinks [m]."""
 
     fields: list[Field]
@@ -125,10 +126,12 @@ class _Sensor:
 
     def pairs(self, stack: Stack) -> list[Problem]:
         """Tables of two presses by each other."""
-        pairs = [self.problem("pair", stack, tables.solve_pair)]
+        pairs = [self.problem("pair", stack, pair_tables.solve_pair)]
         if _has_strip(self.design):
             width = self.design.outline.width
-            pairs.append(self.problem("pair-sides", stack, tables.solve_pair_sides, width=width))
+            pairs.append(
+                self.problem("pair-sides", stack, pair_tables.solve_pair_sides, width=width)
+            )
         return pairs
 
     def stacks(self, grid: SensorGrid) -> tuple[Stack, dict[Stack, float]]:
@@ -238,7 +241,7 @@ class Corrections:
                 f"{1e3 * depth:.2f} mm; press less, or solve scenes with touch_model='solved'"
             )
 
-    def at(self, x: float, y: float, depth: float) -> Correction:
+    def at(self, x: float, y: float, depth: float) -> PressCorrection:
         """Correction of a press at (x, y) to a depth [m].
 
         Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
@@ -257,13 +260,13 @@ class Corrections:
         if self.base is not None and isinstance(outline, Rectangle | Polygon):
             parts.append(self._beside_sides(self.base, outline, x, y, depth))
         fields = [field for part in parts for field in part.fields]
-        return Correction(fields, sum(part.extra_depth for part in parts))
+        return PressCorrection(fields, sum(part.extra_depth for part in parts))
 
     def _higher(self, table: SolutionTable) -> float:
         """Height of the gel over a table's."""
         return self.design.thickness / table.size("height")
 
-    def _on_strip(self, x: float, y: float, depth: float) -> Correction:
+    def _on_strip(self, x: float, y: float, depth: float) -> PressCorrection:
         """Correction on a long rectangle: that of a strip, and the differences near both ends."""
         strip, end = self.strip
         H, width, height = (strip.size(name) for name in ("thickness", "width", "height"))
@@ -284,15 +287,15 @@ class Corrections:
                 field = folded(images, tables.end_bases(H, width))
                 fields.append(field.mirrored(0, 0.5 * length) if far else field)
                 extra += float(numbers["extra_depth"][0])
-        return Correction([field.raised(higher) for field in fields], higher * extra)
+        return PressCorrection([field.raised(higher) for field in fields], higher * extra)
 
     def _beside_sides(
         self, base: SolutionTable, outline: Rectangle | Polygon, x: float, y: float, depth: float
-    ) -> Correction:
+    ) -> PressCorrection:
         """Sum of corrections beside the sides in reach, each without ends but for its fade."""
         sides = list(sides_of(outline, x, y, float(base.nodes("distance_to_side")[-1])))
         if not sides:
-            return Correction([], 0.0)
+            return PressCorrection([], 0.0)
         bases = CubicSplines(base.sizes["along"]), CubicSplines(base.sizes["inward"])
         distances = np.array([side.aside for side in sides])
         total: Array = np.zeros(1)
@@ -312,9 +315,9 @@ class Corrections:
             # A right corner throws back all of a side's field, which is that of the whole line.
             fields.append(field.straightened() if self.strip else field)
             sunk += more * fade.at_press()
-        return Correction(fields, sunk)
+        return PressCorrection(fields, sunk)
 
-    def _on_disc(self, outline: Disc, x: float, y: float, depth: float) -> Correction:
+    def _on_disc(self, outline: Disc, x: float, y: float, depth: float) -> PressCorrection:
         """Correction on a disc: by symmetry that of a press on the x axis, turned."""
         radius = outline.radius
         distance = math.dist((x, y), (radius, radius))
@@ -335,7 +338,7 @@ class Corrections:
             field = Field((splines, splines), table.size("height"), weight * coefficients, frame)
             fields.append(field.raised(higher))
             extra += weight * higher * float(numbers["extra_depth"][0])
-        return Correction(fields, extra)
+        return PressCorrection(fields, extra)
 
 
 def _resampled(coefficients: Array, table: SolutionTable, base: SolutionTable) -> Array:
@@ -367,7 +370,7 @@ class PairCorrections:
     wide: SolutionTable
     sides: SolutionTable | None = None
 
-    def at(self, first: Place, second: Place) -> Correction:
+    def at(self, first: Place, second: Place) -> PressCorrection:
         """Change by presses (x, y, depth) [m], and by how much deeper each sinks [m].
 
         No fields where the presses do not feel each other.
@@ -375,18 +378,18 @@ class PairCorrections:
         (x, y, depth), (x_other, y_other, other_depth) = first, second
         apart = math.dist((x, y), (x_other, y_other))
         if apart >= self.wide.nodes("axis_distance")[-1]:
-            return Correction([], 0.0)
+            return PressCorrection([], 0.0)
         angle = math.atan2(y_other - y, x_other - x)
         middle = 0.5 * (x + x_other), 0.5 * (y + y_other)
         deep = depth * other_depth
         (coefficients,), numbers = self.wide.evaluate(axis_distance=apart, product=deep)
         nearest = max(apart, float(self.wide.nodes("axis_distance")[0]))
-        bases = tables.pair_bases(nearest, self.wide.size("thickness"))
+        bases = pair_tables.pair_bases(nearest, self.wide.size("thickness"))
         frame = Frame(*middle, math.cos(angle), math.sin(angle))
         fields = [Field(bases, self.wide.size("height"), coefficients, frame)]
         if self.sides is not None and apart < self.sides.nodes("axis_distance")[-1]:
             fields.append(_of_sides(self.sides, middle, apart, angle, deep))
-        return Correction(fields, float(numbers["extra_depth"][0]))
+        return PressCorrection(fields, float(numbers["extra_depth"][0]))
 
 
 def _of_sides(
@@ -394,12 +397,12 @@ def _of_sides(
 ) -> Field:
     """Field that the sides of a strip add to a pair about its middle, of a product of depths."""
     width, height = table.size("width"), table.size("height")
-    low = tables.lowest_middle(table.size("least"), apart, angle)
+    low = pair_tables.lowest_middle(table.size("least"), apart, angle)
     place = (middle[1] - low) / max(0.5 * width - low, _SAME)
     images, _ = table.evaluate(
         axis_distance=apart, direction=angle, place=min(max(place, 0.0), 2.0)
     )
-    bases = tables.pair_side_bases(table.size("thickness"), width)
+    bases = pair_tables.pair_side_bases(table.size("thickness"), width)
     (direct, opposite), (mirrored, turned) = (
         [Field(bases, height, each[0]) for each in of_direction] for of_direction in images
     )

@@ -9,17 +9,14 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.interpolate import BSpline, NdBSpline, make_interp_spline
 
 from eitskin.compiled import compiled
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
 
 _DEGREE = 3
-_FUNCTIONS = _DEGREE + 1  # splines that do not vanish at a point
 _UPRIGHT = 4  # polynomials over the height that the kernel takes
-_AT_ONCE = 320_000  # products of functions at points, so that gathered values stay small
 _SAME = 1e-9
 
 
@@ -37,8 +34,8 @@ class CubicSplines:
     def __init__(self, nodes: Array) -> None:
         """Place the knots."""
         self.nodes = nodes
-        inner, ends = nodes[2:-2], (np.full(_FUNCTIONS, nodes[0]), np.full(_FUNCTIONS, nodes[-1]))
-        self.knots: Array = np.concatenate([ends[0], inner, ends[1]])
+        first, last = np.full(_DEGREE + 1, nodes[0]), np.full(_DEGREE + 1, nodes[-1])
+        self.knots: Array = np.concatenate([first, nodes[2:-2], last])
 
     @cached_property
     def fit(self) -> Array:
@@ -52,35 +49,8 @@ class CubicSplines:
 
     def dense(self, x: Array) -> Array:
         """All splines at points (m,), (m, n)."""
-        first, near, _ = self.functions(np.clip(x, *self.ends))
-        values = np.zeros((len(x), len(self.nodes)))
-        np.put_along_axis(values, first[:, None] + np.arange(_FUNCTIONS), near, axis=1)
-        return values
-
-    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
-        """Number of the first spline at points (m,), values and slopes of the four, (m, 4).
-
-        Points beyond the nodes belong to the outermost intervals.
-        """
-        t, last = self.knots, len(self.nodes) - 1
-        cell = np.clip(np.searchsorted(t, x, side="right") - 1, _DEGREE, last)
-        right = [t[cell + k] - x for k in range(1, _FUNCTIONS)]
-        left = [x - t[cell + 1 - k] for k in range(1, _FUNCTIONS)]
-        lower: list[Array] = []
-        values = [np.ones_like(x)]
-        for degree in range(1, _FUNCTIONS):
-            lower, values = values, [np.zeros_like(x)]
-            for r in range(degree):
-                part = lower[r] / (right[r] + left[degree - r - 1])
-                values[-1] = values[-1] + right[r] * part
-                values.append(left[degree - r - 1] * part)
-        rates = [_DEGREE * lower[r] / (right[r] + left[_DEGREE - r - 1]) for r in range(_DEGREE)]
-        zero = np.zeros_like(x)
-        slopes = [
-            before - after for before, after in zip([zero, *rates], [*rates, zero], strict=True)
-        ]
-        first: Indices = (cell - _DEGREE).astype(np.int32)
-        return first, np.stack(values, axis=-1), np.stack(slopes, axis=-1)
+        splines = BSpline(self.knots, np.eye(len(self.nodes)), _DEGREE)
+        return np.asarray(splines(np.clip(x, *self.ends)))
 
     def shifted(self, by: float) -> "CubicSplines":
         """Splines on nodes that are moved."""
@@ -97,8 +67,6 @@ class CubicSplines:
 
 @lru_cache(maxsize=64)
 def _spline_fit(nodes: tuple[float, ...]) -> Array:
-    from scipy.interpolate import make_interp_spline
-
     return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)), k=_DEGREE).c)
 
 
@@ -143,10 +111,10 @@ class Polynomials:
 
     def dense(self, x: Array) -> Array:
         """All polynomials at points (m,), (m, count)."""
-        return self.functions(x)[1]
+        return self.with_slopes(x)[0]
 
-    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
-        """Number of the first polynomial at points (m,), values and slopes of all, (m, count)."""
+    def with_slopes(self, x: Array) -> tuple[Array, Array]:
+        """All polynomials at points (m,), and their slopes, (m, count) each."""
         s = (2.0 * x - self.low - self.high) / (self.high - self.low)
         rate = np.full(s.shape, 2.0 / (self.high - self.low))
         outside = np.abs(s) > 1.0 + _SAME
@@ -161,7 +129,7 @@ class Polynomials:
         slopes[outside] = 0.0
         if self.vanish:
             values[outside] = 0.0
-        return np.zeros(len(x), dtype=np.int32), values, np.asarray(slopes)
+        return values, np.asarray(slopes)
 
     def shifted(self, by: float) -> "Polynomials":
         """Polynomials on the interval that is moved."""
@@ -388,29 +356,19 @@ class Field:
 
     def _in_plane(self, x: Array, y: Array, coefficients: Array) -> Array:
         """Polynomials over the height, and their slopes by x and y, (n, 3, nz, k)."""
-        shape = coefficients.shape
-        flat = np.ascontiguousarray(coefficients).reshape(shape[0] * shape[1], -1)
-        sums = np.empty((len(x), 3, flat.shape[1]))
-        some = max(
-            1,
-            _AT_ONCE
-            // math.prod(
-                _FUNCTIONS if isinstance(basis, CubicSplines) else basis.count
-                for basis in self.bases
-            ),
-        )
-        for start in range(0, len(x), some):
-            part = slice(start, start + some)
-            i, a, da = self.bases[0].functions(x[part])
-            j, b, db = self.bases[1].functions(y[part])
-            offsets = shape[1] * np.arange(a.shape[1])[:, None] + np.arange(b.shape[1])
-            numbers = (shape[1] * i + j)[:, None] + offsets.ravel().astype(np.int32)
-            ends = np.arange(0, numbers.size + 1, offsets.size, dtype=np.int32)
-            for k, (one, other) in enumerate(((a, b), (da, b), (a, db))):
-                weights = (one[:, :, None] * other[:, None, :]).ravel()
-                matrix = csr_array((weights, numbers.ravel(), ends), shape=(len(i), len(flat)))
-                sums[part, k] = matrix @ flat
-        return sums.reshape(len(x), 3, *shape[2:])
+        along, across = self.bases
+        if isinstance(along, CubicSplines) and isinstance(across, CubicSplines):
+            knots, points = (along.knots, across.knots), np.stack([x, y], axis=-1)
+            sums = NdBSpline(knots, np.ascontiguousarray(coefficients), _DEGREE)
+            return np.stack([sums(points, nu=nu) for nu in ((0, 0), (1, 0), (0, 1))], axis=1)
+        if isinstance(along, CubicSplines) or isinstance(across, CubicSplines):
+            raise TypeError("expected splines along both axes or along none")
+        (a, da), (b, db) = along.with_slopes(x), across.with_slopes(y)
+        parts = [
+            np.einsum("ni,nj,ijzk->nzk", *each, coefficients, optimize=True)
+            for each in ((a, b), (da, b), (a, db))
+        ]
+        return np.stack(parts, axis=1)
 
     def _over_height(self, z: Array) -> tuple[Array, Array]:
         """Legendre polynomials (..., nz) at heights z (...), and their derivatives [1/m]."""

@@ -17,7 +17,7 @@ the right-hand side, as that of coarse quadrature, and the contact takes back th
 bent top.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +27,18 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.deformation.contact import BentState, DentField, HeldContact
-from eitskin.simulator.deformation.dented_solid import DentedSolid
+from eitskin.simulator.deformation.contact import BentState, DentField, held_contact
 from eitskin.simulator.deformation.stack_mesh import StackMesh
 from eitskin.simulator.mechanics.box_fields import QuadraticField
-from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
+from eitskin.simulator.mechanics.load_stepping import (
+    ForceTerm,
+    LinearSprings,
+    Load,
+    SolidError,
+    newton,
+)
+from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
+from eitskin.simulator.mechanics.mixed_solid import Solid, StrainState
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -78,6 +85,69 @@ class Correction:
         )
 
 
+class DentedSolid(Solid):
+    """Solid with F = 1 + G + dc/dX and mean stress p_0 + p: c and p change a given state.
+
+    The sharp part of a deformation, G and p_0, is thus no unknown, and what remains is smooth and
+    needs few cells. On those cells the given state has a residual of its own, which is that of
+    coarse quadrature; subtracted as a dead force, it does not disturb the equilibrium.
+
+    Attributes:
+        points: quadrature points, (cells, q, 3) [m].
+    """
+
+    def __init__(
+        self, mesh: skfem.Mesh, laws: Sequence[Law], law_of_cell: Indices, bulk_ratio: float
+    ) -> None:
+        """Number the unknowns of a solid at rest; arguments as for `Solid`."""
+        super().__init__(mesh, laws, law_of_cell, "solid", bulk_ratio)
+        self.points: Array = np.moveaxis(np.asarray(self.basis.global_coordinates()), 0, -1)
+        self._gradient: Array = np.zeros((1, 1, 3, 3))
+        self._given_stress: Array = np.zeros((1, 1))
+
+    def dent(self, gradient: Array, mean_stress: Array) -> None:
+        """Set the given state: G (n, 3, 3) and p_0 (n,) [Pa] at all quadrature points."""
+        self._gradient = gradient.reshape(*self.weights.shape, 3, 3)
+        self._given_stress = mean_stress.reshape(self.weights.shape)
+        self._last = None
+
+    def residual_of(
+        self,
+        gradient: Array,
+        mean_stress: Array,
+        law_of_cell: Indices,
+        nominal: Callable[[Array], Array] | None = None,
+    ) -> Array:
+        """Residual (unknowns,) of a state G (n, 3, 3), p_0 (n,), in cells of other materials.
+
+        `nominal` turns the stresses (..., 3, 3) of a state that is given in a frame of its own.
+        """
+        shape = self.weights.shape
+        P, dilation = np.empty((*shape, 3, 3)), np.empty(shape)
+        for k in range(len(self.laws)):
+            cells = law_of_cell == k
+            G, p = gradient.reshape(*shape, 3, 3)[cells], mean_stress.reshape(shape)[cells]
+            P[cells], dilation[cells] = self.stress_and_dilation(k, G, p)
+        return self._integrated(nominal(P) if nominal else P, dilation, self.unknowns)
+
+    def stress_and_dilation(self, law: int, gradient: Array, p: Array) -> tuple[Array, Array]:
+        """First Piola-Kirchhoff stress [Pa] and volume error of a state G (..., 3, 3), p (...)."""
+        F = np.eye(3) + gradient
+        H = cofactor(F)
+        J = determinant(F, H)
+        mu = self.laws[law].shear_modulus
+        mean = p + self.direct_ratio * mu * (J - 1.0)
+        dilation = J - 1.0 - p / ((self.bulk_ratio - self.direct_ratio) * mu)
+        return self.laws[law].stress(F) + mean[..., None, None] * H, dilation
+
+    def _strained(self, x: Array) -> StrainState:
+        moved = super()._strained(x)
+        F = moved.F + self._gradient
+        H = cofactor(F)
+        J = determinant(F, H)
+        return StrainState(moved.x, F, H, J, moved.multiplier + self._given_stress)
+
+
 class FiniteStack:
     """Stack of a finite outline under presses whose dents in the unbounded stack are known.
 
@@ -106,7 +176,7 @@ class FiniteStack:
         self._fixed = _unknowns(held)
         self._loose = _unknowns(np.setdiff1d(base, held))
         self._eliminate = self.solid.elimination(self._fixed, presses)
-        self._contacts: list[HeldContact] = []
+        self._contacts: list[LinearSprings] = []
         self._load, self._bend = np.zeros(self._size), np.zeros(self.solid.unknowns)
         self._scale = 0.0
 
@@ -219,7 +289,7 @@ class FiniteStack:
             np.add.at(forces, basis.element_dofs[a], parts)
         return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
 
-    def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> HeldContact:
+    def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> LinearSprings:
         frame = dent.frame
 
         def given(points: Array) -> Array:
@@ -244,14 +314,14 @@ class FiniteStack:
         # A contact may be smaller than a cell, as those of balls are.
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
-        return HeldContact(
+        return held_contact(
             self.solid,
             top[near],
             dent.indenter,
             centre,
             held,
             stiffness,
-            number,
+            (number, self._size - self.solid.unknowns),
             given if others or frame is not None else None,
             frame,
         )

@@ -66,6 +66,31 @@ class ForceTerm(ABC):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LinearSprings(ForceTerm):
+    """Term of springs.
+
+    Attributes:
+        stiffness: symmetric, (n, n) [N/m].
+        at_rest: forces where all unknowns are zero, (n,) [N].
+    """
+
+    stiffness: csc_array
+    at_rest: Array | float = 0.0
+
+    def energy(self, gap: Array) -> float:
+        """Energy of the springs at elongations (n,) [J]."""
+        return 0.5 * float(gap @ (self.stiffness @ gap))
+
+    def forces(self, x: Array) -> Array:
+        """Forces (n,) at the unknowns x (n,)."""
+        return np.asarray(self.stiffness @ x + self.at_rest)
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Forces (n,) and their constant stiffness (n, n)."""
+        return self.forces(x), self.stiffness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Load:
     """Prescribed unknowns and dead forces.
 

@@ -13,8 +13,7 @@ from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation import touches
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.dented_solid import DentedSolid
-from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.finite_stack import Correction, DentedSolid, FiniteStack
 from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 

@@ -1,0 +1,212 @@
+"""Tables of pairs of indentations: what is solved on a wide stack and beside sides."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import Rigid
+from eitskin.simulator.deformation.contact import DentField
+from eitskin.simulator.deformation.field import CubicSplines, Field, Polynomials
+from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.indentation_tables import (
+    Bases,
+    Indentations,
+    Solved,
+    faded,
+    solve_each,
+    tabulate,
+)
+from eitskin.simulator.deformation.solution_store import Report
+from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
+from eitskin.simulator.deformation.stack_mesh import Fineness
+from eitskin.simulator.mechanics.axisymmetric_press import Indentation
+
+Array = NDArray[np.float64]
+
+# Lengths over the thickness of the stack.
+#
+# Pairs, at distances between the rims of the indenters; the field reaches beyond the axes. The
+# change varies most near the contacts: to a distance beyond the axes cells are even, farther out
+# they grow. Numbers of cells in a half are along x and y.
+_PAIR_DEPTHS, _APART, _PAIR_VANISHED = (0.16, 0.23, 0.3), (0.25, 0.45, 0.8, 1.25, 1.9, 2.8), 1.4
+_PAIR_REACH, _PAIR_FADE, _PAIR_FREE = 4.5, 1.5, 6.5
+_PAIR_EVEN, _PAIR_GROWTH, _PAIR_DEGREE, _PAIR_CELLS = 1.0, 1.5, 2, ((10, 6), (6, 6))
+_PAIR_FINENESS = Fineness(ends=0.0, sides=0.0, layers=1)
+
+# What sides add to pairs is smooth, and needs fewer of their distances and depths.
+_SIDES_APART, _SIDES_DEPTH = (1, 3, 5), 1
+_QUARTER = 3  # parts of a quarter turn; more directions follow by symmetry
+_FROM_SIDES = (0.0, 0.3, 1.0)  # of the way from the nearest side to the middle
+PAIR_STRETCH, PAIR_AROUND = 1.5, 6.0  # of the field along x
+_PAIR_STRIP = 9.0  # half of the mesh along x
+_COUNTS_BESIDE, _FINER = (16, 14, 3), 2  # polynomials, and how many are cut off
+
+
+def solve_pair(about: Indentations, report: Report, workers: int = 1) -> SolutionTable:
+    """Change of displacement and mean stress by a second press on a wide stack.
+
+    Pairs are solved with equal indenters and depths. To leading order the change is bilinear in
+    both depths, so that unequal ones are scaled by their product. Fields are in the frame of the
+    pair, x from press to press.
+    """
+    about = about.to_depths(_PAIR_DEPTHS)
+    apart = _pair_axis(about)
+    solved = solve_each(partial(_on_wide, about), report, workers, apart.nodes[:-1].tolist())
+    product_axis = Axis("product", "bilinear", about.depth_axis.nodes)
+    return tabulate(about, [apart, product_axis], solved)
+
+
+def _pair_axis(about: Indentations) -> Axis:
+    """Distances between the axes of solved pairs, and one at which nothing changes [m]."""
+    H = about.thickness
+    solved = 2.0 * about.indenter.rims[1] + H * np.array(_APART)
+    nodes = np.append(solved, solved[-1] + _PAIR_VANISHED * H)
+    return Axis("axis_distance", "logarithmic", nodes)
+
+
+def pair_bases(apart: float, thickness: float) -> Bases:
+    """Splines along x and y, from the middle between presses at a distance [m]."""
+    halves = []
+    for axis, (even, growing) in zip((0.5 * apart, 0.0), _PAIR_CELLS, strict=True):
+        first, end = axis + _PAIR_EVEN * thickness, axis + _PAIR_REACH * thickness
+        grown = np.expm1(_PAIR_GROWTH * np.linspace(0.0, 1.0, growing + 1)[1:])
+        outer = first + (end - first) * grown / np.expm1(_PAIR_GROWTH)
+        half = np.append(np.linspace(0.0, first, even + 1), outer)
+        halves.append(np.append(-half[:0:-1], half))
+    return CubicSplines(halves[0]), CubicSplines(halves[1])
+
+
+def _on_wide(about: Indentations, apart: float) -> Solved:
+    """Fields of pairs on a wide stack, and by how much deeper each press sinks."""
+    H = about.thickness
+    outline, middle = _wide(about, apart, 0.0)
+    reach = 0.5 * apart + _PAIR_REACH * H, _PAIR_REACH * H
+    fields, extra = [], []
+    for change in _changes(about, outline, middle, apart, 0.0, about.dents):
+        ending = faded(change, reach, _PAIR_FADE * H)
+        field = Field.from_function(ending, pair_bases(apart, H), about.height, _PAIR_DEGREE)
+        fields.append(field.coefficients)
+        extra.append(change.extra_depth)
+    return Solved(np.array(fields), np.array(extra))
+
+
+def _wide(about: Indentations, apart: float, angle: float) -> tuple[Rectangle, tuple[float, float]]:
+    """Wide stack around a pair, and where the middle of the pair is on it [m]."""
+    free = _PAIR_FREE * about.thickness
+    half = [0.5 * apart * abs(way) + free for way in (math.cos(angle), math.sin(angle))]
+    return Rectangle(2.0 * half[0], 2.0 * half[1]), (half[0], half[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairChange:
+    """Correction of a pair less those of its presses alone, from the middle between them [m]."""
+
+    pair: Correction
+    alone: list[Correction]
+    middle: Array
+
+    @property
+    def extra_depth(self) -> float:
+        """By which each press sinks deeper, in the mean [m]."""
+        return float(np.mean(self.pair.sunk - [each.sunk[0] for each in self.alone]))
+
+    def __call__(self, points: Array) -> Array:
+        placed = points + self.middle
+        change: Array = self.pair.in_gel(placed)
+        for each in self.alone:
+            change -= each.in_gel(placed)
+        return change
+
+
+def _changes(
+    about: Indentations,
+    outline: Rectangle,
+    middle: tuple[float, float],
+    apart: float,
+    angle: float,
+    dents: Sequence[Indentation],
+) -> Iterator[PairChange]:
+    """Changes of two presses by each other at rising depths, on an outline on a rigid base."""
+    x, y = 0.5 * apart * math.cos(angle), 0.5 * apart * math.sin(angle)
+    places = [(middle[0] + way * x, middle[1] + way * y) for way in (-1.0, 1.0)]
+    body = replace(about, support=Rigid()).mesh(outline, places, _PAIR_FINENESS)
+    both, one = FiniteStack(body, 2), FiniteStack(body)
+    starts: list[Array | None] = [None] * 3
+    before = 1.0
+    for dent in dents:
+        fields = [DentField(*place, about.indenter, dent) for place in places]
+        # Deep dents close together may turn the stack inside out before their correction.
+        given = [None if x is None else x * (dent.depth / before) ** 2 for x in starts]
+        pair = both.correction(fields, given[0])
+        alone = [
+            one.correction([field], start) for field, start in zip(fields, given[1:], strict=True)
+        ]
+        starts, before = [each.unknowns for each in (pair, *alone)], dent.depth
+        yield PairChange(pair, alone, np.array([*middle, 0.0]))
+
+
+def solve_pair_sides(
+    about: Indentations, width: float, report: Report, workers: int = 1
+) -> SolutionTable:
+    """Fields that the sides of a strip add to the change of two presses by each other.
+
+    It answers the tractions that the change leaves on the sides, and is smooth. It is tabulated at
+    one depth; ends are left out, of which electrodes are far. Fields are from the middle of the
+    pair along x. Places are 0 where the pair is nearest to a side, and 1 in the middle.
+    """
+    about = about.to_depths(_PAIR_DEPTHS)
+    every = _pair_axis(about).nodes
+    apart = Axis("axis_distance", "logarithmic", every[[*_SIDES_APART, -1]])
+    directions = Axis("direction", "direction", np.arange(_QUARTER + 1) * math.pi / 2 / _QUARTER)
+    grid = list(product(apart.nodes[:-1].tolist(), directions.nodes.tolist()))
+    solved = solve_each(
+        partial(_beside_sides, about, width), report, workers, *zip(*grid, strict=True)
+    )
+    axes = [apart, directions, Axis("place", "mirrored", np.array(_FROM_SIDES))]
+    depth = about.dents[_SIDES_DEPTH].depth
+    return tabulate(about, axes, solved, width=width, depth=depth, least=about.least)
+
+
+def _beside_sides(about: Indentations, width: float, apart: float, angle: float) -> Solved:
+    """Fields that the sides add to pairs in one direction; zero where such pairs have no room."""
+    H, half = about.thickness, 0.5 * width
+    found = np.zeros((len(_FROM_SIDES), *_COUNTS_BESIDE, 4))
+    low = lowest_middle(about.least, apart, angle)
+    if low <= half:
+        dents = about.dents[_SIDES_DEPTH : _SIDES_DEPTH + 1]
+        (wide,) = _changes(about, *_wide(about, apart, angle), apart, angle, dents)
+        outline = Rectangle(2.0 * _PAIR_STRIP * H, width)
+        bases = pair_side_bases(H, width, _FINER)
+        for k, part in enumerate(_FROM_SIDES):
+            middle = (_PAIR_STRIP * H, low + part * (half - low))
+            (beside,) = _changes(about, outline, middle, apart, angle, dents)
+            added = partial(_added, beside, wide, np.array([0.0, middle[1], 0.0]))
+            ending = faded(added, (PAIR_AROUND * H,), _PAIR_FADE * H)
+            field = Field.from_function(ending, bases, about.height, _COUNTS_BESIDE[2] - 1)
+            found[k] = field.coefficients[tuple(slice(count) for count in _COUNTS_BESIDE)]
+    return Solved(found, np.zeros(len(_FROM_SIDES)))
+
+
+def _added(beside: PairChange, wide: PairChange, middle: Array, points: Array) -> Array:
+    """Difference of the change on a strip to that on a wide stack."""
+    return beside(points - middle) - wide(points - middle)
+
+
+def pair_side_bases(thickness: float, width: float, finer: int = 1) -> Bases:
+    """Bases of what sides add, from the middle of the pair along x."""
+    around, (along, across, _) = PAIR_AROUND * thickness, _COUNTS_BESIDE
+    return (
+        Polynomials(-around, around, finer * along, PAIR_STRETCH, vanish=True),
+        Polynomials(0.0, width, finer * across),
+    )
+
+
+def lowest_middle(least: float, apart: float, angle: float) -> float:
+    """Least distance from a side of the middle of a pair [m]."""
+    return least + 0.5 * apart * abs(math.sin(angle))
