@@ -81,9 +81,9 @@ def fit(
     from eitskin.simulator.electrical.forward_model import ForwardModel
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.fit_parameters import USUAL
-    from eitskin.simulator.instrument.instrument import Instrument
+    from eitskin.simulator.instrument.instrument import Instrument, snr_db
     from eitskin.simulator.instrument.meter import Quantity
-    from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter, snr_db
+    from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     quantity = cast("Quantity", one_of("--reads", reads, Quantity)) if reads else None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
 from eitskin.bounds import drawn
@@ -298,3 +298,30 @@ def _drive_measurements(protocol: Protocol) -> tuple[Integers, NDArray[np.bool_]
     found = [own.get(row[:2], own.get(row[1::-1])) for row in protocol.table]
     pairs = [first[pair] if at is None else at for pair, at in zip(driven, found, strict=True)]
     return np.array(pairs), np.array([at is not None for at in found])
+
+
+def snr_db(frames: ArrayLike) -> float:
+    """Full scale over the white noise of flat frames [dB], as `Instrument.snr_db`.
+
+    Args:
+        frames: readings of the flat, untouched sensor, (frames, measurements).
+    """
+    values = np.asarray(frames, np.complex128)
+    return decibels(float(np.abs(values.mean(axis=0)).max()), white_noise(values))
+
+
+def decibels(full_scale: float, noise: float) -> float:
+    """Full scale over noise [dB], within the range of `Instrument.snr_db`; 0 without noise."""
+    return float(np.clip(20.0 * np.log10(full_scale / noise), *SNR_RANGE_DB)) if noise else 0.0
+
+
+def white_noise(frames: NDArray[np.inexact]) -> float:
+    """Standard deviation of one quadrature of one reading; 0 for fewer than three frames.
+
+    It is that of differences between successive frames (frames, measurements), which slow drifts
+    leave alone.
+    """
+    steps = np.diff(frames, axis=0)
+    quadratures = 2.0 if np.imag(frames).any() else 1.0
+    square = float(np.mean(np.abs(steps) ** 2)) if len(steps) > 1 else 0.0
+    return float(np.sqrt(square / (2.0 * quadratures)))

@@ -17,7 +17,6 @@ from eitskin.simulator.instrument.fit_parameters import (
     meter_parameters,
     meter_with,
 )
-from eitskin.simulator.instrument.instrument import SNR_RANGE_DB
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity, electrodes_by_role
 
 Array = NDArray[np.float64]
@@ -104,33 +103,6 @@ def agreement(predicted: ArrayLike, measured: ArrayLike) -> Agreement:
     spread = np.std(p) * np.std(m)
     r = float(np.mean((p - p.mean()) * (m - m.mean())) / spread) if spread else 0.0
     return Agreement(r, float(np.linalg.norm(p - m) / np.linalg.norm(m)))
-
-
-def snr_db(frames: ArrayLike) -> float:
-    """Full scale over the white noise of flat frames [dB], as `Instrument.snr_db`.
-
-    Args:
-        frames: readings of the flat, untouched sensor, (frames, measurements).
-    """
-    values = np.asarray(frames, np.complex128)
-    return decibels(float(np.abs(values.mean(axis=0)).max()), white_noise(values))
-
-
-def decibels(full_scale: float, noise: float) -> float:
-    """Full scale over noise [dB], within the range of `Instrument.snr_db`; 0 without noise."""
-    return float(np.clip(20.0 * np.log10(full_scale / noise), *SNR_RANGE_DB)) if noise else 0.0
-
-
-def white_noise(frames: NDArray[np.inexact]) -> float:
-    """Standard deviation of one quadrature of one reading; 0 for fewer than three frames.
-
-    It is that of differences between successive frames (frames, measurements), which slow drifts
-    leave alone.
-    """
-    steps = np.diff(frames, axis=0)
-    quadratures = 2.0 if np.imag(frames).any() else 1.0
-    square = float(np.mean(np.abs(steps) ** 2)) if len(steps) > 1 else 0.0
-    return float(np.sqrt(square / (2.0 * quadratures)))
 
 
 def fit_meter(

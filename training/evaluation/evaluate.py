@@ -201,12 +201,15 @@ def _bend_score(dataset: Dataset, predictions: Predictions) -> BendScore:
     bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
     true, estimated = dataset.bend_angle_deg.astype(float), predictions.bend_angle_deg
     error = estimated - true
+
+    def size_and_bias(mask: Mask) -> tuple[float | None, float | None]:
+        errors = error[mask]
+        return (root_mean_square(errors), float(errors.mean())) if errors.size else (None, None)
+
     return BendScore(
         determination(true[bent], estimated[bent]) if bent.any() else None,
-        root_mean_square(error[bent]) if bent.any() else None,
-        float(error[bent].mean()) if bent.any() else None,
-        root_mean_square(error[touched]) if touched.any() else None,
-        float(error[touched].mean()) if touched.any() else None,
+        *size_and_bias(bent),
+        *size_and_bias(touched),
         consistency(error, predictions.bend_deviation_deg),
     )
 

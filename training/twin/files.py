@@ -19,8 +19,7 @@ from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Free
 from eitskin.simulator.deformation.corrections import is_tabulable
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.meter_fit import decibels
+from eitskin.simulator.instrument.instrument import Instrument, decibels
 from eitskin.training.twin.labelled_frames import KINDS
 from eitskin.training.twin.twin import Twin
 

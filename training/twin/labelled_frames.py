@@ -14,8 +14,8 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Status
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.protocol import Protocol
+from eitskin.simulator.instrument.instrument import white_noise
 from eitskin.simulator.instrument.meter import Quantity
-from eitskin.simulator.instrument.meter_fit import white_noise
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene, Touch
 
