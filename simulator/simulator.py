@@ -131,7 +131,7 @@ class Simulator:
     @cached_property
     def _flat(self) -> NDArray[np.inexact]:
         """Impedance matrix of the flat, untouched sensor [ohm], (electrodes, electrodes)."""
-        return self._impedances.own.flat_impedance(self.model)
+        return self.model.flat_impedance
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """Deformation by the scene, touches first, then roll, bend and twist; None where flat.

@@ -145,6 +145,11 @@ class ForwardModel:
         _, system = self._system(conductivity, area_ratio, contact_impedance)
         return system.impedance(self.solver.congruence(system.values, system.coupling))
 
+    @cached_property
+    def flat_impedance(self) -> Numbers:
+        """Impedance matrix of the flat sensor [ohm], (electrodes, electrodes), solved once."""
+        return self.impedance()
+
     def sensitivity(
         self,
         protocol: Protocol,

@@ -51,7 +51,6 @@ class ModelFamily:
         self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
         self._reanalyses: dict[ForwardModel, Reanalysis] = {}
-        self._flat: dict[ForwardModel, Numbers] = {}
 
     def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
         """Forward model whose cells suit the smallest of the indenters.
@@ -66,15 +65,6 @@ class ModelFamily:
         if wanted not in self._models:
             self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
         return self._models[wanted]
-
-    def flat_impedance(self, model: ForwardModel) -> Numbers:
-        """Impedance matrix of the flat sensor [ohm] on one of the models, solved once.
-
-        Shape (electrodes, electrodes).
-        """
-        if model not in self._flat:
-            self._flat[model] = model.impedance()
-        return self._flat[model]
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis:
         """Reanalysis with the factors of the flat sensor, for one of the models."""
@@ -204,7 +194,7 @@ class SensorImpedances:
             flat = layer.deformation is None
             return solved.base if flat else solved.impedance(layer, tolerance)
         if layer.is_flat:
-            return self.own.flat_impedance(model)
+            return model.flat_impedance
         return model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis | None:

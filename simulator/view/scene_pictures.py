@@ -129,8 +129,10 @@ def draw_scenes(
         raise ConfigurationError(f"colour must be one of {get_args(Colour)}, got {colour!r}")
     if drive is not None:
         Protocol(((*drive, *drive),), len(sim.design.electrodes))
-    model = _model(sim) if colour == "current" else None
-    flat = model.mesh if model else _mesh(sim)
+    order, grading, model = _ORDER[natural_cells(sim.design)], _grading(sim), None
+    if colour == "current":
+        model = ForwardModel(sim.design, (order, grading))
+    flat = model.mesh if model else mesh_design(sim.design, grading)
     shown = [_drawing(sim, scene, flat, colour, model, drive) for _, scene in scenes]
     seen = np.concatenate([part.points for one in shown for part in (one.body, *one.indenters)])
     scale = _scale(colour, [one.values for one in shown])
@@ -177,14 +179,6 @@ def _grading(sim: Simulator) -> Grading:
     size = max(outline.length, outline.width) / CELLS[kind]
     layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
     return Grading(size, size, 1.0, layers)
-
-
-def _mesh(sim: Simulator) -> Mesh:
-    return mesh_design(sim.design, _grading(sim))
-
-
-def _model(sim: Simulator) -> ForwardModel:
-    return ForwardModel(sim.design, (_ORDER[natural_cells(sim.design)], _grading(sim)))
 
 
 def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
