@@ -4,6 +4,7 @@ import contextlib
 import functools
 import inspect
 import json
+import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -140,6 +141,18 @@ def require_parent(out: Path) -> None:
         raise ConfigurationError(
             f"cannot write {out}: there is no folder {out.parent}; make it, or name another"
         )
+
+
+def electrode_pair(drive: str, electrodes: int) -> tuple[int, int]:
+    """Two electrodes of the option --drive, as 0-4 or 0,4; raises ConfigurationError."""
+    found = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
+    pair = (int(found[1]), int(found[2])) if found else (0, 0)
+    if pair[0] == pair[1] or max(pair) >= electrodes:
+        raise ConfigurationError(
+            f"--drive takes two different electrodes from 0 to {electrodes - 1}, as 0-4, got "
+            f"'{drive}'"
+        )
+    return pair
 
 
 def one_of(option: str, text: str, kind: Any) -> str:

@@ -1,7 +1,6 @@
 """`eitskin mesh`: the mesh of a design in numbers and as a picture."""
 
 import dataclasses
-import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Output, SensorFile, one_of, read_design, with_output
+from eitskin.cli.options import Output, SensorFile, electrode_pair, one_of, read_design, with_output
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def command(
     named = cast("Resolution", resolution)
     suited = suited_cells(named, design)
     kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else suited
-    pair = None if drive is None else _pair(drive, len(design.electrodes))
+    pair = None if drive is None else electrode_pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
     if view is not None:
@@ -56,19 +55,6 @@ def command(
     if view is not None:
         _draw(design, mesh, kind, pair, view)
         output.note(f"picture: {view}")
-
-
-def _pair(text: str, electrodes: int) -> tuple[int, int]:
-    from eitskin.protocol import Protocol
-
-    found = re.fullmatch(r"\s*(\d{1,6})\s*,\s*(\d{1,6})\s*", text)
-    if found is None:
-        raise ConfigurationError(
-            f"--drive takes two electrodes counted from 0, as 0,4, got '{text}'"
-        )
-    plus, minus = int(found[1]), int(found[2])
-    Protocol(((plus, minus, plus, minus),), electrodes)  # refuses electrodes that do not exist
-    return plus, minus
 
 
 def _numbers(

@@ -2,14 +2,13 @@
 
 import dataclasses
 import math
-import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.console import Group
-from rich.table import Table
+from rich.table import Column, Table
 
 from eitskin.cli.options import (
     FixtureFile,
@@ -19,6 +18,7 @@ from eitskin.cli.options import (
     PressModel,
     SceneFile,
     SensorFile,
+    electrode_pair,
     one_of,
     read_design,
     with_output,
@@ -135,14 +135,7 @@ def _colours(
         return what, None
     if what != "current":
         raise ConfigurationError(f"--drive is for --colour current, got --colour {what}")
-    found = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
-    pair = (int(found[1]), int(found[2])) if found else (0, 0)
-    if pair[0] == pair[1] or max(pair) >= electrodes:
-        raise ConfigurationError(
-            f"--drive takes two different electrodes from 0 to {electrodes - 1}, as 0-4, got "
-            f"'{drive}'"
-        )
-    return what, pair
+    return what, electrode_pair(drive, electrodes)
 
 
 def _title(name: str, scene: "Scene") -> str:
@@ -181,9 +174,8 @@ def _as_data(frame: "Frame", flat: "Frame", seconds: float) -> dict[str, object]
 
 
 def _as_table(frame: "Frame", flat: "Frame") -> Table:
-    table = Table("measurement", "R, ohm", "X, ohm", "change, ohm", "change, %")
-    for column in table.columns[1:]:
-        column.justify = "right"
+    figures = ("R, ohm", "X, ohm", "change, ohm", "change, %")
+    table = Table("measurement", *(Column(each, justify="right") for each in figures))
     for label, Z, before, part in zip(
         frame.protocol.labels,
         frame.impedance,
@@ -218,11 +210,9 @@ def _touch_data(press: "PressedTouch") -> dict[str, object]:
 
 
 def _touch_table(presses: "tuple[PressedTouch, ...]") -> Table:
-    table = Table("touch\nat, mm", "force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa")
-    for title in ("peak\nkPa", "gel thinner\nby, %", "to edge\nmm"):
-        table.add_column(title)
-    for column in table.columns[1:]:
-        column.justify = "right"
+    units = ("force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa", "peak\nkPa")
+    figures = (*units, "gel thinner\nby, %", "to edge\nmm")
+    table = Table("touch\nat, mm", *(Column(each, justify="right") for each in figures))
     for press in presses:
         table.add_row(
             f"{1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f}",
