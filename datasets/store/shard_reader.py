@@ -143,7 +143,7 @@ class OpenShard:
         return Dataset(**(self._origin(stored.get("protocol")) | columns))
 
     def origin(self) -> SimpleNamespace:
-        """What the shard must share with the others of its dataset, as attributes of `Dataset`."""
+        """Attributes of `Dataset` that all shards of a dataset share."""
         channels = one_array(self._root, "impedance").shape[-1]
         protocol = one_array(self._root, "protocol", required=False)
         return SimpleNamespace(channels=channels, **self._origin(protocol))
