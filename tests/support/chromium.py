@@ -135,7 +135,7 @@ class Tab:
 @contextmanager
 def chromium(flags: Sequence[str] = ()) -> Iterator[Browser]:
     """Run a Chromium with a new profile; raises ConfigurationError where there is none."""
-    webdriver = require("selenium.webdriver", "bench")
+    webdriver = require("selenium.webdriver", "dev")
     program = next(filter(None, map(shutil.which, NAMES)), None)
     driver_program = shutil.which("chromedriver")
     if program is None or driver_program is None:

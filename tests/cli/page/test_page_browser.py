@@ -23,7 +23,7 @@ RING = 6  # radius of a found touch, pixels
 
 @pytest.fixture(scope="module")
 def browser():
-    pytest.importorskip("selenium", reason="no selenium to drive a browser with (extra bench)")
+    pytest.importorskip("selenium", reason="no selenium to drive a browser with (extra dev)")
     try:
         with chromium() as opened:
             yield opened
