@@ -334,15 +334,14 @@ def _map_grids(
 
 
 def _with_strength(
-    known: SheetKnowledge, presses: Presses, label: ArrayLike | None
+    known: SheetKnowledge, presses: Presses, label: Array | None
 ) -> tuple[Presses, StrengthLaw | None]:
     """Presses with their strengths, by a law of depth or force where these are known."""
-    kernel = known.kernel(MapChoice())
-    values = np.full(len(presses.strength), np.nan) if label is None else np.asarray(label, float)
-    if np.isfinite(values).all() and (values > 0).all():
-        law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), presses, values)
-        return replace(presses, strength=law.strength(values)), law
-    return replace(presses, strength=learned_strength(kernel, presses)), None
+    if label is None:
+        strength = learned_strength(known.kernel(MapChoice()), presses)
+        return replace(presses, strength=strength), None
+    law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), presses, label)
+    return replace(presses, strength=law.strength(label)), law
 
 
 def _cross_validated(

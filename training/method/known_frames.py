@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol as Interface
 
 import numpy as np
@@ -214,14 +214,8 @@ class KnownFrames:
 
     def __getitem__(self, rows: slice | NDArray[np.generic]) -> "KnownFrames":
         """The frames of `rows` (slice, integers or mask)."""
-        return KnownFrames(
-            self.observations[rows],
-            self.angle_deg[rows],
-            self.reference_deg[rows],
-            self.touches[rows],
-            self.told[rows],
-            self.twin,
-        )
+        names = ("observations", "angle_deg", "reference_deg", "touches", "told")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
     def touched(self) -> Mask:

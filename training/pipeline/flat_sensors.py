@@ -44,9 +44,9 @@ class Start:
 
     distance: float
     chance: float
-    bend_deg: float
-    deviation_deg: float
-    bend_chance: float
+    bend_deg: float = math.nan
+    deviation_deg: float = math.nan
+    bend_chance: float = 1.0
 
     @property
     def doubt(self) -> str:
@@ -186,7 +186,7 @@ class FlatSensors:
         known = np.flatnonzero(np.isfinite(magnitudes) & (magnitudes > 0))
         count = len(known) - 1  # the common factor is unknown
         if count < 2:
-            return Start(0.0, 1.0, math.nan, math.nan, 1.0)
+            return Start(0.0, 1.0)
         whole = len(known) == len(self.mean)
         part = np.ix_(known, known)
         precision = self._precision if whole else _blind_inverse(self.covariance[part])
@@ -195,7 +195,7 @@ class FlatSensors:
         chance = float(fdtrc(count, self.freedom, distance / count))
         low, high = self.bend_range
         if low == high:
-            return Start(distance, chance, math.nan, math.nan, 1.0)
+            return Start(distance, chance)
         angles = np.linspace(low, high, round(high - low) + 1)
         rest = departure - _powers(angles) @ self.bend[:, known]
         left = np.sum((rest @ precision) * rest, axis=1)

@@ -17,7 +17,7 @@ from eitskin.training.baselines.greit_centroid import GreitMethod
 from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import FILE_MODULE, Arrays, Method
+from eitskin.training.method.interface import FILE_MODULE, Method
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.settings import TrainingSettings
 from eitskin.training.paper.method import PaperMethod
@@ -109,21 +109,6 @@ def _in_file(path: Path, class_name: str) -> object:
     """The class in a file, which is run with its folder first on the path, as Python runs one."""
     if not path.is_file():
         raise MethodCodeError(f"there is no file {path}; name the code as FILE.py:CLASS")
-    module = _module(path)
-    if class_name not in vars(module):
-        classes = [
-            each
-            for each, value in vars(module).items()
-            if isinstance(value, type) and value.__module__ == module.__name__
-        ]
-        raise MethodCodeError(
-            f"{path} has no class '{class_name}'; it has {', '.join(classes) or 'none'}"
-        )
-    return vars(module)[class_name]
-
-
-def _module(path: Path) -> ModuleType:
-    """Module of a file, newly run."""
     module = ModuleType(f"{FILE_MODULE}{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # dataclasses look up type hints there
@@ -135,7 +120,16 @@ def _module(path: Path) -> ModuleType:
             exec(compile(path.read_bytes(), path, "exec"), vars(module))  # noqa: S102
     finally:
         sys.path.remove(folder)
-    return module
+    if class_name not in vars(module):
+        classes = [
+            each
+            for each, value in vars(module).items()
+            if isinstance(value, type) and value.__module__ == module.__name__
+        ]
+        raise MethodCodeError(
+            f"{path} has no class '{class_name}'; it has {', '.join(classes) or 'none'}"
+        )
+    return vars(module)[class_name]
 
 
 def _installed(name: str) -> object:
@@ -204,17 +198,12 @@ def require_sound(
     with told_errors(f"{method.KIND}.from_arrays"):
         restored = type(method).from_arrays(copies, spec, settings)
         again = restored.outputs(examples)
-    require_same(method.KIND, method.outputs(examples), again)
-
-
-def require_same(kind: str, outputs: Arrays, again: Arrays) -> None:
-    """Check that a restored method gives what the fitted one gave; raises MethodCodeError."""
-    for name, value in outputs.items():
+    for name, value in method.outputs(examples).items():
         size = float(np.nanmax(np.abs(value), initial=0.0))
         if value.shape != again[name].shape or not np.allclose(
             value, again[name], rtol=0.0, atol=SAME * size, equal_nan=True
         ):
             raise MethodCodeError(
-                f"{kind}: expected from_arrays to restore what was fitted, got other values of "
-                f"'{name}'; arrays has to give everything that predict uses"
+                f"{method.KIND}: expected from_arrays to restore what was fitted, got other values "
+                f"of '{name}'; arrays has to give everything that predict uses"
             )
