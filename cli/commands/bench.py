@@ -22,7 +22,6 @@ from eitskin.cli.options import (
     watched,
 )
 from eitskin.cli.terminal import FigureTable
-from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
@@ -85,6 +84,8 @@ def _seeded(name: str) -> Callable[..., None]:
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
         output = Output(as_json, quiet, verbose)
         require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
+        from eitskin.datasets.store.folder import make_folder
+
         make_folder(out)
         _present(output, modules[name].run(seed, quick, watched(output)), out)
 
@@ -305,6 +306,8 @@ def run_all(
     chosen = suite.chosen(only, long or quick)
     if only is None:
         require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")
+    from eitskin.datasets.store.folder import make_folder
+
     make_folder(out)
     done = []
     with ended_by_signals():  # or the benchmark that runs would go on without this one
@@ -380,6 +383,8 @@ def _require_whole(leaderboard: Path | None, quick: bool, seed: int = 0) -> None
 
 def _folder(out: Path, name: str) -> Path:
     """Folder of one benchmark, made."""
+    from eitskin.datasets.store.folder import make_folder
+
     make_folder(out / name)
     return out / name
 
