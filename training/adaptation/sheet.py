@@ -131,14 +131,9 @@ class Sectors:
         for steps in range(1, len(self.turned)):
             answers = np.empty_like(presses.answers)
             answers[:, self.turned[steps]] = presses.answers
+            places = self.rotated(presses.places, steps)
             copies.append(
-                Presses(
-                    self.rotated(presses.places, steps),
-                    presses.strength,
-                    answers,
-                    weight * presses.weight,
-                    presses.owner,
-                )
+                replace(presses, places=places, answers=answers, weight=weight * presses.weight)
             )
         return concatenate(copies)
 

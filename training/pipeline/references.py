@@ -101,14 +101,10 @@ class References:
 
     def drop(self) -> None:
         """Forget both references but the stored one, for a new session."""
-        self._opening, self._latest = self._first_mean(), self._first_mean()
+        count = min(self.stored_frames, LONGEST_MEAN)
+        self._opening = RunningMean(self.noise, self.stored, count)
+        self._latest = RunningMean(self.noise, self.stored, count)
         self._is_opening = self.stored is None
-
-    def _first_mean(self) -> RunningMean:
-        """Mean of the session's first frames, or of those of the stored reference."""
-        if self.stored is None:
-            return RunningMean(self.noise)
-        return RunningMean(self.noise, self.stored.copy(), min(self.stored_frames, LONGEST_MEAN))
 
     @property
     def empty(self) -> bool:
