@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.benchmarks.stability.electrical import OUTLINE
+from eitskin.benchmarks.stability.electrical import OUTLINE, SPANS, pair
 from eitskin.benchmarks.stability.electrical import H as THICKNESS
-from eitskin.benchmarks.stability.places import SPANS, pair
 from eitskin.geometry import Electrode, Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
