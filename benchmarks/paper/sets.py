@@ -140,6 +140,7 @@ def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
             sensor=drawn.design,
             fixture=drawn.fixture,
             mechanics=drawn.mechanics,
+            grid=drawn.grid,
             specimens=Specimens(),
             episodes=tuple(dataclasses.replace(each, count=1) for each in other.episodes),
         )

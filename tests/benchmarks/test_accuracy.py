@@ -58,7 +58,7 @@ def family(data, name) -> list[dict]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["hexahedra, linear", "hexahedra, cubic, sparse LU", "prisms, quadratic"]
+    "name", ["hexahedra, linear", "hexahedra, cubic, nested dissection", "prisms, quadratic"]
 )
 def test_errors_fall_along_a_ladder_and_stay_above_the_references_own(data, name) -> None:
     first, second = family(data, name)
