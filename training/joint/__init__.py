@@ -1,5 +1,6 @@
 """The joint method: bend and touches as the MAP estimate of a learned sensor model.
 
-Learned by `training`: features, touch response, bend curves, priors, proposal network. A frame
-passes `method`, `proposal_model`, `fit`, and `touch_map`; `angles` tells that of an untouched one.
+Learned by `training`: features, touch response, bend curves, priors, networks. A frame passes
+`method`, `networks` (proposals), `model_selection`, `objective`; `specimen_model` estimates the
+angle of an untouched one, and `adaptation` and `own_response` learn from known frames of a sensor.
 """

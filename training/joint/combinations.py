@@ -114,15 +114,6 @@ class Combinations:
         """Changes of log V (..., C) that have these combinations (..., K)."""
         return combinations if self.basis is None else combinations @ self._backward.T
 
-    def late(self, slope: Array) -> Array:
-        """Combinations (K,) of a change whose measurements (in order) are weighted by their time.
-
-        Args:
-            slope: combinations of the change (K,).
-        """
-        late: Array = self.lateness @ slope
-        return late
-
     def share_variance(self, combinations: Array, share: float) -> Array:
         """Variance (C,) of independent errors of each measurement, by several changes.
 

@@ -210,7 +210,7 @@ class TouchObjective:
             slope: derivative by the angle (K,) [1/deg].
             moved_deg: motion since the reference [deg].
         """
-        late = moved_deg * self.combined.combinations.late(slope)
+        late = moved_deg * (self.combined.combinations.lateness @ slope)
         return np.outer(late, late)
 
     def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:

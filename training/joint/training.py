@@ -4,7 +4,7 @@ Networks are trained by `touch_training` and `angle_training`, which import torc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -56,6 +56,25 @@ FEWEST_SPECIMENS = 100  # from which on networks of the angle are tried
 COMPARED = 2000  # frames, by which networks and bend curves are compared
 
 
+@dataclass(frozen=True, slots=True)
+class TrainingRun:
+    """What all parts of a method are trained with.
+
+    Attributes:
+        features: of specimens, as networks of the angle are told them.
+        combinations: of the measurements.
+        settings: of the training.
+        seed: of everything random.
+        progress: called with a stage, steps done and steps in all.
+    """
+
+    features: SpecimenFeatures
+    combinations: Combinations
+    settings: JointSettings
+    seed: int
+    progress: Progress
+
+
 @one_torch_thread()
 def fit_joint(
     make: Callable[..., Made],
@@ -74,116 +93,82 @@ def fit_joint(
     touches have a strength instead (`_with_strengths`). Raises DataError where it holds too few
     touches of known position, untouched frames at known angles, or idle frames.
     """
-    forces = bool(np.isfinite(dataset.touch_force).any())
-    data = _usable(dataset)
-    images = mirrors(spec.design, spec.protocol)
+    data, images = _usable(dataset), mirrors(spec.design, spec.protocol)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    features = every.first()
     touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
     kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
     combinations = Combinations.fit(kinds, noise_of(data, images))
-    bends = fit_bends(bent, every, combinations, settings, seed, progress)
-    if len(touched.change):
-        touches = _fit_touches(
-            data, touched, features, combinations, bends.curves, spec, settings, seed, progress
-        )
-    else:  # a method of the bend alone
-        none = TouchResponse.none(len(features.directions), len(combinations), spec.outline)
-        touches = {
-            "response": none,
-            "proposals": ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
-            "touch_prior": TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
-            "places": np.zeros((0, 2)),
-            "radius": NOMINAL_RADIUS,
-            "learning_curves": {},
-        }
-    curves = {**touches.pop("learning_curves"), "angles": bends.losses}
+    run = TrainingRun(every, combinations, settings, seed, progress)
+    bends, losses = fit_bends(run, bent)
+    touches, touch_losses = _fit_touches(run, data, touched, bends["bend_prior"], spec)
     return make(
-        features=features,
-        bend_prior=bends.curves,
+        features=every.first(),
         combinations=combinations,
         drift=settings.drift,
         size=spec.outline,
         shape=spec.pixels,
         protocol=spec.protocol,
-        learning_curves=curves,
-        angles=bends.networks,
-        angle_features=every if bends.networks else None,
-        usual=bends.usual,
-        forces=forces,
+        learning_curves={**touch_losses, "angles": losses},
+        forces=bool(np.isfinite(dataset.touch_force).any()),
+        **bends,
         **touches,
     )
 
 
 def _fit_touches(
+    run: TrainingRun,
     data: Dataset,
     touched: MirroredFrames,
-    features: SpecimenFeatures,
-    combinations: Combinations,
     curves: BendCurvePrior,
     spec: InputSpec,
-    settings: JointSettings,
-    seed: int,
-    progress: Progress,
-) -> dict[str, Any]:
-    """Fields of the method that touched frames and their mirror images tell, by name."""
+) -> tuple[dict[str, Any], dict[str, LearningCurve]]:
+    """Fields of the method that touched frames and their mirror images tell, and losses, by name.
+
+    Without such frames the method is one of the bend alone.
+    """
+    if not len(touched.change):
+        features = len(run.features.first().directions)
+        fields = {
+            "response": TouchResponse.none(features, len(run.combinations), spec.outline),
+            "proposals": ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
+            "touch_prior": TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
+            "places": np.zeros((0, 2)),
+            "radius": NOMINAL_RADIUS,
+        }
+        return fields, {}
     from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 
     rows, images = is_touched(data), len(np.unique(touched.image))
     x, y, force = (values[rows] for values in (data.touch_x, data.touch_y, data.touch_force))
     prior = TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
-    response, response_curve = _response(
-        touched, features, combinations, _ranges(data, spec), settings, seed, progress
-    )
+    response, response_losses = _response(run, touched, _ranges(data, spec))
     share = max(len(touched.change) // images / TOUCHED_FRAMES, LEAST_PROPOSALS)
-    proposals, proposals_curve = fit_proposals(
-        SyntheticFrames(response, curves, prior, combinations),
-        settings.proposals.shortened(min(share, 1.0)),
-        seed,
-        progress,
-    )
-    return {
+    settings = run.settings.proposals.shortened(min(share, 1.0))
+    frames = SyntheticFrames(response, curves, prior, run.combinations)
+    proposals, losses = fit_proposals(frames, settings, run.seed, run.progress)
+    fields = {
         "response": response,
         "proposals": proposals,
         "touch_prior": prior,
         "places": _places(spec, prior),
         "radius": float(np.nanmedian(data.touch_radius)),
-        "learning_curves": {"response": response_curve, "proposals": proposals_curve},
     }
+    return fields, {"response": response_losses, "proposals": losses}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LearnedBends:
-    """Parts of the joint method that tell the bend.
+def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], LearningCurve]:
+    """Fields of the method that tell the bend, by name, and losses of the networks of the angle.
 
-    Attributes:
-        curves: distribution of the bend curves of all specimens.
-        usual: distribution of those of the usual clamp, if there is one.
-        networks: of the angle, where they tell it better than the curves.
-        losses: of the networks.
-    """
-
-    curves: BendCurvePrior
-    usual: BendCurvePrior | None = None
-    networks: AngleNetworks | None = None
-    losses: LearningCurve = field(default_factory=LearningCurve)
-
-
-def fit_bends(
-    bent: MirroredFrames,
-    features: SpecimenFeatures,
-    combinations: Combinations,
-    settings: JointSettings,
-    seed: int,
-    progress: Progress,
-) -> LearnedBends:
-    """Learn from bent frames and the references of touches on the bent sensor, if there are any.
-
+    Learned from bent frames and the references of touches on the bent sensor, if there are any.
     Curves depend on the first of the features, networks on all of them.
     """
-    first = features.first()
+    first, combinations = run.features.first(), run.combinations
     if not len(bent.change):
-        return LearnedBends(BendCurvePrior.flat(len(first.directions), len(combinations)))
+        flat = BendCurvePrior.flat(len(first.directions), len(combinations))
+        return {"bend_prior": flat}, LearningCurve()
+    shared = run.settings.drift**2 * UNKNOWN_AGE / DRIFT_TIME
+    noise = np.diag(bent.noise * combinations.unit**2)
+    noise += np.outer(combinations.drift, combinations.drift) * shared
     frames = BentFrames(
         combinations.of(bent.change),
         bent.angle_deg,
@@ -191,53 +176,35 @@ def fit_bends(
         bent.specimen,
         bent.image,
         combinations,
-        _noise(bent, combinations, settings.drift),
+        noise,
         bent.clamp,
     )
-    progress("bend curve", 0, 2)
+    run.progress("bend curve", 0, 2)
     curves = BendCurvePrior.fit(frames)
-    progress("bend curve", 1, 2)
+    run.progress("bend curve", 1, 2)
     usual = usual_curves(frames, curves)
-    progress("bend curve", 2, 2)
-    told = features.apply(bent.flat)
-    networks, losses = fit_networks(frames, told, curves, settings, seed, progress)
-    return LearnedBends(curves, usual, networks, losses)
+    run.progress("bend curve", 2, 2)
+    networks, losses = _fit_networks(run, frames, run.features.apply(bent.flat), curves)
+    told = run.features if networks else None
+    parts = {"bend_prior": curves, "usual": usual, "angles": networks, "angle_features": told}
+    return parts, losses
 
 
-def _noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Array:
-    """Covariance (K, K) of the noise of one bent frame's change."""
-    noise = np.diag(bent.noise * combinations.unit**2)
-    shared = drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    noise += np.outer(combinations.drift, combinations.drift) * shared
-    return noise
-
-
-def fit_networks(
-    frames: BentFrames,
-    features: Array,
-    curves: BendCurvePrior,
-    settings: JointSettings,
-    seed: int,
-    progress: Progress,
+def _fit_networks(
+    run: TrainingRun, frames: BentFrames, features: Array, curves: BendCurvePrior
 ) -> tuple[AngleNetworks | None, LearningCurve]:
-    """Networks of the bend angle, where they tell it better than the bend curves.
+    """Networks of the bend angle, where they tell it better than the bend curves, and losses.
 
-    They are compared by the likelihood of the angles of specimens that they were trained without;
-    the curves were not fitted without these, and are a little the better for it.
-
-    Args:
-        frames: n frames of all specimens.
-        features: that the networks are told (n, Q).
-        curves: distribution of the bend curves.
-        settings: of the training.
-        seed: of everything random.
-        progress: called after every epoch.
+    They are told features (n, Q), and compared by the likelihood of the angles of specimens that
+    they were trained without; the curves were not fitted without these, and are a little the
+    better for it.
     """
     if frames.specimens < FEWEST_SPECIMENS:
         return None, LearningCurve()
     from eitskin.training.joint.angle_training import fit_angles, loss_of_estimates
 
-    networks, losses = fit_angles(frames, features, curves, settings.angles, seed, progress)
+    settings = run.settings.angles
+    networks, losses = fit_angles(frames, features, curves, settings, run.seed, run.progress)
     few = frames[:: -(-len(frames.change) // COMPARED)]
     pairs = zip(few.change, few.features, strict=True)
     by_curves = np.array([estimate_angle(curves.of(p), change, few.noise) for change, p in pairs])
@@ -329,31 +296,27 @@ def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
 
 
 def _response(
-    touched: MirroredFrames,
-    features: SpecimenFeatures,
-    combinations: Combinations,
-    ranges: InputRanges,
-    settings: JointSettings,
-    seed: int,
-    progress: Progress,
-) -> "tuple[TouchResponse, LearningCurve]":
-    """Touch response, from touched frames and their mirror images."""
+    run: TrainingRun, touched: MirroredFrames, ranges: InputRanges
+) -> tuple[TouchResponse, LearningCurve]:
+    """Touch response, from touched frames and their mirror images, and its losses."""
     from eitskin.training.joint.touch_training import TouchFrames, fit_response
 
     frames = TouchFrames(
         touched.touches,
         touched.angle_deg,
-        features.apply(touched.flat),
+        run.features.first().apply(touched.flat),
         touched.specimen,
-        combinations.of(touched.change),
+        run.combinations.of(touched.change),
     )
-    variance = touched.noise * combinations.unit**2
+    variance = touched.noise * run.combinations.unit**2
     rms = float(np.sqrt(np.mean(variance)))
     held_out = _is_held_out(frames.specimen)
-    kept = frames[~held_out] if held_out.any() else frames
-    response, curve = fit_response(kept, ranges, rms, settings.response, seed, progress)
-    checked = frames[held_out] if held_out.any() else frames
-    return replace(response, mismatch=_mismatch(response, checked, variance, combinations)), curve
+    kept, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
+    response, losses = fit_response(
+        kept, ranges, rms, run.settings.response, run.seed, run.progress
+    )
+    mismatch = _mismatch(response, checked, variance, run.combinations)
+    return replace(response, mismatch=mismatch), losses
 
 
 def _mismatch(

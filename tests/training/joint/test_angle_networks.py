@@ -27,7 +27,7 @@ from eitskin.training.joint.specimen_model import (
     estimate_angle,
 )
 from eitskin.training.joint.stored_method import part_arrays, restored_part
-from eitskin.training.joint.training import fit_bends
+from eitskin.training.joint.training import TrainingRun, fit_bends
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 
 from smooth_sensor import FLAT
@@ -345,8 +345,9 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (24, 24))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))
-        learned = fit_bends(data, _no_features(), COMBINATIONS, settings, 0, silent)
-    assert (learned.networks is not None) == kept
+        run = TrainingRun(_no_features(), COMBINATIONS, settings, 0, silent)
+        learned, _ = fit_bends(run, data)
+    assert (learned["angles"] is not None) == kept
 
 
 def _no_features():
