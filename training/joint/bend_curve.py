@@ -9,6 +9,7 @@ calibration.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,16 +78,15 @@ class BendCurve:
 
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
         """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
-        u, orders = angle_deg / SCALE, np.arange(1.0, len(self.mean) + 1)
-        powers = u ** (orders - 1.0)
-        value, slope = np.array([u * powers, orders / SCALE * powers]) @ self.coefficients
+        exponents, factors = _value_and_slope(len(self.mean))
+        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self.coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (K, K) of B(angle) - B(reference) that w contributes."""
+        u, reference = angle_deg / SCALE, reference_deg / SCALE
         random, channels = self.effects.shape
-        orders = np.arange(1.0, random + 1)
-        weights = (angle_deg / SCALE) ** orders - (reference_deg / SCALE) ** orders
+        weights = np.array([u**k - reference**k for k in range(1, random + 1)])
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self.blocks
         return covariance.reshape(channels, channels)
 
@@ -307,6 +307,13 @@ def _powers(u: Array, count: int) -> Array:
     """Powers u, u^2, ... (..., count) of u (..., 1)."""
     powers: Array = u ** np.arange(1, count + 1)
     return powers
+
+
+@lru_cache(maxsize=16)
+def _value_and_slope(powers: int) -> tuple[Array, Array]:
+    """Exponents and factors (2, powers): u^1, u^2, ... and, over SCALE, u^0, 2 u^1, ..."""
+    orders = np.arange(1.0, powers + 1)
+    return orders - [[0.0], [1.0]], np.array([np.ones(powers), orders / SCALE])
 
 
 def _mixed_model(

@@ -200,15 +200,18 @@ def trust_step(products: Array, free: Array, radius: float) -> tuple[Array, floa
     hessian, gradient = products[1:, 1:].copy(), products[0, 1:].copy()
     unit = free / np.sqrt(1.0 + np.diag(hessian))
     # A held unknown moves by a hair, as by a spring, so that the next step may take it off.
-    held = (hessian * (1.0 - free)).T.copy() * free
-    reduced = hessian - np.dot(held.T, held) / HELD
+    held, reduced = np.zeros_like(hessian), hessian
+    if free.min() < 1.0:
+        held = (hessian * (1.0 - free)).T.copy() * free
+        reduced = hessian - np.dot(held.T, held) / HELD
     values, vectors = np.linalg.eigh(reduced * np.outer(unit, unit))
     along, step = np.dot(unit * gradient, vectors), gradient
     for damping in DAMPINGS:
         step = unit * np.dot(vectors, along / (values + damping))
         if np.abs(step).max() <= radius:
             break
-    step = step - np.dot(held, step) / HELD
+    if free.min() < 1.0:
+        step = step - np.dot(held, step) / HELD
     return step, np.dot(2.0 * gradient - np.dot(hessian, step), step)
 
 

@@ -1,6 +1,7 @@
 """Learned surrogate of the touch response: log V as a function of position, force and bend."""
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from eitskin.training.joint.fit_kernels import respond
 from eitskin.training.joint.prior import TOUCH_UNITS
 
 Array = NDArray[np.float64]
+Weights: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
 
 LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
 
@@ -146,21 +148,15 @@ class SpecimenResponse:
 
     response: TouchResponse
     output: Array
-    _weights: Array = field(init=False, repr=False)  # of h in the last layer (hidden, K)
-    _constant: Array = field(init=False, repr=False)  # of the last layer (K,)
+    stacked: Weights = field(init=False, repr=False)  # `SENSOR` of `fit_kernels`, less the curve
 
     def __post_init__(self) -> None:
-        """Arrange the last layer for evaluation."""
-        object.__setattr__(self, "_weights", np.ascontiguousarray(self.output[:, :-1].T))
-        object.__setattr__(self, "_constant", self.output[:, -1].copy())
-
-    @property
-    def stacked(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Weights as `fit_kernels` takes them: those of its `SENSOR` but for the bend curve."""
-        response, size = self.response, len(self._weights)
-        layers, biases = response._layers, np.array(response._biases)
-        inner = np.array(layers[1:]).reshape(-1, size, size)
-        return layers[0], inner, biases, response._bias_by_angle, self._weights, self._constant
+        """Arrange the weights for evaluation."""
+        response, last = self.response, np.ascontiguousarray(self.output[:, :-1].T)
+        first, *others = response._layers
+        inner = np.array(others).reshape(-1, len(last), len(last))
+        start = first, inner, np.array(response._biases), response._bias_by_angle
+        object.__setattr__(self, "stacked", (*start, last, self.output[:, -1].copy()))
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""
@@ -177,7 +173,7 @@ class SpecimenResponse:
         Returns:
             (4, k, K).
         """
-        sensor = (*self.stacked, np.zeros((0, len(self._constant))))
+        sensor = (*self.stacked, np.zeros((0, len(self.output))))
         changes = respond(touches, angle_deg, self.response.unit, sensor)[0]
         units = np.append(1.0, TOUCH_UNITS)[:, None, None]
         derivatives: Array = changes.reshape(4, len(touches), -1) / units
