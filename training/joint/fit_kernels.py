@@ -29,7 +29,7 @@ POOR, GOOD = 0.25, 0.75  # share of its promise below and above which a step cha
 SHRINKING, GROWTH = 0.5, 2.0  # the new radius, in lengths of that step
 DAMPINGS = np.append(1e-6, 1e-3 * 4.0 ** np.arange(10))
 """Damping of a step: where none is needed, and those that are tried."""
-HELD = 1e9  # stiffness of the springs that hold unknowns at their bounds
+HELD = 1e9  # addition to the Hessian that holds an unknown at its bound
 
 # First layer of the response network (3, h), the others (layers - 1, h, h), biases (layers, h), the
 # first layer's by the angle (h,); last layer (h, K) and its constant (K,); bend curve (powers, K).
@@ -185,8 +185,8 @@ def quadratic(at: Point, metric: Array, frame: Frame) -> tuple[Array, Array]:
 def trust_step(products: Array, free: Array, radius: float) -> tuple[Array, float]:
     """Levenberg-Marquardt step (n,) to the minimum within a trust region, and its promise.
 
-    The least damping whose step is within is chosen; it adds to the Hessian H in proportion to
-    1 + diag H. One eigendecomposition of H, in units of the root of that, serves all `DAMPINGS`.
+    The least of `DAMPINGS` whose step is within is chosen; it adds to the Hessian H in proportion
+    to 1 + diag H.
 
     Args:
         products: misfit, gradient and Hessian (1 + n, 1 + n).
@@ -198,20 +198,14 @@ def trust_step(products: Array, free: Array, radius: float) -> tuple[Array, floa
         decrease of the misfit by it, if the model were linear.
     """
     hessian, gradient = products[1:, 1:].copy(), products[0, 1:].copy()
-    unit = free / np.sqrt(1.0 + np.diag(hessian))
-    # A held unknown moves by a hair, as by a spring, so that the next step may take it off.
-    held, reduced = np.zeros_like(hessian), hessian
-    if free.min() < 1.0:
-        held = (hessian * (1.0 - free)).T.copy() * free
-        reduced = hessian - np.dot(held.T, held) / HELD
-    values, vectors = np.linalg.eigh(reduced * np.outer(unit, unit))
-    along, step = np.dot(unit * gradient, vectors), gradient
+    unit, step = 1.0 + np.diag(hessian), gradient
     for damping in DAMPINGS:
-        step = unit * np.dot(vectors, along / (values + damping))
+        damped = hessian.copy()
+        diagonal = damped.reshape(-1)[:: len(damped) + 1]
+        diagonal += damping * unit + HELD * (1.0 - free)
+        step = np.linalg.solve(damped, free * gradient)
         if np.abs(step).max() <= radius:
             break
-    if free.min() < 1.0:
-        step = step - np.dot(held, step) / HELD
     return step, np.dot(2.0 * gradient - np.dot(hessian, step), step)
 
 

@@ -157,11 +157,15 @@ def grid_log_densities(curve: BendCurve, angles: Array, change: Array, noise: Ar
 
     Further arguments are those of `estimate_angle`.
     """
-    factors = np.linalg.cholesky(noise + curve.uncertainties(angles))
-    residuals = (change - curve.value(angles))[:, :, None]
-    white = np.linalg.solve(factors, residuals)[:, :, 0]
-    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
-    return np.asarray(-widths - 0.5 * np.sum(white**2, axis=1))
+    size = len(noise)
+    bordered = np.empty((len(angles), size + 1, size + 1))
+    bordered[:, :size, :size] = noise + curve.uncertainties(angles)
+    bordered[:, size, :size] = change - curve.value(angles)
+    bordered[:, size, size] = 1e300  # any number above the misfit
+    # The last row of the Cholesky factor is the whitened residual.
+    factors = np.linalg.cholesky(bordered)
+    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :size]).sum(axis=1)
+    return np.asarray(-widths - 0.5 * np.sum(factors[:, size, :size] ** 2, axis=1))
 
 
 def likeliest_angle(curve: BendCurve, change: Array, noise: Array) -> float:

@@ -58,7 +58,7 @@ COMPARED = 2000  # frames, by which networks and bend curves are compared
 
 @dataclass(frozen=True, slots=True)
 class TrainingRun:
-    """What all parts of a method are trained with.
+    """Arguments that the training of all parts of a method shares.
 
     Attributes:
         features: of specimens, as networks of the angle are told them.
