@@ -203,7 +203,7 @@ def trust_step(products: Array, free: Array, radius: float) -> tuple[Array, floa
         damped = hessian.copy()
         diagonal = damped.reshape(-1)[:: len(damped) + 1]
         diagonal += damping * unit + HELD * (1.0 - free)
-        step = np.linalg.solve(damped, free * gradient)
+        step = np.asarray(np.linalg.solve(damped, free * gradient), np.float64)
         if np.abs(step).max() <= radius:
             break
     return step, np.dot(2.0 * gradient - np.dot(hessian, step), step)
