@@ -39,7 +39,7 @@ _PAIR_REACH, _PAIR_FADE, _PAIR_FREE = 4.5, 1.5, 6.5
 _PAIR_EVEN, _PAIR_GROWTH, _PAIR_DEGREE, _PAIR_CELLS = 1.0, 1.5, 2, ((10, 6), (6, 6))
 _PAIR_FINENESS = Fineness(ends=0.0, sides=0.0, layers=1)
 
-# What sides add to pairs is smooth, and needs fewer of their distances and depths.
+# The change of pairs by sides is smooth, and needs fewer distances and depths.
 _SIDES_APART, _SIDES_DEPTH = (1, 3, 5), 1
 _QUARTER = 3  # parts of a quarter turn; more directions follow by symmetry
 _FROM_SIDES = (0.0, 0.3, 1.0)  # of the way from the nearest side to the middle
