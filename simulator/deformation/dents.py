@@ -1,6 +1,5 @@
 """Deformation of the layer by presses: superposed axisymmetric dents and their corrections."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,7 +13,6 @@ from eitskin.simulator.deformation.press_table import TabulatedDent
 
 Array = NDArray[np.float64]
 
-_AT_ONCE = 30_000  # distances per chunk, so that all arrays stay in the processor's cache
 _HAIR = 1e-9  # [m]
 
 
@@ -58,6 +56,47 @@ class PlacedDent:
     y: float
     dent: Dent
 
+    def moved(self, columns: Array) -> Array:
+        """Displacement [m] and its derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
+        moved, heights = np.zeros((12, columns.shape[1], len(columns))), columns[..., 2]
+        kernels = compiled("eitskin.simulator.deformation.kernels")
+        even = len(heights) > 0 and (heights == heights[:1]).all()
+        if kernels is not None and isinstance(self.dent, TabulatedDent) and even:
+            pieces = self.dent.at_heights(heights[0])
+            by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
+            axes = columns[:, 0, :2].T.copy()
+            place = float(self.x), float(self.y)
+            kernels.add_dent(place, *axes, pieces.x, by_piece, _HAIR, moved)
+            return moved
+        near, (dx, dy), r = self._around(columns)
+        motion = np.moveaxis(self.dent.motion(r, heights[near]), (1, 2, 0), (0, 1, 2))
+        u, w, u_z, w_z, u_r, w_r = motion
+        # Only the direction (c, s) depends on the azimuth.
+        c, s, hoop = dx / r, dy / r, u / r
+        shear = c * s * (u_r - hoop)
+        across = c * c * u_r + s * s * hoop, shear, c * u_z
+        along = shear, s * s * u_r + c * c * hoop, s * u_z
+        moved[..., near] = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
+        return moved
+
+    def values(self, columns: Array) -> Array:
+        """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3)."""
+        near, _, r = self._around(columns)
+        stress = np.zeros((1, columns.shape[1], len(columns)))
+        stress[0, :, near] = self.dent.mean_stress(r, columns[near, :, 2])
+        return np.concatenate([self.moved(columns)[:3], stress])
+
+    def _around(self, columns: Array) -> tuple[NDArray[np.bool_], tuple[Array, Array], Array]:
+        """Columns in reach, their offsets along x and y, and their distances from the axis [m].
+
+        Points on the axis are moved aside by a hair.
+        """
+        dx, dy = columns[:, 0, 0] - self.x, columns[:, 0, 1] - self.y
+        dx = np.where(np.hypot(dx, dy) < _HAIR, _HAIR, dx)
+        r = np.sqrt(dx**2 + dy**2)
+        near: NDArray[np.bool_] = r < self.dent.reach
+        return near, (dx[near], dy[near]), r[near]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dents(OnePass):
@@ -77,10 +116,9 @@ class Dents(OnePass):
         """Positions and deformation gradient in one pass."""
         columns, shape = _columns(points), points.shape[:-1]
         moved = np.zeros((12, columns.shape[1], len(columns)))
-        for field in self.corrections:
+        for field in (*self.corrections, *self.presses):
             moved += field.moved(columns)
         moved[3::4] += 1.0  # the diagonal of F
-        _move(self.presses, columns, moved)
         moved = moved.swapaxes(-2, -1)
         positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
         return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
@@ -89,12 +127,8 @@ class Dents(OnePass):
         """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
         columns = _columns(points)
         stress = np.zeros(columns.shape[:2])
-        for field in self.corrections:
+        for field in (*self.corrections, *self.presses):
             stress += field.values(columns)[3].T
-        for same in _alike(self.presses):
-            for part, _, r in _around(same, columns):
-                found = same[0].dent.mean_stress(r, columns[part, :, 2])
-                stress[part] += np.where(r[..., None] < same[0].dent.reach, found, 0.0).sum(axis=0)
         return stress.reshape(points.shape[:-1])
 
 
@@ -138,93 +172,6 @@ class BentPresses(OnePass):
         return [
             (frame, Dents((PlacedDent(frame.x, frame.y, dent),))) for frame, dent in self.presses
         ]
-
-
-def _alike(presses: Iterable[PlacedDent]) -> Iterable[list[PlacedDent]]:
-    """Presses grouped by their dent."""
-    alike: dict[int, list[PlacedDent]] = {}
-    for press in presses:
-        alike.setdefault(id(press.dent), []).append(press)
-    return alike.values()
-
-
-def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> None:
-    """Add displacements and their derivatives, 3 and 3 x 3, to `moved` (12, h, n)."""
-    kernels = compiled("eitskin.simulator.deformation.kernels")
-    plain = []
-    for press in presses:
-        if kernels is not None and isinstance(press.dent, TabulatedDent) and _are_even(columns):
-            pieces = press.dent.at_heights(columns[0, :, 2])
-            by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
-            axes = columns[:, 0, :2].T.copy()
-            kernels.add_dent(
-                (float(press.x), float(press.y)), *axes, pieces.x, by_piece, _HAIR, moved
-            )
-        else:
-            plain.append(press)
-    for same in _alike(plain):
-        for part, way, r in _around(same, columns):
-            motion = same[0].dent.motion(r, columns[part, :, 2])
-            upright = np.ascontiguousarray(np.moveaxis(motion, (2, 0, 3, 1), (0, 1, 2, 3)))
-            _add(upright, way, r, moved[..., part])
-
-
-def _are_even(columns: Points) -> bool:
-    """Whether the heights are the same in all columns."""
-    heights = columns[..., 2]
-    return bool(len(heights)) and bool((heights == heights[:1]).all())
-
-
-def _around(
-    same: list[PlacedDent], columns: Points
-) -> Iterator[tuple[slice, tuple[Array, Array], Array]]:
-    """Chunks of the columns with offsets and distances from k dents, (k, n) [m].
-
-    Offsets from each axis are along x and y; a point on an axis is moved aside by `_HAIR`.
-    """
-    axes = np.array([(press.x, press.y) for press in same])
-    most = max(1, _AT_ONCE // len(same))
-    for start in range(0, len(columns), most):
-        part = slice(start, start + most)
-        dx, dy = (columns[None, part, 0, axis] - axes[:, axis, None] for axis in (0, 1))
-        r = np.sqrt(dx**2 + dy**2)
-        felt = r.min(axis=1) < same[0].dent.reach
-        if not felt.all():
-            dx, dy, r = (each[felt] for each in (dx, dy, r))
-        on_axis = r < _HAIR
-        if on_axis.any():
-            dx[on_axis], dy[on_axis], r[on_axis] = _HAIR, 0.0, _HAIR
-        if len(r):
-            yield part, (dx, dy), r
-
-
-def _add(motion: Array, way: tuple[Array, Array], r: Array, moved: Array) -> None:
-    """Add the motion (6, k, h, n) around k dents to displacements and gradients (12, h, n).
-
-    With direction (c, s), F_xx = du/dr c^2 + u/r s^2 and so on: only c and s depend on azimuth.
-    """
-    u, F = moved[:3], moved[3:].reshape(3, 3, *moved.shape[1:])
-    one = np.ones_like(r)
-    c, s = way[0] / r, way[1] / r
-    cc, ss, cs = c * c, s * s, c * s
-    outward = _totals((c, s, ss / r, cc / r, -cs / r), motion[0])
-    radial = _totals((cc, ss, cs), motion[4])
-    u[:2] += outward[:2]
-    u[2] += _totals((one,), motion[1])[0]
-    F[0, 0] += outward[2] + radial[0]
-    F[1, 1] += outward[3] + radial[1]
-    across = outward[4] + radial[2]
-    F[0, 1] += across
-    F[1, 0] += across
-    F[:2, 2] += _totals((c, s), motion[2])
-    F[2, :2] += _totals((c, s), motion[5])
-    F[2, 2] += _totals((one,), motion[3])[0]
-
-
-def _totals(factors: tuple[Array, ...], values: Array) -> Array:
-    """Sums (f, h, n) over dents of factors (k, n) times values (k, h, n)."""
-    totals: Array = np.einsum("fkn,khn->fhn", np.stack(factors), values)
-    return totals
 
 
 def _columns(points: Points) -> Points:
