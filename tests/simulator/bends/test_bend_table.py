@@ -178,11 +178,11 @@ def test_tables_solved_by_several_processes_are_those_of_one(few_angles, monkeyp
     reports: list[tuple[int, int]] = []
     prepare([*problems, problems[0]], lambda *done: reports.append(done), workers=2)
     assert [done / total for done, total in reports] == [0.5, 1.0]
-    assert len([*few_angles.glob("bend-*")]) == 2
+    assert len([*few_angles.glob("bend-*.npz")]) == 2
     monkeypatch.setattr(bend_table, "ANGLES_DEG", ALL_ANGLES)  # as the processes have them
     monkeypatch.setenv("EITSKIN_CACHE", str(few_angles / "one"))
     prepare(problems)
-    for file in few_angles.glob("bend-*"):
+    for file in few_angles.glob("bend-*.npz"):
         with np.load(few_angles / "one" / file.name) as one, np.load(file) as other:
             for name in one.files:
                 np.testing.assert_array_equal(one[name], other[name])
