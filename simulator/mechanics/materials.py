@@ -9,6 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +32,15 @@ class Law(ABC):
 
     __slots__ = ()
 
-    @property
-    @abstractmethod
-    def shear_modulus(self) -> float:
-        """Shear modulus mu of the undeformed material [Pa]."""
+    if TYPE_CHECKING:  # fields or constants; a property here would be the default of a field
 
-    @property
-    @abstractmethod
-    def alpha(self) -> float:
-        """Degree of T."""
+        @property
+        def shear_modulus(self) -> float:
+            """Shear modulus mu of the undeformed material [Pa]."""
+
+        @property
+        def alpha(self) -> float:
+            """Degree of T."""
 
     @abstractmethod
     def invariant(self, F: Array) -> tuple[Array, Array]:
