@@ -2,12 +2,12 @@
 
 import math
 import time
-import typing
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
+from eitskin.closeable import Closeable
 from eitskin.errors import DeviceError
 from eitskin.frame import Frame
 from eitskin.hardware.boards.port import UnrecoverableError
@@ -44,58 +44,70 @@ def longest_silence(period: float, least: float = SHORTEST_SILENCE) -> float:
     return min(max(SILENT_PERIODS * period, least), LONGEST_SILENCE) if period > 0.0 else math.inf
 
 
-class Board(typing.Protocol):
-    """Source of frames: a board on a port, a virtual board, or a recording."""
+class Board(Closeable, ABC):
+    """Source of frames: a board on a port, a virtual board, or a recording.
+
+    Attributes:
+        uri: URI that the board was opened by.
+        protocol: stimulation and measurement pattern of the frames.
+        stage: scene and faults of a virtual board, a `Stage`; None for every other board.
+    """
+
+    uri: str
+    protocol: Protocol
+    stage: Any = None
+    _frames = _lost = _skipped = _reconnections = 0
+
+    if TYPE_CHECKING:  # an attribute of some boards, computed by others
+
+        @property
+        def info(self) -> Info:
+            """Identity and settings of the board, as far as known."""
 
     @property
-    def uri(self) -> str:
-        """URI that the board was opened by."""
-
-    @property
-    def info(self) -> Info:
-        """Identity and settings of the board."""
-
-    @property
-    def protocol(self) -> Protocol:
-        """Stimulation and measurement pattern of the frames."""
+    def lost(self) -> int:
+        """Number of frames lost so far; never interpolated."""
+        return self._lost
 
     @property
     def counts(self) -> Counts:
         """Counts of frames and dropped data so far."""
+        dropped = {
+            reason.value: count
+            for drops in self._drops()
+            for reason, count in sorted(drops.items())
+        }
+        return Counts(self._frames, self.lost, self._skipped, dropped, self._reconnections)
 
-    @property
-    def stage(self) -> Any:
-        """Scene and faults of a virtual board, a `Stage`; None for every other board."""
+    def _drops(self) -> Sequence[Mapping[Any, int]]:
+        """Counts of dropped data by reason, of each decoder."""
+        return ()
 
-    @property
-    def lost(self) -> int:
-        """Number of frames lost so far."""
-
+    @abstractmethod
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Frames as they come; with `newest`, all but the newest waiting frame are skipped.
+        """Frames as they come.
 
-        Raises DeviceError where the board falls silent or goes away.
+        Args:
+            newest: skip all but the newest of the waiting frames, and count them as skipped.
+
+        Raises DeviceError where the board falls silent, for three periods, or goes away.
         """
 
+    @abstractmethod
     def calibrate(self) -> None:
-        """Measure the calibration resistor again; raises an error where the board cannot."""
+        """Measure the calibration resistor again, before the next frame.
 
+        Raises ConfigurationError where the board cannot.
+        """
+
+    @abstractmethod
     def reconnect(self) -> None:
-        """Connect again; `frames` then goes on. Raises DeviceError where that fails."""
+        """Connect again; `frames` then goes on.
 
-    def close(self) -> None:
-        """Stop the board and close the port; a second call does nothing."""
-
-    def __enter__(self) -> Self:
-        """Return the board itself."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the board."""
+        Raises:
+            DeviceError: where the board is absent or does not answer as expected; try again later.
+            UnrecoverableError: where another board answers, or this one with another table.
+        """
 
 
 FIRST_PAUSE = 0.1  # s, before the first try

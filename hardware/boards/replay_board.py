@@ -6,32 +6,27 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
-from eitskin.hardware.boards.board import Counts
+from eitskin.hardware.boards.board import Board
 from eitskin.hardware.protocol.messages import Info, Table
 from eitskin.protocol import Protocol
 
 SPEEDS = ("real", "max")
 
 
-class ReplayBoard(Closeable):
+class ReplayBoard(Board):
     """Board that replays a dataset: its frames in order, with their recorded status.
 
-    Frames missing by their numbers were lost during the recording and are counted; see
-    `eitskin.hardware.Board`.
+    Frames missing by their numbers were lost during the recording and are counted.
 
     Attributes:
-        uri: URI that the board was opened by.
         info: settings of the recorded board; NaN where the recording has none.
-        protocol: stimulation and measurement pattern.
-        stage: None; only a virtual board has one.
     """
 
-    stage = None
+    info: Info
 
     def __init__(
         self,
@@ -68,17 +63,6 @@ class ReplayBoard(Closeable):
         self.protocol: Protocol = self._data.protocol
         self.info = _info(self._data, self.protocol)
         self._real, self._clock, self._wait = speed == "real", clock, wait
-        self._frames = self._lost = 0
-
-    @property
-    def lost(self) -> int:
-        """Number of frames so far that were lost during the recording."""
-        return self._lost
-
-    @property
-    def counts(self) -> Counts:
-        """Counts of frames and dropped data so far."""
-        return Counts(frames=self._frames, lost=self._lost)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
         """Recorded frames from the first; `newest` has no effect, since no frame waits."""
@@ -93,7 +77,6 @@ class ReplayBoard(Closeable):
             yield frame
 
     def calibrate(self) -> None:
-        """Raise ConfigurationError."""
         raise ConfigurationError("a recording cannot be calibrated; calibrate the board itself")
 
     def reconnect(self) -> None:

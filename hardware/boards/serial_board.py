@@ -7,15 +7,14 @@ is an error.
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
-from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Counts, longest_silence
+from eitskin.hardware.boards.board import Board, longest_silence
 from eitskin.hardware.boards.port import (
     BACKLOG,
     CHUNK,
@@ -56,18 +55,15 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
 
 
-class SerialBoard(Closeable):
-    """Board on a serial port; see `eitskin.hardware.Board`.
+class SerialBoard(Board):
+    """Board on a serial port; a `Board`.
 
     Attributes:
-        uri: URI that the board was opened by.
         info: identity and settings; replaced when the board restarts.
-        protocol: stimulation and measurement pattern.
-        stage: None for a real board; scene and faults of a `VirtualBoard`.
         events: the last 20 lines of text from the firmware.
     """
 
-    stage: Any = None
+    info: Info
 
     def __init__(
         self,
@@ -95,7 +91,6 @@ class SerialBoard(Closeable):
         self._seq = 0
         self._expected: int | None = None
         self._restarted = self._resuming = False
-        self._frames = self._lost = self._skipped = self._reconnections = 0
         self._port = ReopenablePort(connect, uri)
         try:
             self.info = self._handshake()
@@ -104,25 +99,10 @@ class SerialBoard(Closeable):
             self.close()
             raise
 
-    @property
-    def lost(self) -> int:
-        """Number of frames lost so far, by the gaps in their numbers."""
-        return self._lost
-
-    @property
-    def counts(self) -> Counts:
-        """Counts of frames and dropped data so far."""
-        dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
-        return Counts(self._frames, self._lost, self._skipped, dropped, self._reconnections)
+    def _drops(self) -> Sequence[Mapping[Any, int]]:
+        return (self._decoder.drops,)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Start the board and give its frames as they come.
-
-        Args:
-            newest: skip all but the newest of the waiting frames, and count them as skipped.
-
-        Raises DeviceError where three periods pass without a frame, or the board goes away.
-        """
         self._discard_received()
         if not self._resuming:
             self._expected = None
@@ -137,13 +117,9 @@ class SerialBoard(Closeable):
             yield frame
 
     def reconnect(self) -> None:
-        """Close the port and connect again; `frames` then goes on.
+        """Close the port and connect again; `frames` then goes on, as `Board` says.
 
         Frames numbered meanwhile are lost and counted; after a restart their number is unknown.
-
-        Raises:
-            DeviceError: where the board is absent or does not answer as expected; try again later.
-            UnrecoverableError: where another board answers, or this one with another table.
         """
         self._port.reopen()
         self._decoder.restart()
@@ -155,11 +131,9 @@ class SerialBoard(Closeable):
         self._reconnections += 1
 
     def calibrate(self) -> None:
-        """Measure the calibration resistor again, before the next frame."""
         self._request(Calibrate(), Ack)
 
     def close(self) -> None:
-        """Stop the board and close the port; a second call does nothing."""
         if self._port.closed:
             return
         try:

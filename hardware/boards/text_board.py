@@ -9,14 +9,14 @@ measurement.
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Counts, longest_silence
+from eitskin.hardware.boards.board import Board, longest_silence
 from eitskin.hardware.boards.port import BACKLOG, CHUNK, ReopenablePort, SerialPort, connector
 from eitskin.hardware.boards.text_lines import FrameFinder, FrameLines, LineDecoder
 from eitskin.hardware.protocol.messages import Info, Table
@@ -30,19 +30,12 @@ FIRST_WITHIN = 10.0
 """Longest silence while the period is unknown [s]; two frames pass before the first is given."""
 
 
-class TextBoard(Closeable):
-    """Board that prints lines; see `eitskin.hardware.Board`.
+class TextBoard(Board):
+    """Board that prints lines; a `Board`.
 
     Such a board sends no frame numbers, sessions or times: frames are counted and timed as they
     come, and a restart cannot be told from a pause.
-
-    Attributes:
-        uri: URI that the board was opened by.
-        protocol: stimulation and measurement pattern, in the order of the lines.
-        stage: None; only a virtual board has one.
     """
-
-    stage = None
 
     def __init__(
         self,
@@ -72,7 +65,7 @@ class TextBoard(Closeable):
         self._decoder = LineDecoder(mark)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
         self._found: deque[FrameLines] = deque()
-        self._frames = self._skipped = self._reconnections = self._session = 0
+        self._session = 0
         self._begun = math.nan
         self._port = ReopenablePort(connect, uri)
 
@@ -98,21 +91,10 @@ class TextBoard(Closeable):
         """Number of frames lost so far, by a wrong number of lines."""
         return self._finder.lost
 
-    @property
-    def counts(self) -> Counts:
-        """Counts of frames and dropped data so far."""
-        dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
-        dropped |= {reason.value: n for reason, n in sorted(self._finder.drops.items())}
-        return Counts(self._frames, self.lost, self._skipped, dropped, self._reconnections)
+    def _drops(self) -> Sequence[Mapping[Any, int]]:
+        return (self._decoder.drops, self._finder.drops)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Frames as they come, from the next beginning of a frame on.
-
-        Args:
-            newest: skip all but the newest of the waiting frames, and count them as skipped.
-
-        Raises DeviceError where three periods pass without a frame, or the board goes away.
-        """
         self._restart()
         while True:
             if self._overflows():
@@ -124,7 +106,6 @@ class TextBoard(Closeable):
             yield self._frame(lines)
 
     def calibrate(self) -> None:
-        """Raise ConfigurationError."""
         raise ConfigurationError(
             "a board that prints text takes no requests; restart it, and it calibrates itself"
         )

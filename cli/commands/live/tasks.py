@@ -19,12 +19,14 @@ from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
 from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, read_command
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, FrameError
+from eitskin.hardware.boards.board import Board
 
 if TYPE_CHECKING:
     from eitskin.cli.commands.live.session import LiveSession
     from eitskin.frame import Frame
-    from eitskin.hardware.boards.board import Board, Counts
+    from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.live import Estimate, Reading
+    from eitskin.hardware.protocol.messages import Info
     from eitskin.training.method.interface import Method
 
 
@@ -46,10 +48,12 @@ class PageDialogue(Dialogue):
         pass
 
 
-class SessionBoard(Closeable):
+class SessionBoard(Board):
     """The board of a live session, for one who reads frames beside the live loop."""
 
-    def __init__(self, board: "Board", task: Task) -> None:
+    info: "Info"
+
+    def __init__(self, board: Board, task: Task) -> None:
         """Frames are those that come while they are asked for."""
         self._board, self._task = board, task
         self.uri, self.info, self.protocol = board.uri, board.info, board.protocol
@@ -57,19 +61,13 @@ class SessionBoard(Closeable):
 
     @property
     def counts(self) -> "Counts":
-        """Counts of the session."""
         return self._board.counts
 
     @property
     def lost(self) -> int:
-        """Number of frames lost in the session."""
         return self._board.lost
 
     def frames(self, newest: bool = False) -> "Iterator[Frame]":  # noqa: ARG002
-        """Frames of the session from now on, the newest only.
-
-        Raises DeviceError where none comes for too long.
-        """
         return self._task.frames()
 
     def calibrate(self) -> None:
@@ -84,7 +82,7 @@ class SessionBoard(Closeable):
 
 def guided_setup(
     task: Task,
-    board: "Board",
+    board: Board,
     model: Path,
     method: "type[Method] | None",
     out: Path,
@@ -117,7 +115,7 @@ def guided_setup(
             task.say(setup.kept)
 
 
-def _flatten(board: "Board") -> None:
+def _flatten(board: Board) -> None:
     from eitskin.simulator.scene.scene import Scene
 
     board.stage.set(Scene())
