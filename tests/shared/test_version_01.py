@@ -93,6 +93,11 @@ def test_touch_positions_are_the_same(saved):
     with pytest.warns(DeprecationWarning, match="use Pipeline"):
         old = RecordedTouches.load(saved / "positions.eitmodel")
     assert same(old.found(presses)[1], EXPECTED["positions"])
+    assert old.protocol is old.layout.known_protocol
+    assert old.design is old.layout.known_design
+    assert (old.frequency, old.extent) == pytest.approx((old.layout.frequency, None), nan_ok=True)
+    assert old.described(presses).protocol == (presses.protocol or old.protocol)
+    assert not hasattr(old, "colour")
 
 
 def test_every_public_name_is_still_offered() -> None:

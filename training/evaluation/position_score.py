@@ -1,6 +1,7 @@
 """Score of touch positions, learned from a recording, on its held-out presses."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,17 @@ _RENAMED = (
     "RecordedTouches is deprecated; use Pipeline, with TrainingSettings('touch position') to fit"
 )
 
+_FORMER: dict[str, Callable[[Pipeline], Any]] = {
+    "protocol": lambda pipeline: pipeline.layout.known_protocol,
+    "design": lambda pipeline: pipeline.layout.known_design,
+    "frequency": lambda pipeline: pipeline.layout.frequency,
+    "extent": lambda pipeline: pipeline.layout.extent,
+    "described": lambda pipeline: pipeline.layout.described,
+    "require_same_measurements": lambda pipeline: pipeline.layout.require_same_measurements,
+    "position": lambda pipeline: _method(pipeline).locator,
+    "still": lambda pipeline: pipeline.noise,
+}
+
 
 class RecordedTouches(Pipeline):
     """Deprecated name of a `Pipeline` of the method "touch position"."""
@@ -96,6 +108,12 @@ class RecordedTouches(Pipeline):
         """`Pipeline.load`."""
         warnings.warn(_RENAMED, DeprecationWarning, stacklevel=2)
         return super().load(path, method)
+
+    def __getattr__(self, name: str) -> Any:
+        """Attributes that the class had before it was a `Pipeline`."""
+        if name not in _FORMER:
+            raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
+        return _FORMER[name](self)
 
     def found(self, dataset: Dataset) -> tuple[Array, Array]:
         """`held_out_positions`, (k, 2) [m] each."""

@@ -36,7 +36,7 @@ from eitskin.training.pipeline.methods import (
     require_sound,
     told_errors,
 )
-from eitskin.training.pipeline.references import References, StoredReference
+from eitskin.training.pipeline.references import StoredReference
 from eitskin.training.pipeline.saved_form import (
     DAMAGE,
     SavedPipeline,
@@ -261,9 +261,9 @@ class Pipeline:
         return size if np.isfinite(size).all() else None
 
     @property
-    def references(self) -> References:
-        """Static and dynamic reference of the session."""
-        return self._session.references
+    def references(self) -> Session:
+        """Session with its static (`bend`) and dynamic reference (`touch`)."""
+        return self._session
 
     @property
     def stored(self) -> StoredReference | None:
@@ -347,13 +347,18 @@ class Pipeline:
         voltages, problems = self.layout.voltages(frame)
         session = self._session
         problems += session.follow(frame)
-        with session.kept_without_error():
-            if first := session.references.empty:
+        first = session.empty
+        try:
+            if first:
                 self.layout.require_same_sensor(voltages)
-                session.references.follow(voltages)
+                session.average(voltages)
                 session.doubt = self.doubt(voltages)
             voltages = session.with_same_sign(voltages)
             perceived = self.method.predict(session.observed(voltages))
+        except Exception:
+            if first:
+                session.begin()
+            raise
         if (touched := perceived.touched(self.targets)) or not first:
             session.renew(voltages, touched)
         problems += (*perceived.problems[0], *session.problems(frame.protocol.labels))

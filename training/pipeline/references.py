@@ -1,7 +1,4 @@
-"""References of a session: running means of untouched frames, or stored in a small JSON file.
-
-The static reference is of the flat sensor, the dynamic one of the untouched sensor at its bend.
-"""
+"""References: running means of untouched frames, and those stored in a small JSON file."""
 
 import json
 import math
@@ -9,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import LARGEST_READING, LEAST_READING
-from eitskin.config import from_dict
+from eitskin.config import Location, build
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import atomic_file, parse_json, quoted, read_bytes
+from eitskin.files import atomic_file, parse_json, read_bytes
 from eitskin.frame import Frame
 from eitskin.protocol import Protocol
 from eitskin.training.method.observations import relative_difference
@@ -29,7 +27,6 @@ LARGEST_FILE = 10_000_000  # bytes; a thousand measurements need 50,000
 Voltages = NDArray[np.complex128]
 
 LONGEST_MEAN = 32  # frames; a longer mean would lag behind a drift too slow to count as motion
-_PLAIN = ("frequency", "zero", "frames", "noise", "taken", "board", "source")
 
 
 @dataclass
@@ -38,13 +35,13 @@ class RunningMean:
 
     Attributes:
         noise: rms over the channels of the relative difference of two frames of a still sensor.
-        mean: complex (measurements,), None before the first frame; NaN where never measured [ohm].
+        mean: complex (measurements,) [ohm], NaN where never measured; size 0 at first.
         count: number of frames in the mean.
         longest: number of frames beyond which the mean becomes exponential.
     """
 
     noise: float
-    mean: Voltages | None = None
+    mean: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     count: int = 0
     longest: int = LONGEST_MEAN
 
@@ -60,8 +57,8 @@ class RunningMean:
         this limit less than once in a billion frames.
         """
         V = np.array(impedance, dtype=np.complex128)
-        if self.mean is None:
-            self.mean, self.count = V, 1
+        if not self.mean.size:
+            self.restart(V)
             return False
         known = np.isfinite(V) & np.isfinite(self.mean)
         change = relative_difference(V[known], self.mean[known])
@@ -71,76 +68,6 @@ class RunningMean:
         only_new = np.isfinite(V) & ~np.isfinite(self.mean)
         self.mean = np.where(only_new, V, self.mean + step)
         return departed
-
-
-@dataclass
-class References:
-    """Both references of a session, renewed frame by frame.
-
-    `bend` is static: the flat, untouched sensor, averaged while it is still at the session's start.
-    `touch` is dynamic: it follows the sensor while nothing touches it, averaged while the sensor is
-    still, and is frozen during a touch. Both begin with the stored reference where one is in use,
-    and the static one stays that.
-
-    Attributes:
-        noise: rms relative difference of two frames of a still sensor.
-        stored: stored reference (measurements,) [ohm], NaN where a channel was bad; None without.
-        stored_frames: number of frames averaged into the stored reference.
-    """
-
-    noise: float
-    stored: Voltages | None = None
-    stored_frames: int = 0
-    _opening: RunningMean = field(init=False)
-    _latest: RunningMean = field(init=False)
-    _is_opening: bool = field(init=False, default=True)
-
-    def __post_init__(self) -> None:
-        """Begin without references."""
-        self.drop()
-
-    def drop(self) -> None:
-        """Forget both references but the stored one, for a new session."""
-        count = min(self.stored_frames, LONGEST_MEAN)
-        self._opening = RunningMean(self.noise, self.stored, count)
-        self._latest = RunningMean(self.noise, self.stored, count)
-        self._is_opening = self.stored is None
-
-    @property
-    def empty(self) -> bool:
-        """Whether there is no reference yet."""
-        return self._latest.mean is None
-
-    @property
-    def bend(self) -> Voltages:
-        """Static reference (measurements,) [ohm], NaN where never measured; size 0 at first."""
-        return np.zeros(0, np.complex128) if self._opening.mean is None else self._opening.mean
-
-    @property
-    def touch(self) -> Voltages:
-        """Dynamic reference (measurements,) [ohm], NaN where never measured; size 0 at first."""
-        return np.zeros(0, np.complex128) if self._latest.mean is None else self._latest.mean
-
-    @property
-    def bend_frames(self) -> int:
-        """Number of frames averaged into the static reference."""
-        return self._opening.count
-
-    @property
-    def touch_frames(self) -> int:
-        """Number of frames averaged into the dynamic reference."""
-        return self._latest.count
-
-    def follow(self, impedance: ArrayLike) -> None:
-        """Renew the references by a frame of the untouched sensor, NaN where a channel is bad."""
-        if self._latest.add(impedance):
-            self._is_opening = False
-        if self._is_opening:
-            self._opening.add(impedance)
-
-    def freeze(self) -> None:
-        """Keep both references as they are during a touch; the static one is final thereafter."""
-        self._is_opening = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +129,7 @@ class StoredReference:
                     f"expected frames of a still sensor, but it moves in frame {number} of "
                     f"{len(impedance)}; hold it still and take the reference again"
                 )
-        average = np.asarray(mean.mean)
+        average = mean.mean
         if not np.isfinite(average).any():
             raise DataError(
                 "expected readings of the untouched sensor, but every channel is bad; check the "
@@ -235,7 +162,7 @@ class StoredReference:
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "protocol": asdict(self.protocol),
-            **{name: getattr(self, name) for name in _PLAIN},
+            **{name: getattr(self, name) for name in self.__slots__[2:]},
             "real": [_plain(value) for value in self.impedance.real.tolist()],
             "imaginary": [_plain(value) for value in self.impedance.imag.tolist()],
         }
@@ -260,7 +187,7 @@ class StoredReference:
                     f"{path} has format version {found}, this eitskin reads {FORMAT_VERSION}; "
                     "install a newer eitskin, or make the reference again with eitskin tare"
                 )
-            return from_dict(_Document, data, str(path)).reference()
+            return build(_reference, data, Location(str(path)))
         except DataError:
             raise
         except (ConfigurationError, ValueError) as error:
@@ -269,41 +196,34 @@ class StoredReference:
             ) from error
 
 
-@dataclass(frozen=True, slots=True)
-class _Document:
-    """Contents of the file, beside its format; null where a channel was bad."""
-
-    protocol: Protocol
-    frequency: float
-    zero: str
-    frames: int
-    noise: float | None
-    taken: str
-    board: str
-    source: str
-    real: tuple[float | None, ...]
-    imaginary: tuple[float | None, ...]
-
-    def reference(self) -> StoredReference:
-        """The reference; raises ValueError or ConfigurationError for impossible contents."""
-        if not len(self.real) == len(self.imaginary) == len(self.protocol):
-            raise ValueError(
-                f"expected {len(self.protocol)} real and imaginary values, got {len(self.real)} "
-                f"and {len(self.imaginary)}"
-            )
-        real, imaginary = np.array([self.real, self.imaginary], dtype=float)  # None becomes NaN
-        impedance = real + 1j * imaginary
-        if not np.isfinite(impedance).any() or (impedance == 0).any():
-            raise ValueError("expected impedances other than 0 ohm, and a good channel at least")
-        if self.frames < 1 or self.frequency <= 0 or not (self.noise is None or self.noise >= 0):
-            raise ValueError("expected a positive number of frames and a frequency above 0 Hz")
-        datetime.fromisoformat(self.taken)
-        if self.zero not in (Zero.FLAT, Zero.MOUNTED):
-            raise ValueError(
-                f"expected zero '{Zero.FLAT}' or '{Zero.MOUNTED}', got {quoted(self.zero)}"
-            )
-        plain = {name: getattr(self, name) for name in _PLAIN} | {"zero": Zero(self.zero)}
-        return StoredReference(impedance, self.protocol, **plain)
+def _reference(
+    protocol: Protocol,
+    frequency: float,
+    zero: Literal["flat", "as mounted"],
+    frames: int,
+    noise: float | None,
+    taken: str,
+    board: str,
+    source: str,
+    real: tuple[float | None, ...],
+    imaginary: tuple[float | None, ...],
+) -> StoredReference:
+    """The reference of a file, null where a channel was bad; raises ValueError for others."""
+    if not len(real) == len(imaginary) == len(protocol):
+        raise ValueError(
+            f"expected {len(protocol)} real and imaginary values, got {len(real)} and "
+            f"{len(imaginary)}"
+        )
+    parts = np.array([real, imaginary], dtype=float)  # None becomes NaN
+    impedance = parts[0] + 1j * parts[1]
+    if not np.isfinite(impedance).any() or (impedance == 0).any():
+        raise ValueError("expected impedances other than 0 ohm, and a good channel at least")
+    if frames < 1 or frequency <= 0 or not (noise is None or noise >= 0):
+        raise ValueError("expected a positive number of frames and a frequency above 0 Hz")
+    datetime.fromisoformat(taken)
+    return StoredReference(
+        impedance, protocol, frequency, Zero(zero), frames, noise, taken, board, source
+    )
 
 
 def _usable(values: NDArray[np.complex128]) -> NDArray[np.complex128]:

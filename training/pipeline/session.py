@@ -2,20 +2,17 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Zero
 from eitskin.training.pipeline.references import (
-    References,
+    LONGEST_MEAN,
     RunningMean,
     StoredReference,
     Voltages,
@@ -159,52 +156,69 @@ def _told(frame: Frame, problem: str) -> tuple[str, ...]:
 class Session:
     """References of consecutive frames of one sensor, and the memory of a held touch.
 
+    `static` is of the flat, untouched sensor, averaged while it is still at the session's start.
+    `dynamic` follows the sensor while nothing touches it, averaged while the sensor is still, and
+    is frozen during a touch. Both begin with the stored reference where one is in use, and the
+    static one stays that.
+
     Attributes:
         noise: rms relative difference of two frames of a still sensor.
         averages: whether frames of a held touch are averaged.
         stored: stored reference, the zero of all estimates; None where the first frames are.
         bends: whether the sensor is one that bends, so that its dynamic reference gets out of date.
-        references: static and dynamic.
+        static, dynamic: references.
         touched: whether the latest frame was touched.
         doubt: reason why the first frame is not that of a flat, untouched sensor; empty without.
     """
 
     noise: float
-    averages: bool
+    averages: bool = False
     stored: StoredReference | None = None
     bends: bool = True
-    references: References = field(init=False)
-    touched: bool = field(init=False, default=False)
-    doubt: str = field(init=False, default="")
+    static: RunningMean = field(init=False)
+    dynamic: RunningMean = field(init=False)
+    touched: bool = field(init=False)
+    doubt: str = field(init=False)
     _order: SessionOrder = field(init=False, default_factory=SessionOrder)
-    _held: RunningMean = field(init=False)
-    _outdated: bool = field(init=False, default=False)
-    _renewed: float = field(init=False)
-    _reversed: NDArray[np.intp] = field(init=False)
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
-        stored = None if self.stored is None else self.stored.impedance
-        frames = 0 if self.stored is None else self.stored.frames
-        self.references = References(self.noise, stored, frames)
-        self._begin()
+        self.begin()
 
-    def _begin(self) -> None:
-        self.references.drop()
+    def begin(self) -> None:
+        """Forget all but the stored reference and the frames' order."""
+        self.static, self.dynamic = RunningMean(self.noise), RunningMean(self.noise)
+        if self.stored is not None:
+            count = min(self.stored.frames, LONGEST_MEAN)
+            self.static, self.dynamic = (
+                RunningMean(self.noise, self.stored.impedance, count) for _ in range(2)
+            )
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
+        self._opening = self.stored is None
         self.touched, self._outdated, self.doubt = False, False, ""
+        self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
         self._reversed = np.zeros(0, np.intp)
+
+    @property
+    def bend(self) -> Voltages:
+        """Static reference (measurements,) [ohm], NaN where never measured; size 0 at first."""
+        return self.static.mean
+
+    @property
+    def touch(self) -> Voltages:
+        """Dynamic reference (measurements,) [ohm], NaN where never measured; size 0 at first."""
+        return self.dynamic.mean
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no reference yet."""
+        return not self.touch.size
 
     @property
     def zero(self) -> Zero:
         """State of the sensor that estimates are relative to."""
         return Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
-
-    @property
-    def _age_at_start(self) -> float:
-        """Age of the static reference when the session begins [s]."""
-        return 0.0 if self.stored is None else STORED_AGE
 
     def follow(self, frame: Frame) -> tuple[str, ...]:
         """Take the next frame's session, number and time; begin anew where they say so.
@@ -213,20 +227,16 @@ class Session:
         """
         step = self._order.follow(frame)
         if step.new_session:
-            self._begin()
+            self.begin()
         self._outdated = self._outdated or step.gap
         return step.problems
 
-    @contextmanager
-    def kept_without_error(self) -> Iterator[None]:
-        """Drop references that began with a frame for which an error followed."""
-        empty = self.references.empty
-        try:
-            yield
-        except Exception:
-            if empty:
-                self.references.drop()
-            raise
+    def average(self, voltages: Voltages) -> None:
+        """Add a frame (measurements,) [ohm] of the untouched sensor to the references."""
+        if self.dynamic.add(voltages):
+            self._opening = False
+        if self._opening:
+            self.static.add(voltages)
 
     def with_same_sign(self, voltages: Voltages) -> Voltages:
         """Frame (measurements,) [ohm] with NaN for values that changed their sign in the session.
@@ -235,7 +245,7 @@ class Session:
         magnitudes would see a sensor at rest. Channels near zero may change their sign. Raises
         UnusableFrameError where most values did.
         """
-        reference = self.references.bend
+        reference = self.bend
         change = relative_difference(voltages, reference)
         known = np.isfinite(change)
         size = np.abs(reference)
@@ -255,15 +265,15 @@ class Session:
 
         Instead of a frame of an unchanged touch the mean of these frames is taken.
         """
-        references, elapsed = self.references, self._order.elapsed
+        elapsed = self._order.elapsed
         held, count = self._held_touch(voltages)
         rows = {
-            "static": relative_difference(held, references.bend),
-            "dynamic": relative_difference(held, references.touch),
-            "flat": np.abs(references.bend),
+            "static": relative_difference(held, self.bend),
+            "dynamic": relative_difference(held, self.touch),
+            "flat": np.abs(self.bend),
             "frames": float(count),
-            "static_frames": float(references.bend_frames),
-            "dynamic_frames": float(references.touch_frames),
+            "static_frames": float(self.static.count),
+            "dynamic_frames": float(self.dynamic.count),
             "age": elapsed + self._age_at_start,
             "dynamic_age": elapsed - self._renewed,
         }
@@ -276,7 +286,7 @@ class Session:
         angle would lag behind a slow bend.
         """
         departed = self._held.add(voltages)
-        if self.averages and self.touched and not departed and self._held.mean is not None:
+        if self.averages and self.touched and not departed and self._held.mean.size:
             return np.where(np.isfinite(voltages), self._held.mean, np.nan), self._held.count
         self._held.restart(voltages)
         return voltages, 1
@@ -285,16 +295,16 @@ class Session:
         """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else."""
         self.touched = touched
         if touched:
-            self.references.freeze()
+            self._opening = False
         else:
-            self.references.follow(voltages)
+            self.average(voltages)
             self._outdated, self._renewed = False, self._order.elapsed
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
         """Faults of the references in words; `labels` are those of the measurements."""
         problems = [f"{self.doubt}; {START_REMEDY}"] if self.doubt else []
         when = "the session began" if self.stored is None else "the stored reference was taken"
-        bad = np.flatnonzero(~np.isfinite(self.references.bend))
+        bad = np.flatnonzero(~np.isfinite(self.bend))
         problems += [f"channel {labels[i]} is left out: it was bad when {when}" for i in bad]
         problems += [
             f"channel {labels[i]} is left out: its sign changed since {when}; check its electrodes "

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
-from eitskin.training.pipeline.references import LONGEST_MEAN, References
+from eitskin.training.pipeline.references import LONGEST_MEAN
 from eitskin.training.pipeline.session import LONGEST_ELAPSED, LONGEST_GAP, Session, SessionOrder
 
 NOISE = 3e-4  # of the difference of two frames
@@ -27,10 +27,10 @@ def error(reference, truth):
 
 
 def followed(*stills):
-    references = References(NOISE)
+    references = Session(NOISE)
     for still in stills:
         for frame in still:
-            references.follow(frame)
+            references.average(frame)
     return references
 
 
@@ -56,7 +56,7 @@ def test_every_frame_of_a_stillness_weighs_the_same():
     for count in (2, 5, LONGEST_MEAN):
         references = followed(still[:count])
         np.testing.assert_allclose(references.touch, still[:count].mean(axis=0), rtol=1e-13)
-        assert references.touch_frames == references.bend_frames == count
+        assert references.dynamic.count == references.static.count == count
 
 
 def test_mean_restarts_when_the_sensor_moves():
@@ -67,14 +67,14 @@ def test_mean_restarts_when_the_sensor_moves():
 
 def test_still_noise_does_not_restart_the_mean():
     references = followed(frames(FLAT, 2000))
-    assert references.touch_frames == LONGEST_MEAN
+    assert references.dynamic.count == LONGEST_MEAN
 
 
 def test_static_reference_is_the_opening_stillness_only():
     references = followed(frames(FLAT, 5), frames(BENT, 3, seed=1))
     opening = references.bend.copy()
     for frame in frames(FLAT, 20, seed=2):
-        references.follow(frame)
+        references.average(frame)
     np.testing.assert_array_equal(references.bend, opening)
 
 
@@ -86,20 +86,20 @@ def test_slow_drift_is_followed():
 
 def test_touch_freezes_and_ends_the_opening():
     references = followed(frames(FLAT, 5))
-    references.freeze()
+    references.renew(FLAT, touched=True)
     frozen, opening = references.touch.copy(), references.bend.copy()
-    references.freeze()
+    references.renew(FLAT, touched=True)
     np.testing.assert_array_equal(references.touch, frozen)
-    references.follow(FLAT)
+    references.average(FLAT)
     np.testing.assert_array_equal(references.bend, opening)
 
 
 def test_drop_forgets_everything():
     references = followed(frames(FLAT, 5), frames(BENT, 5))
-    references.drop()
+    references.begin()
     assert references.empty
     assert references.bend.size == references.touch.size == 0
-    references.follow(BENT)
+    references.average(BENT)
     np.testing.assert_array_equal(references.bend, BENT)
 
 
@@ -218,6 +218,6 @@ def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
     session = Session(1e-4, averages=False, bends=bends)
     for number, time in enumerate((0.0, 1.0, 2.0 + LONGEST_GAP)):
         session.follow(Frame(values, protocol, number=number, time=time))
-        session.references.follow(values)
+        session.average(values)
         session.renew(values, touched=number == 2)
     assert bool(session.problems(protocol.labels)) == bends

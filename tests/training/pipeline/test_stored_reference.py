@@ -166,7 +166,7 @@ def test_the_file_brings_everything_back(reference, tmp_path):
         ({"real": [1.0]}, "expected 28 real"),
         ({"real": [None] * 28}, "good channel"),
         ({"zero": "bent"}, "bent"),
-        ({"zero": "first frames"}, "expected zero"),
+        ({"zero": "first frames"}, "expected 'flat'"),
         ({"taken": "yesterday"}, "yesterday"),
         ({"frames": 0}, "positive"),
         ({"colour": 1}, "colour"),
