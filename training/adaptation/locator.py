@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
 from eitskin.training.adaptation.channel_maps import PlaceKernel
+from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,6 @@ ROUNDS = 2  # of strength against the variance that depends on it
 _SUPPORT = 6  # nodes of the interpolation between grid points
 MOST_LEFT_OUT = 4  # a channel in so many
 SUSPECTS = 3  # channels that are tried without
-OWN = ("gain", "channel_scale", "centre", "error_factor", "misfit_limit")  # arrays of no grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +55,7 @@ def mixture_places(each: Sequence[Places]) -> Places:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MapGrid:
+class MapGrid(StoredFields):
     """Posterior maps of the channels on a regular grid.
 
     Attributes:
@@ -239,7 +239,7 @@ def _lagrange(t: Array, size: int) -> Array:
     return weights
 
 
-class Locator:
+class Locator(StoredFields):
     """Base of locators: how strong a touch is, relative to those learned from.
 
     Attributes:
@@ -314,17 +314,6 @@ class PositionRegressor(Locator):
         none = np.zeros(np.shape(ratio))
         return Places(place, np.full(len(place), np.nan), strength, none), none > 0
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays from which `from_arrays` restores the regressor, by name."""
-        return {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PositionRegressor":
-        """Restore the regressor that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        length, variance = float(values.pop("length")), float(values.pop("variance"))
-        return cls(**values, length=length, variance=variance)
-
 
 def log_ratio(ratio: ArrayLike) -> Array:
     """log |V / ref| of ratios (n, C); zero where a channel is bad."""
@@ -353,7 +342,7 @@ class PressLocator(Locator):
     centre: Array
     error_factor: float
     misfit_limit: float
-    others: tuple[MapGrid, ...] = ()
+    others: Annotated[tuple[MapGrid, ...], Stored("other")] = ()
 
     def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
         """Place and strength of one touch in each frame, and the channels left out (n, C).
@@ -398,28 +387,6 @@ class PressLocator(Locator):
         Raises DataError for another number of channels.
         """
         return self.locate(ratio)[0].place
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays from which `from_arrays` restores the locator, by name."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in OWN}
-        named = {"grid": self.grid} | {f"other{i}": grid for i, grid in enumerate(self.others)}
-        for name, grid in named.items():
-            parts = {f"{name}.{each.name}": getattr(grid, each.name) for each in fields(grid)}
-            arrays |= {key: np.asarray(value) for key, value in parts.items()}
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PressLocator":
-        """Restore the locator that `arrays` came from; raises KeyError where one is missing."""
-        values: dict[str, Any] = {name: array.astype(float) for name, array in arrays.items()}
-        values |= {name: float(value) for name, value in values.items() if value.ndim == 0}
-
-        def grid(name: str) -> MapGrid:
-            return MapGrid(**{each.name: values[f"{name}.{each.name}"] for each in fields(MapGrid)})
-
-        others = sum(name.startswith("other") and name.endswith(".step") for name in arrays)
-        own = {name: values[name] for name in OWN}
-        return cls(grid("grid"), **own, others=tuple(grid(f"other{i}") for i in range(others)))
 
 
 def _replaced(

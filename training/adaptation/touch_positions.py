@@ -12,10 +12,11 @@ from eitskin.datasets.store.schema import State
 from eitskin.training.adaptation.locator import PositionRegressor, PressLocator
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.interface import Arrays, Method
+from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import POSITIONS, Progress, TrainingSettings
+from eitskin.training.method.stored_fields import Arrays, arrays_as
 from eitskin.training.method.targets import Targets, TrainingFrames
 
 MIN_STRENGTH = 0.2  # of the usual touch; the direction of a smaller change is mostly noise
@@ -104,7 +105,7 @@ class TouchPositions(Method):
     def from_arrays(cls, arrays: Arrays, spec: InputSpec, settings: TrainingSettings) -> Self:  # noqa: ARG003
         """Restore the method, from arrays of version 0.1, too."""
         kind = PositionRegressor if "directions" in arrays else PressLocator
-        return cls(kind.from_arrays(dict(arrays)), spec.labels)
+        return cls(kind.from_arrays(arrays), spec.labels)
 
 
 def _still_noise(channel_scale: NDArray[Any]) -> float:
@@ -132,5 +133,5 @@ def with_common_form(
         "noise": _still_noise(weights["channel_scale"]),
         "settings": {"method": POSITIONS},
     }
-    inputs = {f"input.{name}": array for name, array in _observations(ratio).arrays().items()}
-    return {**document, **common}, weights, {**inputs, "output.place": golden["output.place"]}
+    inputs = arrays_as("input", _observations(ratio).arrays())
+    return {**document, **common}, weights, inputs | {"output.place": golden["output.place"]}

@@ -1,8 +1,7 @@
 """Centroids of GREIT pictures, without learning but two thresholds and a sign."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +13,12 @@ from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import MissingChannels, Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.stored_fields import GIVEN, Arrays, field_arrays, restored_fields
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames
 from eitskin.training.paper.stages import find_touches
 from eitskin.training.reconstruction.reconstructor import Reconstructor
 
 Array = NDArray[np.float64]
-Arrays = Mapping[str, NDArray[Any]]
 
 HALF = 0.5  # of a picture's largest value, above which it shows touches
 
@@ -48,7 +47,7 @@ class GreitMethod(Method):
     static: MissingChannels
     dynamic: MissingChannels
     thresholds: Array
-    spec: InputSpec
+    spec: Annotated[InputSpec, GIVEN]
     radius: float
     states: tuple[int, ...]
 
@@ -119,14 +118,7 @@ class GreitMethod(Method):
         return find_touches(picture / max(float(picture.max()), 1e-300), self.spec.outline, HALF)
 
     def arrays(self) -> Arrays:
-        return {
-            "matrix": self.matrix,
-            "static": self.static.covariance,
-            "dynamic": self.dynamic.covariance,
-            "thresholds": self.thresholds,
-            "radius": np.array(self.radius),
-            "states": np.array(self.states, dtype=np.int64),
-        }
+        return field_arrays(self)
 
     @classmethod
     def from_arrays(
@@ -135,15 +127,7 @@ class GreitMethod(Method):
         spec: InputSpec,
         settings: TrainingSettings,  # noqa: ARG003  the arrays say all
     ) -> "GreitMethod":
-        return cls(
-            arrays["matrix"],
-            MissingChannels(arrays["static"]),
-            MissingChannels(arrays["dynamic"]),
-            arrays["thresholds"],
-            spec,
-            float(arrays["radius"]),
-            tuple(arrays["states"].tolist()),
-        )
+        return cls(**restored_fields(cls, arrays, spec=spec))
 
 
 def size_of(difference: Array) -> Array:

@@ -1,9 +1,10 @@
 """Base of methods that regress targets on features, table by table."""
 
 from abc import abstractmethod
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,18 @@ from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import MissingChannels, Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.stored_fields import (
+    GIVEN,
+    Arrays,
+    StoredFields,
+    arrays_as,
+    arrays_under,
+    field_arrays,
+    restored_fields,
+)
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames, most_probable
 
 Array = NDArray[np.float64]
-Arrays = Mapping[str, NDArray[Any]]
 
 FEWEST = 20  # frames of a table
 SOFT = 3.0  # noises below which the direction of a difference fades
@@ -28,7 +37,7 @@ STATE, ANGLE, COUNT, TOUCH = "state", "angle", "count", "touch"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class Features(StoredFields):
     """Features of a frame, each with mean 0 and standard deviation 1 over the training frames.
 
     They are dV from the static reference; the direction of dV from the dynamic reference, which a
@@ -70,23 +79,6 @@ class Features:
         table: Array = (np.hstack([static, direction, *logs]) - self.mean) / self.scale
         return table
 
-    def arrays(self) -> dict[str, Array]:
-        """Arrays from which `from_arrays` restores the features, (C, C), (F,) and ()."""
-        return {
-            "static": self.static.covariance,
-            "dynamic": self.dynamic.covariance,
-            "noise": np.array(self.noise),
-            "mean": self.mean,
-            "scale": self.scale,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "Features":
-        """Restore the features that `arrays` came from."""
-        values = {name: array.astype(float) for name, array in arrays.items()}
-        static, dynamic = (MissingChannels(values[name]) for name in ("static", "dynamic"))
-        return cls(static, dynamic, float(values["noise"]), values["mean"], values["scale"])
-
 
 @dataclass(frozen=True, slots=True)
 class Task:
@@ -126,8 +118,8 @@ class TableMethod(Method):
     """Dataclass of the options."""
 
     features: Features
-    tasks: Mapping[str, Arrays]
-    spec: InputSpec
+    tasks: Annotated[Mapping[str, Arrays], GIVEN]
+    spec: Annotated[InputSpec, GIVEN]
     states: tuple[int, ...]
     counts: tuple[int, ...]
     radius: float
@@ -212,15 +204,8 @@ class TableMethod(Method):
         return values
 
     def arrays(self) -> Arrays:
-        kept: dict[str, NDArray[Any]] = {
-            "states": np.array(self.states, dtype=np.int64),
-            "counts": np.array(self.counts, dtype=np.int64),
-            "radius": np.array(self.radius),
-        }
-        parts = {"features": self.features.arrays(), **self.tasks}
-        return kept | {
-            f"{part}.{name}": array for part, mine in parts.items() for name, array in mine.items()
-        }
+        tasks = (arrays_as(name, arrays) for name, arrays in self.tasks.items())
+        return dict(ChainMap(field_arrays(self), *tasks))
 
     @classmethod
     def from_arrays(
@@ -229,14 +214,9 @@ class TableMethod(Method):
         spec: InputSpec,
         settings: TrainingSettings,  # noqa: ARG003  the arrays say all
     ) -> Self:
-        parts: dict[str, dict[str, NDArray[Any]]] = {}
-        for name, array in arrays.items():
-            part, dot, rest = name.partition(".")
-            if dot:
-                parts.setdefault(part, {})[rest] = array
-        features = Features.from_arrays(parts.pop("features"))
-        states, counts = (tuple(arrays[name].tolist()) for name in ("states", "counts"))
-        return cls(features, parts, spec, states, counts, float(arrays["radius"]))
+        names = {name.partition(".")[0] for name in arrays if "." in name} - {"features"}
+        tasks = {name: arrays_under(name, arrays) for name in names}
+        return cls(**restored_fields(cls, arrays, tasks=tasks, spec=spec))
 
 
 def _shares(values: Array) -> Array:

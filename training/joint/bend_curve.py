@@ -10,12 +10,14 @@ calibration.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.method.stored_fields import Arrays, Stored, StoredFields, restored_fields
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ some angles, which tell more of it. A lower bound leaves more to them than one a
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BendCurve:
+class BendCurve(StoredFields):
     """Normal distribution of one specimen's curve B = log V(angle) - log V(0).
 
         B(u) = sum_k u^k b_k + sum_j u^j w_j,   u = angle / 50 deg,   w ~ N(0, covariance)
@@ -45,7 +47,7 @@ class BendCurve:
     """
 
     mean: Array
-    effects: Array
+    effects: Annotated[Array, Stored("own")]
     covariance: Array
     angle_deg: tuple[float, float]
     coefficients: Array = field(init=False, repr=False)
@@ -159,7 +161,7 @@ def mixture_curve(curves: Sequence[BendCurve], shares: Array) -> BendCurve:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BendCurvePrior:
+class BendCurvePrior(StoredFields):
     """Distribution of the curves of all specimens of a design, given their features.
 
     Attributes:
@@ -175,6 +177,12 @@ class BendCurvePrior:
     covariance: Array
     angle_deg: tuple[float, float]
     spread: Array
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, **given: Any) -> Self:
+        """Restore the distribution, of older pipelines as well."""
+        spread = np.ones(len(arrays["mean"]) - 1)
+        return cls(**restored_fields(cls, {"spread": spread, **arrays}, **given))
 
     @classmethod
     def fit(cls, frames: BentFrames) -> "BendCurvePrior":

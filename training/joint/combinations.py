@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.training.method.input_spec import Mirror
+from eitskin.training.method.stored_fields import StoredFields
 
 Array = NDArray[np.float64]
 
@@ -267,7 +268,7 @@ def log_change(difference: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpecimenFeatures:
+class SpecimenFeatures(StoredFields):
     """Linear features of the logarithms of the flat resistances, without their common factor.
 
     The common factor holds conductivity, thickness and the board's gain, none of which alters

@@ -1,14 +1,15 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import astuple, dataclass, field, replace
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import kernels
 from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_thread
@@ -46,7 +47,6 @@ from eitskin.training.joint.specimen_model import (
     SpecimenModel,
     candidate_rows,
 )
-from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
 from eitskin.training.joint.training import fit_joint, held_out_touches
@@ -56,11 +56,20 @@ from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.stored_fields import (
+    GIVEN,
+    Arrays,
+    Stored,
+    arrays_as,
+    arrays_under,
+    field_arrays,
+    restored_fields,
+)
 from eitskin.training.method.targets import Targets, TrainingFrames
 
 Array = NDArray[np.float64]
-Arrays = dict[str, NDArray[np.generic]]
 
+NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 
@@ -114,24 +123,24 @@ class JointMethod(Method):
 
     features: SpecimenFeatures
     response: TouchResponse
-    bend_prior: BendCurvePrior
+    bend_prior: Annotated[BendCurvePrior, Stored("curves")]
     proposals: ProposalNetwork
-    touch_prior: TouchPrior
-    combinations: Combinations
-    drift: float
+    touch_prior: Annotated[TouchPrior, GIVEN]
+    combinations: Annotated[Combinations, GIVEN]
+    drift: Annotated[float, GIVEN]
     places: Array
-    radius: float
-    size: tuple[float, float]
-    shape: tuple[int, int]
-    protocol: Protocol
-    learning_curves: Mapping[str, LearningCurve] = field(default_factory=dict)
+    radius: Annotated[float, GIVEN]
+    size: Annotated[tuple[float, float], GIVEN]
+    shape: Annotated[tuple[int, int], GIVEN]
+    protocol: Annotated[Protocol, GIVEN]
+    learning_curves: Annotated[Mapping[str, LearningCurve], GIVEN] = field(default_factory=dict)
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     angles: AngleNetworks | None = None
     angle_features: SpecimenFeatures | None = None
     usual: BendCurvePrior | None = None
     forces: bool = True
-    error_scale: ErrorScale = field(default_factory=ErrorScale)
+    error_scale: Annotated[ErrorScale, GIVEN] = field(default_factory=ErrorScale)
     own_error_scale: float = 1.0
     own_noise_scale: float = 1.0
     own_output: Array | None = None
@@ -391,14 +400,56 @@ class JointMethod(Method):
         }
 
     def arrays(self) -> Arrays:
-        """Arrays from which `from_arrays` restores the method, by name."""
-        return stored_arrays(self)
+        prior, basis = self.touch_prior, self.combinations.basis
+        arrays = field_arrays(self) | {
+            "noise": self.combinations.noise,
+            "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
+            "bounds": np.array([prior.low, prior.high]),
+            "error_scale": np.array(astuple(self.error_scale)),
+        }
+        if basis is not None:
+            arrays["combinations.basis"] = basis
+        for name, curve in self.learning_curves.items():
+            arrays |= arrays_as(f"{name}.history", curve.arrays())
+        return arrays
 
     @classmethod
     def from_arrays(
         cls,
-        arrays: Mapping[str, NDArray[np.generic]],
+        arrays: Arrays,
         spec: InputSpec,
         settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "JointMethod":
-        return cls(**restored_fields(arrays, spec))
+        drift, radius, separation, *force = arrays["scalars"].astype(float).tolist()
+        positive = np.array([drift, radius, separation, force[1], *arrays["noise"].ravel()])
+        if not np.all((positive > 0) & (positive < 1e3)):
+            raise DataError("expected drift, sizes, forces and noise above zero; train it again")
+        low, high = arrays["bounds"].astype(float)
+        basis = arrays.get("combinations.basis")  # version 0.1 has none
+        left_out = () if "angles.unit" in arrays else ("angles.",)  # losses alone
+        stored = {name: array for name, array in arrays.items() if not name.startswith(left_out)}
+        return cls(
+            **restored_fields(cls, stored),
+            touch_prior=TouchPrior(separation, (force[0], force[1]), low, high),
+            combinations=Combinations(
+                arrays["noise"].astype(float), None if basis is None else basis.astype(float)
+            ),
+            drift=drift,
+            radius=radius,
+            size=spec.outline,
+            shape=spec.pixels,
+            protocol=spec.protocol,
+            learning_curves={
+                name: LearningCurve.from_arrays(arrays_under(f"{name}.history", arrays))
+                for name in NETWORKS
+            },
+            error_scale=_error_scale(arrays.get("error_scale", np.ones(()))),
+        )
+
+
+def _error_scale(stored: NDArray[Any]) -> ErrorScale:
+    """Scale of the standard errors of places; pipelines before had one for all sensors."""
+    values = stored.astype(float)
+    if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
+        raise DataError("expected two factors of standard errors from 0 to 1e6; train it again")
+    return ErrorScale(*values.tolist()) if values.ndim else ErrorScale(float(values) ** 2)

@@ -7,6 +7,7 @@ calibrated; the curve of a calibrated one is known better than that.
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from scipy.special import expit
 
 from eitskin.training.joint.bend_curve import BEYOND_DEG
 from eitskin.training.joint.prior import MOST_TOUCHES
+from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
 
@@ -29,7 +31,7 @@ WIDTH = 0.004  # m, standard deviation of the bump that represents a touch in th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AngleNetworks:
+class AngleNetworks(StoredFields):
     """Ensemble of M networks, each from a change of log V and features to a normal distribution.
 
     The mean of their means is the estimate. Each was trained without one of M groups of similar
@@ -49,8 +51,8 @@ class AngleNetworks:
         angle_deg: smallest and largest angle learned from [deg].
     """
 
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
+    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
     unit: Array
     drift: Array
     filter: Array
@@ -105,7 +107,7 @@ class AngleNetworks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ProposalNetwork:
+class ProposalNetwork(StoredFields):
     """Network from a frame's change of log V to a coarse map of touches.
 
     Attributes:
@@ -114,8 +116,8 @@ class ProposalNetwork:
         columns, rows: x and y of the cells' centres, rising evenly [m].
     """
 
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
+    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
     columns: Array
     rows: Array
     _centres: Array = field(init=False, repr=False)  # x, y of all cells (rows x columns, 2) [m]

@@ -1,7 +1,7 @@
 """Learned surrogate of the touch response: log V as a function of position, force and bend."""
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +9,7 @@ from scipy.special import expit
 
 from eitskin.training.joint.fit_kernels import respond
 from eitskin.training.joint.prior import TOUCH_UNITS
+from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
 Weights: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
@@ -57,7 +58,7 @@ _ANGLE_SCALE = 30.0  # deg, unit of the network's input
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TouchResponse:
+class TouchResponse(StoredFields):
     """Change by one touch, for any specimen; changes by several touches add up.
 
     The change is that of log V in K combinations of measurements (`Combinations`).
@@ -82,13 +83,13 @@ class TouchResponse:
             after fitting their strength and q.
     """
 
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-    output: Array
-    latent_output: Array
-    scale: float
-    ranges: InputRanges
-    mismatch: float
+    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
+    output: Annotated[Array, Stored(single=True)]
+    latent_output: Annotated[Array, Stored("hidden_output", single=True)]
+    scale: Annotated[float, Stored("scale")]
+    ranges: Annotated[InputRanges, Stored(stacked=True)]
+    mismatch: Annotated[float, Stored("scale")]
     _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
     _biases: tuple[Array, ...] = field(init=False, repr=False)
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]

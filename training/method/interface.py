@@ -16,19 +16,18 @@ from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.stored_fields import Arrays, StoredFields
 from eitskin.training.method.targets import Targets, TrainingFrames
 
-_NAMES = ("training", "validation")
 Array = NDArray[np.float64]
 LARGEST_RESIDUAL = 0.25  # relative to the root mean square of the known angles
 LEAST_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
-Arrays = Mapping[str, NDArray[Any]]
 FILE_MODULE = "eitskin_method_file_"
 """Prefix of the module name of a file that a user names as the code of a method."""
 
 
 @dataclass(frozen=True, slots=True)
-class LearningCurve:
+class LearningCurve(StoredFields):
     """Mean loss per frame, one value per epoch.
 
     Attributes:
@@ -40,16 +39,6 @@ class LearningCurve:
 
     training: tuple[float, ...] = ()
     validation: tuple[float, ...] = ()
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays from which `from_arrays` restores the curve; their names differ from weights'."""
-        return {f"history.{name}": np.array(getattr(self, name), dtype=float) for name in _NAMES}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "LearningCurve":
-        """Restore the curve that `arrays` came from; empty where there is none."""
-        kept = (arrays.get(f"history.{name}", np.zeros(0)) for name in _NAMES)
-        return cls(*(tuple(np.asarray(values, dtype=float).tolist()) for values in kept))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
+from eitskin.training.method.stored_fields import StoredFields
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ def relative_difference(impedance: ArrayLike, reference: ArrayLike) -> NDArray[n
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observations:
+class Observations(StoredFields):
     """n frames of C measurements beside their references; NaN where a measurement is bad.
 
     Attributes:
@@ -89,10 +90,6 @@ class Observations:
     def __getitem__(self, rows: slice | NDArray[np.generic]) -> "Observations":
         """The frames of `rows` (slice, integers or mask)."""
         return Observations(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    def arrays(self) -> dict[str, Array]:
-        """Attributes by name, (n, C) and (n,)."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def frame_noise(dataset: Dataset, observations: Observations) -> float:
@@ -146,7 +143,7 @@ def fingerprint(dataset: Dataset) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MissingChannels:
+class MissingChannels(StoredFields):
     """Imputation of bad channels by their conditional mean under a normal distribution of dV.
 
     Zeros, no signal, would be wrong: on a bent sensor, channels that stay at zero among others

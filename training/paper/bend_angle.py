@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
+from eitskin.training.method.stored_fields import StoredFields
 
 FOLDS = 5
 _CUT = float(np.finfo(float).eps)  # singular value, over the largest, that counts as zero
@@ -13,7 +14,7 @@ _DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BendAngle:
+class BendAngle(StoredFields):
     """Linear regression of the bend angle on selected features of dV.
 
     The features are dV, as in the paper, and optionally its squares, channel by channel: over -20
@@ -79,23 +80,6 @@ class BendAngle:
     def times(self, factor: float) -> "BendAngle":
         """The regression with all angles multiplied by `factor`."""
         return BendAngle(self.features, factor * self.coefficients, factor * self.intercept)
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Trained arrays of the stage, as `from_arrays` takes them."""
-        return {
-            "features": self.features,
-            "coefficients": self.coefficients,
-            "intercept": np.array(self.intercept),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendAngle":
-        """The stage with the trained `arrays`."""
-        return cls(
-            arrays["features"].astype(np.int64),
-            arrays["coefficients"].astype(float),
-            float(arrays["intercept"].astype(float)),
-        )
 
 
 def _features(dV: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -98,11 +98,6 @@ def coordinates(shape: tuple[int, int]) -> Maps:
     return np.stack(np.meshgrid(y, x, indexing="ij"))
 
 
-def layer_arrays(arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """Weights and batch statistics of a network, among the saved arrays of its stage."""
-    return {name: array for name, array in arrays.items() if name.startswith("layers.")}
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
     """Trained network, evaluated by numpy.
@@ -124,13 +119,13 @@ class Network:
             array = arrays.get(key)
             if array is None:
                 raise DataError(
-                    f"expected an array '{key}' of a saved {name}, which is missing; save the "
-                    "pipeline again"
+                    f"expected an array 'layers.{key}' of a saved {name}, which is missing; save "
+                    "the pipeline again"
                 )
             if array.shape != shape:
                 raise DataError(
-                    f"expected '{key}' of a saved {name} of shape {shape}, got other shapes than "
-                    f"this version's: {array.shape}; train the pipeline again"
+                    f"expected 'layers.{key}' of a saved {name} of shape {shape}, got other shapes "
+                    f"than this version's: {array.shape}; train the pipeline again"
                 )
             return np.asarray(array, dtype=np.float32)
 
@@ -162,8 +157,7 @@ def _names(layers: Sequence[Layer]) -> Iterator[tuple[str, str]]:
     for layer, before in zip(layers, (None, *layers), strict=False):
         if layer.kind == "dense" and before is not None and before.kind != "dense":
             number += 1  # the maps are flattened
-        name = f"layers.{number}"
-        yield (f"{name}.0", f"{name}.1") if layer.normed else (name, "")
+        yield (f"{number}.0", f"{number}.1") if layer.normed else (f"{number}", "")
         number += 1 if layer.normed else 1 + layer.rectified
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,13 @@ from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.observations import MissingChannels, Observations, channel_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.method.stored_fields import (
+    GIVEN,
+    Arrays,
+    Stored,
+    field_arrays,
+    restored_fields,
+)
 from eitskin.training.method.targets import (
     STATE_NAMES,
     Targets,
@@ -32,8 +39,6 @@ from eitskin.training.paper.reconstruction import (
 )
 from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
 from eitskin.training.reconstruction.linear_model import linear_model
-
-Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +78,9 @@ class PaperMethod(Method):
     classifier: Classifier | None
     bend_angle: BendAngle | None
     postprocessor: PostProcessor | None
-    missing_static: MissingChannels
-    missing_dynamic: MissingChannels
-    outline: tuple[float, float]
+    missing_static: Annotated[MissingChannels, Stored("missing_static.covariance")]
+    missing_dynamic: Annotated[MissingChannels, Stored("missing_dynamic.covariance")]
+    outline: Annotated[tuple[float, float], GIVEN]
 
     @classmethod
     def fit(
@@ -200,7 +205,7 @@ class PaperMethod(Method):
         """Outputs of every stage for n frames, each stage by itself; see `Method.outputs`."""
         static = self.missing_static.fill(observations.static)
         dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
-        outputs: Arrays = {"picture": dynamic}
+        outputs: dict[str, NDArray[np.generic]] = {"picture": dynamic}
         if self.classifier:
             outputs["probabilities"] = self.classifier.apply(static)
         if self.bend_angle:
@@ -210,51 +215,19 @@ class PaperMethod(Method):
         return outputs
 
     def arrays(self) -> Arrays:
-        """Trained arrays of all stages, as `from_arrays` takes them."""
-        stages = {
-            "reconstruction": self.reconstruction,
-            "classifier": self.classifier,
-            "bend_angle": self.bend_angle,
-            "postprocessor": self.postprocessor,
-        }
-        return {
-            "missing_static.covariance": self.missing_static.covariance,
-            "missing_dynamic.covariance": self.missing_dynamic.covariance,
-            **{
-                f"{stage}.{name}": array
-                for stage, trained in stages.items()
-                if trained is not None
-                for name, array in trained.arrays().items()
-            },
-        }
+        """Trained arrays of all stages; a stage without any was not trained."""
+        return field_arrays(self)
 
     @classmethod
     def from_arrays(
         cls,
-        arrays: Mapping[str, NDArray[np.generic]],
+        arrays: Arrays,
         spec: InputSpec,
         settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "PaperMethod":
-        """The method with the trained `arrays`; raises KeyError for an array that is missing.
-
-        A stage without any array was not trained.
-        """
-
-        def stage(name: str) -> Arrays:
-            mine = (key for key in arrays if key.startswith(f"{name}."))
-            return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
-
-        reconstruction = Reconstruction.from_arrays(stage("reconstruction"))
-        classifier, angle, maps = (stage(s) for s in ("classifier", "bend_angle", "postprocessor"))
-        return cls(
-            reconstruction,
-            Classifier.from_arrays(classifier, reconstruction.shape) if classifier else None,
-            BendAngle.from_arrays(angle) if angle else None,
-            PostProcessor.from_arrays(maps) if maps else None,
-            MissingChannels(arrays["missing_static.covariance"].astype(float)),
-            MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
-            spec.outline,
-        )
+        shape = tuple(arrays["reconstruction.shape"].astype(int).tolist())
+        given = {"outline": spec.outline, "classifier": {"shape": shape}}
+        return cls(**restored_fields(cls, arrays, **given))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

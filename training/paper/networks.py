@@ -129,7 +129,7 @@ def train_layers(
     unseen = None if validation is None else samples(*validation, 0.0)
     batch, count = mirrored(fitted.batch, flips), fitted.count
     history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
-    return weights_of(network), history
+    return weights_of(network.layers), history
 
 
 def mirrored(batch: Batch, flips: Flips) -> Batch:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError
+from eitskin.training.method.stored_fields import StoredFields
 from eitskin.training.reconstruction.regularised_inverse import (
     MAX_SNR,
     gauss_newton,
@@ -18,7 +19,7 @@ TOLERANCE = 1.05  # of the residual of bend frames, over the noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
+class Reconstruction(StoredFields):
     """Linear reconstruction of the relative conductivity change from dV.
 
     Attributes:
@@ -69,21 +70,6 @@ class Reconstruction:
         dV = np.asarray(difference, dtype=float)
         images = dV @ self.matrix.T
         return images.reshape(*dV.shape[:-1], *self.shape)
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Trained arrays of the stage, as `from_arrays` takes them."""
-        return {
-            "matrix": self.matrix,
-            "shape": np.array(self.shape),
-            "regularisation": np.array(self.regularisation),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "Reconstruction":
-        """The stage with the trained `arrays`."""
-        rows, columns = (int(n) for n in arrays["shape"].astype(int))
-        regularisation = float(arrays["regularisation"].astype(float))
-        return cls(arrays["matrix"].astype(float), (rows, columns), regularisation)
 
 
 def signal_to_noise(touch: ArrayLike, noise: float) -> float:

@@ -1,35 +1,35 @@
 """Trained networks of the paper's method, and touches in the maps of the post-processor."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from eitskin.datasets.store.schema import State
-from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
+from eitskin.training.method.stored_fields import GIVEN, Arrays, Stored, StoredFields
 from eitskin.training.paper.layers import (
     Network,
     coordinates,
-    layer_arrays,
     state_layers,
     touch_map_layers,
 )
 from eitskin.training.paper.reconstruction import Reconstruction
 
 Array = NDArray[np.float64]
-Arrays = Mapping[str, NDArray[Any]]
 
 THRESHOLD = 0.4  # of the map, whose values are probabilities of being under an indenter
 SMALLEST = 4  # pixels; a smaller component is no indenter
 
 
-class Classifier:
+@dataclass(frozen=True, slots=True, eq=False)
+class Classifier(StoredFields):
     """Classifier of the three states of `eitskin.datasets.State` from reconstructed maps.
 
     The paper does not say how maps are scaled. Here the maps are divided by their standard
@@ -47,24 +47,19 @@ class Classifier:
         states: that were trained for; the others have no probability.
     """
 
-    def __init__(
-        self,
-        weights: Arrays,
-        embedding: Array,
-        shape: tuple[int, int],
-        compress: bool,
-        history: LearningCurve | None = None,
-        states: Sequence[State] = tuple(State),
-    ) -> None:
-        """A classifier with a trained network; raises DataError for weights of another one."""
-        self.weights = weights
-        layers = state_layers(shape, len(embedding))
-        self.network = Network.from_arrays("state network", layers, weights)
-        self.embedding = embedding
-        self.shape = shape
-        self.compress = compress
-        self.history = history or LearningCurve()
-        self.states = tuple(states)
+    weights: Annotated[Arrays, Stored("layers")]
+    embedding: Array
+    shape: Annotated[tuple[int, int], GIVEN]
+    compress: bool
+    history: LearningCurve = field(default_factory=LearningCurve)
+    states: tuple[State, ...] = tuple(State)
+    network: Network = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Make the network; raises DataError for weights of another one."""
+        layers = state_layers(self.shape, len(self.embedding))
+        network = Network.from_arrays("state network", layers, self.weights)
+        object.__setattr__(self, "network", network)
 
     @classmethod
     def fit(
@@ -115,7 +110,7 @@ class Classifier:
             validation and (validation[0], np.asarray(validation[1], dtype=np.int64)),
             compress=compress,
         )
-        present = [state for state in State if np.any(states == state)]
+        present = tuple(state for state in State if np.any(states == state))
         return cls(weights, scaled, shape, compress, history, present)
 
     def apply(self, difference: ArrayLike) -> Array:
@@ -134,29 +129,9 @@ class Classifier:
         probabilities[:, self.states] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Trained arrays of the stage, as `from_arrays` takes them."""
-        return {
-            "embedding": self.embedding,
-            "compress": np.array(self.compress),
-            "states": np.array(self.states, dtype=np.int64),
-            **self.history.arrays(),
-            **self.weights,
-        }
 
-    @classmethod
-    def from_arrays(cls, arrays: Arrays, shape: tuple[int, int]) -> "Classifier":
-        """The stage with the trained `arrays`, for maps of `shape`.
-
-        Raises DataError for arrays of another network.
-        """
-        embedding, compress = arrays["embedding"].astype(float), bool(arrays["compress"])
-        states = [State(int(state)) for state in arrays.get("states", np.arange(len(State)))]
-        history = LearningCurve.from_arrays(arrays)
-        return cls(layer_arrays(arrays), embedding, shape, compress, history, states)
-
-
-class PostProcessor:
+@dataclass(frozen=True, slots=True, eq=False)
+class PostProcessor(StoredFields):
     """Convolutional network for the probability of each pixel to lie under an indenter.
 
     Attributes:
@@ -167,14 +142,17 @@ class PostProcessor:
         history: losses in training.
     """
 
-    def __init__(self, weights: Arrays, scale: float, history: LearningCurve | None = None) -> None:
-        """A post-processor with a trained network; raises DataError for weights of another one."""
-        self.weights = weights
-        first = weights.get("layers.0.weight")
+    weights: Annotated[Arrays, Stored("layers")]
+    scale: float
+    history: LearningCurve = field(default_factory=LearningCurve)
+    network: Network = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Make the network; raises DataError for weights of another one."""
+        first = self.weights.get("0.weight")
         layers = touch_map_layers(1 if first is None else len(first))
-        self.network = Network.from_arrays("touch map network", layers, weights)
-        self.scale = scale
-        self.history = history or LearningCurve()
+        network = Network.from_arrays("touch map network", layers, self.weights)
+        object.__setattr__(self, "network", network)
 
     @classmethod
     def fit(
@@ -232,21 +210,6 @@ class PostProcessor:
         logits = self.network.logits(np.concatenate([pictures, place], axis=1))[:, 0]
         touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
         return touch_map
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Trained arrays of the stage, as `from_arrays` takes them."""
-        return {"scale": np.array(self.scale), **self.history.arrays(), **self.weights}
-
-    @classmethod
-    def from_arrays(cls, arrays: Arrays) -> "PostProcessor":
-        """The stage with the trained `arrays`; raises DataError for those of another network."""
-        if "scale" not in arrays:
-            raise DataError(
-                "expected the scale of a saved post-processor, which is missing; save the pipeline "
-                "again"
-            )
-        history = LearningCurve.from_arrays(arrays)
-        return cls(layer_arrays(arrays), float(arrays["scale"].astype(float)), history)
 
 
 def _scaled(

@@ -1,9 +1,9 @@
 """Distribution of flat, untouched sensors of one design, by which a session's start is judged."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from scipy.special import fdtrc
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.training.method.observations import relative_difference
+from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class FlatSensors:
+class FlatSensors(StoredFields):
     """Distribution of the log-impedances of flat, untouched sensors, learned from S specimens.
 
     Logarithms of magnitudes, less a factor common to all channels (conductivity, gain), are taken
@@ -90,11 +91,11 @@ class FlatSensors:
     """
 
     mean: Array
-    components: Array
+    components: Annotated[Array, Stored(single=True)]
     specimens: int
     bend: Array
-    bend_range: tuple[float, float] = (0.0, 0.0)
-    inflation: float = 1.0
+    bend_range: Annotated[tuple[float, float], Stored("scalars")] = (0.0, 0.0)
+    inflation: Annotated[float, Stored("scalars")] = 1.0
 
     @classmethod
     def of(cls, dataset: Dataset) -> "FlatSensors | None":
@@ -207,34 +208,6 @@ class FlatSensors:
         gain = max(distance - float(left[best]), 0.0) * freedom / (self.freedom + left[best])
         bend_chance = float(fdtrc(1, freedom, gain))
         return Start(distance, chance, float(angles[best]), deviation, bend_chance)
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays from which `among` restores the distribution, by name."""
-        return {
-            "mean": self.mean,
-            "components": self.components.astype(np.float32),
-            "specimens": np.array([self.specimens]),
-            "bend": self.bend,
-            "scalars": np.array([*self.bend_range, self.inflation]),
-        }
-
-    @classmethod
-    def among(cls, arrays: Mapping[str, NDArray[np.generic]], prefix: str) -> "FlatSensors | None":
-        """The distribution whose arrays have names with this prefix; None without any.
-
-        Raises KeyError where some are missing.
-        """
-        if not any(name.startswith(prefix) for name in arrays):
-            return None
-        low, high, inflation = arrays[f"{prefix}scalars"].astype(float).tolist()
-        return cls(
-            arrays[f"{prefix}mean"].astype(float),
-            arrays[f"{prefix}components"].astype(float),
-            int(arrays[f"{prefix}specimens"].item()),
-            arrays[f"{prefix}bend"].astype(float),
-            (low, high),
-            inflation,
-        )
 
 
 def _moments(logs: Array) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ from eitskin.training.method.settings import (
     silent,
     single_touches,
 )
+from eitskin.training.method.stored_fields import arrays_as, arrays_under
 from eitskin.training.method.targets import Targets, TrainingFrames, learnable, with_implied_labels
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import (
@@ -47,8 +48,8 @@ from eitskin.training.pipeline.saved_form import (
 )
 from eitskin.training.pipeline.session import Session
 
-FLAT_SENSORS = "flat_sensors."
-FOREIGN = ("layout.", FLAT_SENSORS)  # beginnings of names of arrays that are not the method's
+FLAT_SENSORS = "flat_sensors"
+FOREIGN = ("layout.", f"{FLAT_SENSORS}.")  # beginnings of names of arrays that are not the method's
 GOLDEN_PER_STATE = 2
 
 
@@ -384,15 +385,12 @@ class Pipeline:
         PartialError where the folder cannot be written.
         """
         outputs = self.method.outputs(self.examples)
-        golden: dict[str, NDArray[Any]] = {
-            f"input.{name}": array for name, array in self.examples.arrays().items()
-        }
-        golden |= {f"output.{name}": array for name, array in outputs.items()}
+        golden = arrays_as("input", self.examples.arrays()) | arrays_as("output", outputs)
         weights = dict(self.method.arrays())
         if np.isfinite(self.layout.reference).any():
             weights["layout.reference"] = self.layout.reference
         if self.flat_sensors is not None:
-            weights |= {f"{FLAT_SENSORS}{n}": a for n, a in self.flat_sensors.arrays().items()}
+            weights |= arrays_as(FLAT_SENSORS, self.flat_sensors.arrays())
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),
@@ -427,11 +425,12 @@ class Pipeline:
             document, weights = saved.document, saved.weights
             require_possible(weights, saved.golden, noise := number(document, "noise"))
             settings = TrainingSettings.from_document(document["settings"])
-            inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
-            examples, positions = Observations(**inputs), document["method"] == POSITIONS
+            examples = Observations.from_arrays(arrays_under("input", saved.golden))
+            positions = document["method"] == POSITIONS
             reference = examples.flat[0] if positions else weights["layout.reference"]
             layout = InputSpec.from_document(document["layout"], reference)
             arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}
+            flat = arrays_under(FLAT_SENSORS, weights)
             code = method_class(document["method"], method)
             with nullcontext() if method is None else told_errors(code.KIND):
                 restored = code.from_arrays(arrays, layout, settings)
@@ -445,7 +444,7 @@ class Pipeline:
                 examples,
                 dict(document["metrics"]),
                 saved.adaptation,
-                FlatSensors.among(weights, FLAT_SENSORS),
+                FlatSensors.from_arrays(flat) if flat else None,
             )
             saved.require_golden(outputs, restored.FITTED)
         except (DataError, MethodCodeError):

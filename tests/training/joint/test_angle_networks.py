@@ -26,7 +26,6 @@ from eitskin.training.joint.specimen_model import (
     blended,
     estimate_angle,
 )
-from eitskin.training.joint.stored_method import part_arrays, restored_part
 from eitskin.training.joint.training import TrainingRun, fit_bends
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 
@@ -182,7 +181,7 @@ def test_a_large_bend_by_the_curve_alone_does_not_count(monkeypatch):
 @pytest.mark.slow
 def test_stored_networks_estimate_the_same(trained):
     networks = trained[0]
-    again = restored_part(AngleNetworks, part_arrays(networks))
+    again = AngleNetworks.from_arrays(networks.arrays())
     change = frames(1, seed=5).change[0]
     np.testing.assert_allclose(
         again.estimate(change, np.zeros(0), 1e-4),

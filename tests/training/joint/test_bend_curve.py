@@ -16,7 +16,6 @@ from eitskin.training.joint.bend_curve import (
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
 from eitskin.training.joint.specimen_model import angle_standard_error, estimate_angle
-from eitskin.training.joint.stored_method import part_arrays, restored_part
 
 CHANNELS = 6
 SIZE = RANDOM_POWERS * CHANNELS
@@ -336,14 +335,14 @@ def test_flat_is_among_the_angles_learned(rng):
 def test_arrays_make_them_again(rng, curve):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     curves = BendCurvePrior.fit(made_up(rng, 20, 6, own_covariance(rng), effect))
-    again = restored_part(BendCurvePrior, part_arrays(curves))
+    again = BendCurvePrior.from_arrays(curves.arrays())
     np.testing.assert_array_equal(
         again.of([0.3, 2.0]).value(31.0), curves.of([0.3, 2.0]).value(31.0)
     )
     np.testing.assert_array_equal(again.covariance, curves.covariance)
     assert again.angle_deg == curves.angle_deg
     known = curve.conditioned(np.array([10.0]), curve.value([10.0]) + 1e-3, NOISE)
-    same = restored_part(BendCurve, part_arrays(known))
+    same = BendCurve.from_arrays(known.arrays())
     np.testing.assert_array_equal(same.value(44.0), known.value(44.0))
     np.testing.assert_array_equal(same.uncertainty(44.0), known.uncertainty(44.0))
     assert same.angle_deg == RANGE
@@ -365,5 +364,5 @@ def test_curves_of_strange_specimens_are_less_certain(rng):
     ):
         wide = prior.widened(np.array(features), rate)
         np.testing.assert_allclose(wide.covariance, factor * usual)
-    again = restored_part(BendCurvePrior, part_arrays(prior))
+    again = BendCurvePrior.from_arrays(prior.arrays())
     np.testing.assert_array_equal(again.spread, prior.spread)

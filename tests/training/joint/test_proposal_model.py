@@ -9,7 +9,6 @@ from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
 from eitskin.training.joint.networks import ProposalNetwork, network_inputs
 from eitskin.training.joint.prior import MOST_TOUCHES
-from eitskin.training.joint.stored_method import part_arrays, restored_part
 from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
 
@@ -107,7 +106,7 @@ def test_training_tells_its_losses_and_progress(trained):
 @pytest.mark.slow
 def test_arrays_make_them_again(trained):
     proposals = trained[0]
-    again = restored_part(ProposalNetwork, part_arrays(proposals))
+    again = ProposalNetwork.from_arrays(proposals.arrays())
     for inputs in frames(5)[0]:
         np.testing.assert_array_equal(again.map(inputs), proposals.map(inputs))
         assert proposals.map(inputs).shape == (len(proposals.rows), len(proposals.columns))

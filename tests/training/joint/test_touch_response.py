@@ -8,7 +8,6 @@ import torch
 
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
-from eitskin.training.joint.stored_method import part_arrays, restored_part
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.joint.touch_training import (
     ResponseNetwork,
@@ -98,7 +97,7 @@ def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
     hidden = learned.hidden(three, angle).sum(axis=0)
     drawn = output @ hidden - one.output @ hidden
     np.testing.assert_allclose(drawn, q @ shapes, atol=1e-12)
-    again = restored_part(TouchResponse, part_arrays(learned)).of([0.5, 0.0])
+    again = TouchResponse.from_arrays(learned.arrays()).of([0.5, 0.0])
     changes = again.latent_changes(three, angle)
     np.testing.assert_allclose(changes, shapes, atol=1e-5 * np.abs(shapes).max())
 
@@ -106,11 +105,11 @@ def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
 def test_arrays_make_it_again(learned, touches):
     """Copies agree to single precision, in which weights are saved."""
     told = replace(learned, mismatch=0.07)
-    again = restored_part(TouchResponse, part_arrays(told))
+    again = TouchResponse.from_arrays(told.arrays())
     expected = told.of([1.0, 2.0])(touches, -5.0)
     said = again.of([1.0, 2.0])(touches, -5.0)
     np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
-    twice = restored_part(TouchResponse, part_arrays(again))
+    twice = TouchResponse.from_arrays(again.arrays())
     np.testing.assert_array_equal(twice.of([1.0, 2.0])(touches, -5.0), said)
     assert again.mismatch == 0.07
     assert again.ranges.size == told.ranges.size

@@ -106,7 +106,7 @@ def test_stages_keep_their_history_beside_their_weights():
     assert (len(classifier.history.validation), alone.history.validation) == (2, ())
     ours, theirs = classifier.weights, alone.weights
     assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
-    assert Classifier.from_arrays(classifier.arrays(), SHAPE).history == classifier.history
+    assert Classifier.from_arrays(classifier.arrays(), shape=SHAPE).history == classifier.history
 
     maps = (reconstruction.apply(dV) > 0).astype(float)
     processor = PostProcessor.fit(dV, maps, reconstruction, brief, validation=(dV[:9], maps[:9]))

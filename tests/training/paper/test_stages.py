@@ -146,7 +146,7 @@ def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding)
     maps = dV @ plain.embedding[0].T
     assert np.std(maps) == pytest.approx(1.0)
     assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
-    again = Classifier.from_arrays(plain.arrays(), SHAPE)
+    again = Classifier.from_arrays(plain.arrays(), shape=SHAPE)
     np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
     logits = by_torch(
         LayerNetwork(state_layers(SHAPE, 1)), plain.weights, maps.reshape(-1, 1, *SHAPE)
@@ -179,13 +179,13 @@ def test_constant_learning_rate_is_the_one_asked_for(states, embedding):
     for rate in (1e-5, 1e-3):
         settings = NetworkSettings(rate, epochs=1, batch=64, one_cycle=False)
         stage = Classifier.fit(dV, state, embedding, SHAPE, settings)
-        moved.append(stage.weights["layers.11.bias"])
+        moved.append(stage.weights["11.bias"])
     assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
 
 
 def by_torch(network, weights, maps):
     """Logits of torch's own evaluation of a network."""
-    network.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
+    network.layers.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
     with torch.inference_mode():
         return network.eval()(torch.tensor(maps, dtype=torch.float32)).numpy()
 
@@ -201,7 +201,7 @@ def test_networks_evaluated_by_numpy_are_torchs(placed):
         name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
         if name.endswith(("running_var", "1.weight"))
         else rng.normal(0.0, 0.1, array.shape).astype(array.dtype)
-        for name, array in weights_of(network).items()
+        for name, array in weights_of(network.layers).items()
     }
     inputs = rng.normal(size=(70, maps, *shape)).astype(np.float32)  # more than one batch
     expected = by_torch(network, weights, inputs)
@@ -258,7 +258,7 @@ def test_networks_survive_their_arrays(presses, reconstruction, embedding):
         PostProcessor.from_arrays({"scale": np.array(1.0)})
     classifier = Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
     with pytest.raises(DataError, match="other shapes"):
-        Classifier.from_arrays(classifier.arrays(), (16, 16))
+        Classifier.from_arrays(classifier.arrays(), shape=(16, 16))
 
 
 def test_one_torch_thread_gives_the_threads_back():

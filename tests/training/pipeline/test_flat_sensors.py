@@ -83,12 +83,10 @@ def test_too_few_or_equal_specimens_give_no_distribution():
 
 def test_arrays_restore_the_distribution():
     fitted = known()
-    arrays = {f"flat.{name}": array for name, array in fitted.arrays().items()}
-    again = FlatSensors.among(arrays, "flat.")
+    again = FlatSensors.from_arrays(fitted.arrays())
     value = sensors(1, 20.0, seed=8)[0]
     assert again.judge(value).chance == pytest.approx(fitted.judge(value).chance, rel=1e-4)
     assert again.judge(value).bend_deg == fitted.judge(value).bend_deg
-    assert FlatSensors.among(arrays, "other.") is None
 
 
 def test_own_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
