@@ -13,8 +13,7 @@ from eitskin.benchmarks.paper.run import OURS, OWN, PaperComparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.results import Report, ReportTable, measured
 from eitskin.extras import require
-from eitskin.training.evaluation.matching import GATE
-from eitskin.training.evaluation.scores import SSIM_DEFINITION
+from eitskin.training.evaluation.scores import GATE, SSIM_DEFINITION
 
 BOUND = "Cramer-Rao bound"
 NAME = "paper"

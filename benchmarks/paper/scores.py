@@ -18,10 +18,10 @@ from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, scene_derivatives
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.matching import match_distances
 from eitskin.training.evaluation.scores import (
     TouchScore,
     determination,
+    match_distances,
     percentiles,
     root_mean_square,
 )

@@ -23,8 +23,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError, EitskinError
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
-from eitskin.training.evaluation.matching import match
-from eitskin.training.evaluation.scores import root_mean_square
+from eitskin.training.evaluation.scores import match, root_mean_square
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.pipeline.pipeline import Pipeline
 

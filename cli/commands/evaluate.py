@@ -37,7 +37,7 @@ def command(
     from eitskin.datasets.store.summary import specimens_in_words
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.position_score import PositionScore
-    from eitskin.training.evaluation.report.folder import require_report_folder
+    from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.method.settings import POSITIONS
     from eitskin.training.pipeline.pipeline import open_pipeline
 
@@ -63,7 +63,7 @@ def command(
 
 def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
     """Write the report folder, with machine, versions and date."""
-    from eitskin.training.evaluation.report.folder import write_report
+    from eitskin.training.evaluation.report import write_report
 
     made_with = _made_with(evaluation.pipeline.settings.seed)
     output.note(f"report: {write_report(evaluation, folder, made_with)}")
@@ -73,7 +73,7 @@ def save_position_report(
     touches: "Pipeline", data: "Dataset", folder: Path, output: Output
 ) -> None:
     """Write the report folder of touch positions, with machine, versions and date."""
-    from eitskin.training.evaluation.report.folder import write_position_report
+    from eitskin.training.evaluation.report import write_position_report
 
     written = write_position_report(touches, data, folder, _made_with(0))
     output.note(f"report: {written}")
@@ -94,7 +94,7 @@ def _made_with(seed: int) -> dict[str, str]:
 
 def paper_table(report: "Report") -> Table:
     """Table of the paper's figures beside those of `report`."""
-    from eitskin.training.evaluation.report.table import HEADINGS, table_rows
+    from eitskin.training.evaluation.report import HEADINGS, table_rows
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
     table = Table(*HEADINGS, title=f"{report.frames} frames", caption=SSIM_DEFINITION)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
-    from eitskin.training.evaluation.report.drawing import Circle
+    from eitskin.training.evaluation.drawing import Circle
 
 MOST_PICTURES = 24
 SCHEMES = ("serial:", "text:", "virtual:", "replay:")

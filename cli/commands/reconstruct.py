@@ -263,7 +263,7 @@ def _write(out: Path, images: list[Image]) -> None:
     grid, kind = images[0].maker.grid, out.suffix.lower()
     with atomic_file(out) as temporary:
         if kind == ".png":
-            from eitskin.training.evaluation.report.drawing import PicturePanel, draw_panels, style
+            from eitskin.training.evaluation.drawing import PicturePanel, draw_panels, style
 
             panels = []
             for maker, frame, values in images:

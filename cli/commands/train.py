@@ -76,7 +76,7 @@ def command(
     time.
     """
     from eitskin.datasets.store.folder import open_dataset
-    from eitskin.training.evaluation.report.folder import require_report_folder
+    from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
 

@@ -82,7 +82,7 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
     from eitskin.cli.demo.stages import STAGES, versions
     from eitskin.files import atomic_file
     from eitskin.provenance import Provenance
-    from eitskin.training.evaluation.report.drawing import style
+    from eitskin.training.evaluation.drawing import style
 
     stages, seconds = {}, {}
     for number, (name, (heading, work)) in enumerate(STAGES.items(), 1):
@@ -172,7 +172,7 @@ def _figures(document: Document, grid: str, test: str) -> dict[tuple[str, str], 
     import msgspec
 
     from eitskin.training.evaluation.evaluate import Report
-    from eitskin.training.evaluation.report.table import table_rows
+    from eitskin.training.evaluation.report import table_rows
 
     figures, experiment = {}, ""
     for stage in (grid, test):

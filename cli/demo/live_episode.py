@@ -13,7 +13,7 @@ from eitskin.cli.page.plan import outline_of
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.scene import Scene
-from eitskin.training.evaluation.report.drawing import (
+from eitskin.training.evaluation.drawing import (
     BLUE,
     DARK,
     EXTRA,
@@ -72,7 +72,7 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
-    from eitskin.training.evaluation.matching import match_distances
+    from eitskin.training.evaluation.scores import match_distances
     from eitskin.training.method.targets import STATE_NAMES
 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]

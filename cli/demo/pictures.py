@@ -16,7 +16,7 @@ from eitskin.cli.demo.live_episode import COLOURS
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.extras import require
-from eitskin.training.evaluation.report.drawing import (
+from eitskin.training.evaluation.drawing import (
     BLUE,
     DARK,
     EXTRA,

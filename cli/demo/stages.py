@@ -35,11 +35,11 @@ from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.protocol import Protocol
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
+from eitskin.training.evaluation.drawing import CaptionedFigure
 from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.figures import draw_error_vectors, loss_curves
 from eitskin.training.evaluation.position_score import held_out_positions
-from eitskin.training.evaluation.report.drawing import CaptionedFigure
-from eitskin.training.evaluation.report.figures import draw_error_vectors, loss_curves
-from eitskin.training.evaluation.report.folder import PICTURES
+from eitskin.training.evaluation.report import PICTURES
 from eitskin.training.evaluation.scores import percentiles
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.pipeline.saved_form import SHIPPED as SHIPPED_MODEL

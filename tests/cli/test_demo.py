@@ -22,7 +22,7 @@ from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.training import Report
-from eitskin.training.evaluation.report.table import table_rows
+from eitskin.training.evaluation.report import table_rows
 
 from shards_here import make_shards
 

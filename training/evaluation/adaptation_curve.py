@@ -22,7 +22,7 @@ from eitskin.training.adaptation.press_fit import (
     learn_places,
     touch_places,
 )
-from eitskin.training.evaluation.matching import match_distances
+from eitskin.training.evaluation.scores import match_distances
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline

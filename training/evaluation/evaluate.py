@@ -12,11 +12,11 @@ from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import DataError
 from eitskin.frame import Frame
 from eitskin.protocol import Protocol
-from eitskin.training.evaluation.matching import Matches
 from eitskin.training.evaluation.scores import (
     BendScore,
     ForceScore,
     LatencyScore,
+    Matches,
     Report,
     StateScore,
     TouchScore,

@@ -11,8 +11,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.matching import GATE, ospa
-from eitskin.training.evaluation.scores import Report
+from eitskin.training.evaluation.scores import GATE, Report, ospa
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import STATE_NAMES, Targets, with_implied_labels
 from eitskin.training.pipeline.pipeline import Pipeline

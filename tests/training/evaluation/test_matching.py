@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.evaluation.matching import GATE, match, match_distances, ospa
+from eitskin.training.evaluation.scores import GATE, match, match_distances, ospa
 
 
 def test_matching_minimises_the_total_distance_not_the_nearest_first():

@@ -14,11 +14,15 @@ from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import Disc, Electrode, SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
+from eitskin.training.evaluation import report as report_folder
+from eitskin.training.evaluation.drawing import draw_sensor, new_figure
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.report import folder as report_folder
-from eitskin.training.evaluation.report.drawing import draw_sensor, new_figure
-from eitskin.training.evaluation.report.folder import PICTURES, require_report_folder, write_report
-from eitskin.training.evaluation.report.table import table_rows
+from eitskin.training.evaluation.report import (
+    PICTURES,
+    require_report_folder,
+    table_rows,
+    write_report,
+)
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations

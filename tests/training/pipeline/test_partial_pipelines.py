@@ -15,7 +15,7 @@ from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evaluate, open_pipeline
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.report.table import table_rows
+from eitskin.training.evaluation.report import table_rows
 from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, losses_of
 from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
