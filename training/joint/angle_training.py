@@ -11,7 +11,7 @@ from torch import Tensor  # noqa: TID253  see above
 
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.clamps import ClampCurves
-from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
 from eitskin.training.joint.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
@@ -39,7 +39,7 @@ FEATURE_NOISE = 0.3  # standard deviations, of frames that do not move
 
 
 def fit_angles(
-    frames: BentFrames,
+    frames: MirroredFrames,
     features: Array,
     curves: BendCurvePrior,
     settings: NetworkSettings,
@@ -104,7 +104,7 @@ def fit_angles(
     return networks, LearningCurve(*map(tuple, losses))
 
 
-def _without_layers(frames: BentFrames) -> AngleNetworks:
+def _without_layers(frames: MirroredFrames) -> AngleNetworks:
     """Networks without layers: the scales of their inputs, and the filter of the drift."""
     unit = np.sqrt(np.mean(frames.change**2, axis=0))
     change, drift = frames.change / unit, frames.combinations.drift / unit
@@ -131,7 +131,7 @@ class _Inputs:
 
     def __init__(
         self,
-        frames: BentFrames,
+        frames: MirroredFrames,
         features: Array,
         bends: Array,
         empty: AngleNetworks,
@@ -196,7 +196,7 @@ def _tell(progress: Progress, member: int, done: int, total: int) -> None:
     progress("angles", member * total + done, MEMBERS * total)
 
 
-def groups_of_specimens(frames: BentFrames, seed: int) -> Integers:
+def groups_of_specimens(frames: MirroredFrames, seed: int) -> Integers:
     """Number of the group of each specimen (S,), by the likeness of their bend curves.
 
     Specimens of one clamp bend alike. A network that goes without a group has not seen its clamp,
@@ -208,7 +208,7 @@ def groups_of_specimens(frames: BentFrames, seed: int) -> Integers:
     return np.asarray(group, dtype=np.int64)
 
 
-def loss_of_estimates(frames: BentFrames, estimates: Array) -> float:
+def loss_of_estimates(frames: MirroredFrames, estimates: Array) -> float:
     """Loss of the networks for estimates of other origin.
 
     Args:

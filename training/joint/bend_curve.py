@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
 from eitskin.training.method.stored_fields import Arrays, Stored, StoredFields, restored_fields
 
 Array = NDArray[np.float64]
@@ -185,7 +185,7 @@ class BendCurvePrior(StoredFields):
         return cls(**restored_fields(cls, {"spread": spread, **arrays}, **given))
 
     @classmethod
-    def fit(cls, frames: BentFrames) -> "BendCurvePrior":
+    def fit(cls, frames: MirroredFrames) -> "BendCurvePrior":
         """Learn from untouched frames.
 
         The mean is linear in the features and fitted by least squares; the covariance of the random
@@ -205,7 +205,7 @@ class BendCurvePrior(StoredFields):
         spread = np.mean(frames.features[first] ** 2, axis=0)
         return cls(mean.reshape(shape), covariance, ends, spread)
 
-    def log_likelihood(self, frames: BentFrames) -> Array:
+    def log_likelihood(self, frames: MirroredFrames) -> Array:
         """Log-likelihood of the frames of each curve, in the order of their numbers (S,).
 
         With w integrated out, by the matrix determinant lemma and Woodbury's identity.
@@ -220,7 +220,7 @@ class BendCurvePrior(StoredFields):
             logs.append(-0.5 * (misfit + widths))
         return np.array(logs)
 
-    def expected(self, frames: BentFrames) -> Array:
+    def expected(self, frames: MirroredFrames) -> Array:
         """Coefficients of each expected curve, in the order of their numbers.
 
         They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames.
@@ -231,7 +231,9 @@ class BendCurvePrior(StoredFields):
             curves.append(replace(prior, effects=effects).coefficients)
         return np.array(curves)
 
-    def _posteriors(self, frames: BentFrames) -> "Iterator[tuple[BendCurve, Array, _Posterior]]":
+    def _posteriors(
+        self, frames: MirroredFrames
+    ) -> "Iterator[tuple[BendCurve, Array, _Posterior]]":
         """Prior of each curve, what it leaves of its frames, and the posterior of its effects."""
         size = len(self.covariance) // frames.change.shape[1]
         precision, inverse = _inverse(frames.noise), _inverse(self.covariance)

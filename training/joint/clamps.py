@@ -13,7 +13,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.mirrored_frames import BentFrames
+from eitskin.training.joint.mirrored_frames import MirroredFrames
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class ClampCurves:
 
     @classmethod
     def fit(
-        cls, frames: BentFrames, curves: BendCurvePrior, bends: Array, seed: int
+        cls, frames: MirroredFrames, curves: BendCurvePrior, bends: Array, seed: int
     ) -> "ClampCurves":
         """Learn from all frames whose clamps are known; none counts as known where few differ.
 
@@ -113,7 +113,7 @@ def _drawn(places: Array, clamps: int, rng: np.random.Generator) -> Array:
     return inside
 
 
-def _without_features(frames: BentFrames, curves: BendCurvePrior, bends: Array) -> Array:
+def _without_features(frames: MirroredFrames, curves: BendCurvePrior, bends: Array) -> Array:
     """Expected curve of each specimen (S, M, K), less the part that its features explain.
 
     The mean over its mirror images: clamps are symmetric.
@@ -133,7 +133,7 @@ def _means(rows: Array, group: NDArray[np.intp] | NDArray[np.int64]) -> Array:
     return mean
 
 
-def usual_curves(frames: BentFrames, everywhere: BendCurvePrior) -> BendCurvePrior | None:
+def usual_curves(frames: MirroredFrames, everywhere: BendCurvePrior) -> BendCurvePrior | None:
     """Curves of the largest group of specimens that bend alike; None where there is none.
 
     The search begins with the closest neighbours that are to be found. Then, in turn, the curves of
@@ -173,11 +173,11 @@ def _closest(coordinates: Array) -> NDArray[np.bool_]:
     return closest
 
 
-def _learned(frames: BentFrames, member: NDArray[np.bool_]) -> BendCurvePrior:
+def _learned(frames: MirroredFrames, member: NDArray[np.bool_]) -> BendCurvePrior:
     """Distribution of the curves of some specimens."""
     return BendCurvePrior.fit(frames[member[frames.specimen]])
 
 
-def _log_likelihood(prior: BendCurvePrior, frames: BentFrames) -> Array:
+def _log_likelihood(prior: BendCurvePrior, frames: MirroredFrames) -> Array:
     """Log-likelihood of each specimen (S,), without its mirror images."""
     return prior.log_likelihood(frames[frames.image == 0])

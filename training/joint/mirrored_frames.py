@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import CLAMP_FIELDS, State
-from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.method.input_spec import Mirror
 
 Array = NDArray[np.float64]
@@ -24,24 +24,31 @@ class MirroredFrames:
     """Changes of log V in n frames of one kind, mirror images included.
 
     Attributes:
-        change: since the reference (n, C).
-        noise: variance of the change, in units of that of one frame.
-        flat: magnitudes of the frame's specimen, flat and untouched (n, C) [ohm].
-        touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
+        change: since the reference, in K `combinations` (n, K).
         angle_deg: of the bend (n,) [deg].
+        touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
         specimen: number of the specimen, from 0 on (n,); mirror images share it.
         image: number of the symmetry (n,).
-        clamp: properties of the clamp (n, 4), as of `BentFrames`.
+        flat: magnitudes of the frame's specimen, flat and untouched (n, C) [ohm].
+        features: of the specimen (n, P); none before `combined`.
+        clamp: span [m], offset [m], number of held faces and ratio of the moduli of each frame's
+            clamp (n, 4); NaN where unknown.
+        combinations: of the measurements; each by itself before `combined`.
+        variance: of the change, in units of that of one frame.
+        noise: covariance of one frame's change (K, K).
     """
 
     change: Array
-    noise: float
-    flat: Array
-    touches: Array
     angle_deg: Array
-    specimen: NDArray[np.int64]
-    image: NDArray[np.int64]
+    touches: Array
+    specimen: Integers
+    image: Integers
+    flat: Array
+    features: Array
     clamp: Array
+    combinations: Combinations
+    variance: float
+    noise: Array
 
     @classmethod
     def touched(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
@@ -58,8 +65,8 @@ class MirroredFrames:
         rows = np.concatenate([np.flatnonzero(untouched), np.flatnonzero(referenced)])
         values = np.concatenate([data.impedance[untouched], data.touch_reference[referenced]])
         change = log_ratio(values, data.reference[data.specimen[rows]])
-        noise = 1.0 if data.source == "simulated" else 2.0  # simulated references are noise-free
-        return cls._imaged(data, rows, change, noise, images)
+        variance = 1.0 if data.source == "simulated" else 2.0  # simulated references: noise-free
+        return cls._imaged(data, rows, change, variance, images)
 
     @classmethod
     def _imaged(
@@ -67,7 +74,7 @@ class MirroredFrames:
         data: Dataset,
         rows: NDArray[np.intp],
         change: Array,
-        noise: float,
+        variance: float,
         images: Sequence[Mirror],
     ) -> "MirroredFrames":
         """Frames `rows` of a dataset and their mirror images, by the changes (rows, C)."""
@@ -76,22 +83,73 @@ class MirroredFrames:
         x, y, force = (
             values[rows].astype(float) for values in (data.touch_x, data.touch_y, data.touch_force)
         )
+        clamps = np.stack([getattr(data, name)[rows] for name in CLAMP_FIELDS], axis=1)
+        alone = Combinations(noise_of(data, images))
         touches = [np.stack([*mirror.places(x, y), force], axis=-1) for mirror in images]
         return cls(
             np.concatenate([change[:, mirror.order] for mirror in images]),
-            noise,
-            np.concatenate([flat[:, mirror.order] for mirror in images]),
-            np.concatenate(touches),
             np.tile(data.bend_angle_deg[rows].astype(float), len(images)),
+            np.concatenate(touches),
             np.tile(specimen.astype(np.int64), len(images)),
             np.repeat(np.arange(len(images)), len(rows)),
-            np.tile(_clamps(data)[rows], (len(images), 1)),
+            np.concatenate([flat[:, mirror.order] for mirror in images]),
+            np.zeros((len(rows) * len(images), 0)),
+            np.tile(clamps.astype(float), (len(images), 1)),
+            alone,
+            variance,
+            np.diag(variance * alone.noise**2),
         )
 
+    def combined(
+        self, features: SpecimenFeatures, combinations: Combinations, drift: float = 0.0
+    ) -> "MirroredFrames":
+        """The frames in combinations of their measurements, and with features of the specimens.
 
-def _clamps(data: Dataset) -> Array:
-    """Properties of each frame's clamp (n, 4); held alike by its mirror images."""
-    return np.stack([getattr(data, name) for name in CLAMP_FIELDS], axis=1).astype(float)
+        Args:
+            features: of specimens.
+            combinations: of the measurements, which each are by themselves so far.
+            drift: variance of the change common to all measurements.
+        """
+        noise = np.diag(self.variance * combinations.unit**2)
+        noise += np.outer(combinations.drift, combinations.drift) * drift
+        return replace(
+            self,
+            change=combinations.of(self.change),
+            features=features.apply(self.flat),
+            combinations=combinations,
+            noise=noise,
+        )
+
+    def __getitem__(self, rows: "slice | NDArray[np.generic]") -> "MirroredFrames":
+        """Some of the frames."""
+        names = ["change", "angle_deg", "touches", "specimen", "image", "flat", "features", "clamp"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @property
+    def specimens(self) -> int:
+        """Number S of the specimens, which are numbered from 0 on."""
+        return int(self.specimen.max()) + 1
+
+    @property
+    def curve(self) -> Integers:
+        """Number of each frame's curve (n,): that of a specimen or of one of its mirror images."""
+        return self.specimen + self.image * self.specimens
+
+    def coordinates(self) -> Array:
+        """Coordinates of the specimens by their bend curves (S, 2 `POWERS`).
+
+        Specimens of one clamp bend alike and lie close together. The curves are least-squares
+        polynomials; the coordinates are their first principal components.
+        """
+        powers = (self.angle_deg[:, None] / SCALE) ** np.arange(1, POWERS + 1)
+        curves = np.zeros((self.specimens, POWERS * self.change.shape[1]))
+        for number in range(self.specimens):
+            rows = self.specimen == number
+            gram = powers[rows].T @ powers[rows] + RIDGE * np.eye(POWERS)
+            curves[number] = np.linalg.solve(gram, powers[rows].T @ self.change[rows]).ravel()
+        left, sizes, _ = np.linalg.svd(curves - curves.mean(axis=0), full_matrices=False)
+        coordinates: Array = (left * sizes)[:, : 2 * POWERS]
+        return coordinates
 
 
 def is_touched(data: Dataset) -> NDArray[np.bool_]:
@@ -124,60 +182,3 @@ def log_ratio(values: NDArray[np.generic], reference: NDArray[np.generic]) -> Ar
     """log |V / ref|."""
     change: Array = np.log(np.abs(values) / np.abs(reference)).astype(float)
     return change
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BentFrames:
-    """n bent frames, mirror images included.
-
-    Attributes:
-        change: combinations of the change from the flat sensor (n, K).
-        angle_deg: of the bend (n,) [deg].
-        features: of the specimens (n, P).
-        specimen: number of the specimen (n,); mirror images share it.
-        image: number of the symmetry (n,).
-        combinations: of the measurements.
-        noise: covariance of one frame's change (K, K).
-        clamp: span [m], offset [m], number of held faces and ratio of the moduli of each frame's
-            clamp (n, 4); NaN where unknown.
-    """
-
-    change: Array
-    angle_deg: Array
-    features: Array
-    specimen: Integers
-    image: Integers
-    combinations: Combinations
-    noise: Array
-    clamp: Array
-
-    def __getitem__(self, rows: "slice | NDArray[np.generic]") -> "BentFrames":
-        """Some of the frames."""
-        names = ("change", "angle_deg", "features", "specimen", "image", "clamp")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
-
-    @property
-    def specimens(self) -> int:
-        """Number S of the specimens, which are numbered from 0 on."""
-        return int(self.specimen.max()) + 1
-
-    @property
-    def curve(self) -> Integers:
-        """Number of each frame's curve (n,): that of a specimen or of one of its mirror images."""
-        return self.specimen + self.image * self.specimens
-
-    def coordinates(self) -> Array:
-        """Coordinates of the specimens by their bend curves (S, 2 `POWERS`).
-
-        Specimens of one clamp bend alike and lie close together. The curves are least-squares
-        polynomials; the coordinates are their first principal components.
-        """
-        powers = (self.angle_deg[:, None] / SCALE) ** np.arange(1, POWERS + 1)
-        curves = np.zeros((self.specimens, POWERS * self.change.shape[1]))
-        for number in range(self.specimens):
-            rows = self.specimen == number
-            gram = powers[rows].T @ powers[rows] + RIDGE * np.eye(POWERS)
-            curves[number] = np.linalg.solve(gram, powers[rows].T @ self.change[rows]).ravel()
-        left, sizes, _ = np.linalg.svd(curves - curves.mean(axis=0), full_matrices=False)
-        coordinates: Array = (left * sizes)[:, : 2 * POWERS]
-        return coordinates

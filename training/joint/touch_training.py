@@ -4,7 +4,7 @@
 learned from synthetic frames, drawn from the learned response, bend curves and touch prior.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.joint.networks import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
 from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, InputRanges, TouchResponse
@@ -42,29 +43,6 @@ LOG_SENSITIVITY_STD = 0.15  # of the specimens' sensitivity to touches
 MOVED_DEG = 4.0  # standard deviation of the bend since the reference, in half of the frames
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TouchFrames:
-    """Training set of n touched frames.
-
-    Attributes:
-        touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
-        angle_deg: of the bend (n,) [deg].
-        features: of the specimens (n, P).
-        specimen: number of the specimen, from 0 on (n,); mirror images share it.
-        change: of log V (n, C).
-    """
-
-    touches: Array
-    angle_deg: Array
-    features: Array
-    specimen: NDArray[np.int64]
-    change: Array
-
-    def __getitem__(self, rows: NDArray[np.generic]) -> "TouchFrames":
-        """The frames of `rows` (integers or mask)."""
-        return TouchFrames(*(getattr(self, each.name)[rows] for each in fields(self)))
-
-
 class ResponseNetwork(nn.Module):
     """The network of `TouchResponse`, with strength and latent q of every training specimen.
 
@@ -72,7 +50,7 @@ class ResponseNetwork(nn.Module):
     parameters, strengths do not blur the shape of the response. Their geometric mean is one.
     """
 
-    def __init__(self, frames: TouchFrames) -> None:
+    def __init__(self, frames: MirroredFrames) -> None:
         """Size the network for the touches, channels, features and specimens of `frames`."""
         super().__init__()
         sizes = [4] + [HIDDEN] * LAYERS
@@ -108,9 +86,8 @@ class ResponseNetwork(nn.Module):
 
 
 def fit_response(
-    frames: TouchFrames,
+    frames: MirroredFrames,
     ranges: InputRanges,
-    noise: float,
     settings: NetworkSettings,
     seed: int,
     progress: Progress,
@@ -120,7 +97,6 @@ def fit_response(
     Args:
         frames: training set.
         ranges: of the inputs.
-        noise: rms noise of the frames' changes.
         settings: of the training.
         seed: of initial weights and order.
         progress: called after every epoch.
@@ -129,6 +105,7 @@ def fit_response(
     network = seeded_network(lambda: ResponseNetwork(frames), seed)
     inputs, change = packed_inputs(frames, ranges), as_tensor(frames.change / scale)
     # Weights: noise dominates the error of weak touches, model error that of strong ones.
+    noise = float(np.sqrt(np.mean(np.diagonal(frames.noise))))
     variance = (noise / scale) ** 2 + RELATIVE_ERROR**2 * change.square().mean(dim=1, keepdim=True)
     weighted = torch.cat([change, variance.mean() / variance], dim=1)
 
@@ -149,7 +126,7 @@ def fit_response(
     return folded_response(network, np.unique(frames.specimen), scale, ranges), history
 
 
-def packed_inputs(frames: TouchFrames, ranges: InputRanges) -> Tensor:
+def packed_inputs(frames: MirroredFrames, ranges: InputRanges) -> Tensor:
     """Rows (n, columns): inputs and factors of each touch, features, number of the specimen."""
     inputs = ranges.inputs(frames.touches, frames.angle_deg[:, None])
     columns = [

@@ -5,7 +5,7 @@ Networks are trained by `touch_training` and `angle_training`, which import torc
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.clamps import usual_curves
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.mirrored_frames import (
-    BentFrames,
     MirroredFrames,
     is_touched,
     is_untouched,
@@ -35,9 +34,6 @@ from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
 from eitskin.training.method.targets import NOMINAL_RADIUS
-
-if TYPE_CHECKING:
-    from eitskin.training.joint.touch_training import TouchFrames
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
@@ -96,7 +92,7 @@ def fit_joint(
     data, images = _usable(dataset), mirrors(spec.design, spec.protocol)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
-    kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
+    kinds = [(each.change, each.variance) for each in (touched, bent) if len(each.change)]
     combinations = Combinations.fit(kinds, noise_of(data, images))
     run = TrainingRun(every, combinations, settings, seed, progress)
     bends, losses = fit_bends(run, bent)
@@ -166,36 +162,25 @@ def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], L
     if not len(bent.change):
         flat = BendCurvePrior.flat(len(first.directions), len(combinations))
         return {"bend_prior": flat}, LearningCurve()
-    shared = run.settings.drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    noise = np.diag(bent.noise * combinations.unit**2)
-    noise += np.outer(combinations.drift, combinations.drift) * shared
-    frames = BentFrames(
-        combinations.of(bent.change),
-        bent.angle_deg,
-        first.apply(bent.flat),
-        bent.specimen,
-        bent.image,
-        combinations,
-        noise,
-        bent.clamp,
-    )
+    drift = run.settings.drift**2 * UNKNOWN_AGE / DRIFT_TIME
+    frames = bent.combined(first, combinations, drift)
     run.progress("bend curve", 0, 2)
     curves = BendCurvePrior.fit(frames)
     run.progress("bend curve", 1, 2)
     usual = usual_curves(frames, curves)
     run.progress("bend curve", 2, 2)
-    networks, losses = _fit_networks(run, frames, run.features.apply(bent.flat), curves)
+    networks, losses = _fit_networks(run, frames, curves)
     told = run.features if networks else None
     parts = {"bend_prior": curves, "usual": usual, "angles": networks, "angle_features": told}
     return parts, losses
 
 
 def _fit_networks(
-    run: TrainingRun, frames: BentFrames, features: Array, curves: BendCurvePrior
+    run: TrainingRun, frames: MirroredFrames, curves: BendCurvePrior
 ) -> tuple[AngleNetworks | None, LearningCurve]:
     """Networks of the bend angle, where they tell it better than the bend curves, and losses.
 
-    They are told features (n, Q), and compared by the likelihood of the angles of specimens that
+    They are told all features, and compared by the likelihood of the angles of specimens that
     they were trained without; the curves were not fitted without these, and are a little the
     better for it.
     """
@@ -203,7 +188,7 @@ def _fit_networks(
         return None, LearningCurve()
     from eitskin.training.joint.angle_training import fit_angles, loss_of_estimates
 
-    settings = run.settings.angles
+    settings, features = run.settings.angles, run.features.apply(frames.flat)
     networks, losses = fit_angles(frames, features, curves, settings, run.seed, run.progress)
     few = frames[:: -(-len(frames.change) // COMPARED)]
     pairs = zip(few.change, few.features, strict=True)
@@ -299,29 +284,16 @@ def _response(
     run: TrainingRun, touched: MirroredFrames, ranges: InputRanges
 ) -> tuple[TouchResponse, LearningCurve]:
     """Touch response, from touched frames and their mirror images, and its losses."""
-    from eitskin.training.joint.touch_training import TouchFrames, fit_response
+    from eitskin.training.joint.touch_training import fit_response
 
-    frames = TouchFrames(
-        touched.touches,
-        touched.angle_deg,
-        run.features.first().apply(touched.flat),
-        touched.specimen,
-        run.combinations.of(touched.change),
-    )
-    variance = touched.noise * run.combinations.unit**2
-    rms = float(np.sqrt(np.mean(variance)))
+    frames = touched.combined(run.features.first(), run.combinations)
     held_out = _is_held_out(frames.specimen)
     kept, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
-    response, losses = fit_response(
-        kept, ranges, rms, run.settings.response, run.seed, run.progress
-    )
-    mismatch = _mismatch(response, checked, variance, run.combinations)
-    return replace(response, mismatch=mismatch), losses
+    response, losses = fit_response(kept, ranges, run.settings.response, run.seed, run.progress)
+    return replace(response, mismatch=_mismatch(response, checked)), losses
 
 
-def _mismatch(
-    response: TouchResponse, frames: "TouchFrames", variance: Array, combinations: Combinations
-) -> float:
+def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
     """Relative rms error of the response on `frames`, over all measurements.
 
     The strength of each frame and its q are fitted, because the fit estimates forces and allows for
@@ -330,6 +302,7 @@ def _mismatch(
     since the fit allows for it already.
     """
     squares = size = 0.0
+    combinations, variance = frames.combinations, np.diagonal(frames.noise)
     total = np.sum(combinations.matrix**2, axis=0)
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]

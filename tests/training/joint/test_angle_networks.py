@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_frames import known_frames
+from made_up_frames import made_up_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
@@ -14,7 +15,6 @@ from eitskin.training.joint.angle_training import fit_angles, groups_of_specimen
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurvePrior
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.mirrored_frames import BentFrames, MirroredFrames
 from eitskin.training.joint.networks import (
     UNIT_DEG,
     AngleNetworks,
@@ -61,9 +61,7 @@ def changes(factor, angle, rng):
 
 def frames(specimens=150, seed=1, tightness=0.35):
     change, angle, number = bent(specimens, seed, tightness)
-    image, noise = np.zeros(len(change), np.int64), NOISE**2 * np.eye(CHANNELS)
-    none, clamp = np.zeros((len(change), 0)), np.full((len(change), 4), np.nan)
-    return BentFrames(change, angle, none, number, image, COMBINATIONS, noise, clamp)
+    return made_up_frames(change, angle, number, NOISE)
 
 
 def of_curves(data):
@@ -309,9 +307,7 @@ def test_known_clamps_teach_those_between_them():
         change = changes(0.04 / made[:, 0], angle, rng)
         turned = np.column_stack([100.0 * (made[:, 1] - 0.008), np.log(made[:, 3])])
         change += (angle / 50.0)[:, None] * (turned @ ways)
-        image, noise = np.zeros(len(change), np.int64), NOISE**2 * np.eye(CHANNELS)
-        none, clamp = np.zeros((len(change), 0)), made if known else np.full_like(made, np.nan)
-        return BentFrames(change, angle, none, number, image, COMBINATIONS, noise, clamp)
+        return made_up_frames(change, angle, number, NOISE, clamp=made if known else np.nan)
 
     def clamps(count, seed):
         span, offset, ratio = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, count))
@@ -329,17 +325,7 @@ def test_known_clamps_teach_those_between_them():
 
 @pytest.mark.parametrize(("tightness", "kept"), [(0.7, True), (0.0, False)])
 def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept):
-    change, angle, number = bent(120, 1, tightness)
-    data = MirroredFrames(
-        change,
-        1.0,
-        np.ones_like(change),
-        np.zeros((len(change), 0, 3)),
-        angle,
-        number,
-        np.zeros(len(change), np.int64),
-        np.full((len(change), 4), np.nan),
-    )
+    data = frames(120, 1, tightness)
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (24, 24))

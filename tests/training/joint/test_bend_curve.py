@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_frames import made_up_frames
 from scipy.optimize import minimize_scalar
 
 from eitskin.training.joint.bend_curve import (
@@ -14,7 +15,7 @@ from eitskin.training.joint.bend_curve import (
     mixture_curve,
 )
 from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import angle_standard_error, estimate_angle
 
 CHANNELS = 6
@@ -270,10 +271,8 @@ def made_up(rng, count, frames, covariance, features=None):
     departure = np.einsum("nk,nkc->nc", powers(angle, RANDOM_POWERS), own[specimen])
     noise = rng.multivariate_normal(np.zeros(CHANNELS), NOISE, len(angle))
     order = rng.permutation(len(angle))  # specimens' frames need not follow each other
-    change, image = mean + departure + noise, np.zeros(len(angle), np.int64)
-    clamp = np.full((len(angle), 4), np.nan)
-    frames = BentFrames(change, angle, p[specimen], specimen, image, COMBINATIONS, NOISE, clamp)
-    return frames[order]
+    change = mean + departure + noise
+    return made_up_frames(change, angle, specimen, NOISE, features=p[specimen])[order]
 
 
 def test_mixed_model_finds_covariance_and_mean(rng):

@@ -4,17 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from made_up_frames import made_up_frames
 
 from eitskin.training.joint import clamps
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.clamps import DRAWN, ClampCurves
-from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE
 
 CHANNELS = 3
 NOISE = 1e-5
 ANGLES = np.array([-18.0, -9.0, 8.0, 17.0, 26.0, 34.0, 43.0, 50.0])
-COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
 WAYS = np.random.default_rng(0).standard_normal((5, CHANNELS)) * 0.02
 
 
@@ -43,16 +42,8 @@ def bent(clamps, each=6, seed=2, feature=0.3):
     shape = curve(np.where(np.isfinite(made), made, 1.0))[number]
     change = u * shape[:, 0] + u**2 * shape[:, 1] + feature * u * features[number] * WAYS[4]
     change += NOISE * rng.standard_normal(change.shape)
-    return BentFrames(
-        change,
-        np.tile(ANGLES, len(made)),
-        features[number],
-        number,
-        np.zeros(len(number), np.int64),
-        COMBINATIONS,
-        NOISE**2 * np.eye(CHANNELS),
-        made[number],
-    )
+    more = {"features": features[number], "clamp": made[number]}
+    return made_up_frames(change, np.tile(ANGLES, len(made)), number, NOISE, **more)
 
 
 def learned(frames, seed=0):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from made_up_frames import made_up_frames
 
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.joint.touch_training import (
     ResponseNetwork,
-    TouchFrames,
     fit_response,
     folded_response,
     packed_inputs,
@@ -135,7 +135,7 @@ def frames(count, seed):
     change *= 1.0 + 0.05 * np.outer(feature, np.where(np.arange(28) % 2, 1.0, -1.0))
     change *= STRENGTHS[specimen][:, None]
     change += 1e-5 * rng.standard_normal(change.shape)
-    return TouchFrames(touches, angle, feature[:, None], specimen, change)
+    return made_up_frames(change, angle, specimen, 1e-5, features=feature[:, None], touches=touches)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def trained():
         patch.setattr(touch_training, "HIDDEN", 48)
         patch.setattr(touch_training, "LAYERS", 2)
         settings = NetworkSettings(1e-2, epochs=50, batch=32)
-        yield fit_response(frames(800, 0), RANGES, 1e-5, settings, 0, silent)
+        yield fit_response(frames(800, 0), RANGES, settings, 0, silent)
 
 
 @pytest.mark.slow

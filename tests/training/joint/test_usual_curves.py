@@ -4,18 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from made_up_frames import made_up_frames
 from scipy.stats import multivariate_normal
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamps import usual_curves
-from eitskin.training.joint.combinations import Combinations
-from eitskin.training.joint.mirrored_frames import SCALE, BentFrames
+from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import AngleEstimate, SpecimenModel, mixed
 
 CHANNELS, NOISE = 6, 2e-4
-COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
 WAYS = np.random.default_rng(0).standard_normal((3, CHANNELS)) * 0.03
 ANGLES = np.array([-15.0, 5.0, 15.0, 25.0, 35.0, 45.0])
 
@@ -32,16 +31,7 @@ def frames(alike, various, seed=1, spread=0.03):
     u = np.tile(ANGLES, count)[:, None] / SCALE
     change = u * (factor[:, None] * WAYS[0] + turned[:, None] * WAYS[1] + own)[number]
     change += u**2 * WAYS[2] + NOISE * rng.standard_normal((len(number), CHANNELS))
-    return BentFrames(
-        change,
-        np.tile(ANGLES, count),
-        np.zeros((len(number), 0)),
-        number,
-        np.zeros(len(number), np.int64),
-        COMBINATIONS,
-        NOISE**2 * np.eye(CHANNELS),
-        np.full((len(number), 4), np.nan),
-    )
+    return made_up_frames(change, np.tile(ANGLES, count), number, NOISE)
 
 
 def learned(data):
