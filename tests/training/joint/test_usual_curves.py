@@ -11,10 +11,12 @@ from eitskin.protocol import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamps import usual_curves
+from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import AngleEstimate, SpecimenModel, mixed
 
 CHANNELS, NOISE = 6, 2e-4
+COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
 WAYS = np.random.default_rng(0).standard_normal((3, CHANNELS)) * 0.03
 ANGLES = np.array([-15.0, 5.0, 15.0, 25.0, 35.0, 45.0])
 
