@@ -133,16 +133,22 @@ def _entries(kind: Any) -> dict[str, list[_Entry]]:
         if how.given or not field.init:
             continue
         kinds = get_args(hint) if get_origin(hint) is UnionType else (hint,)
-        own = next(each for each in kinds if each is not NoneType)
+        own = _expand(next(each for each in kinds if each is not NoneType))
         default = field.default is not MISSING or field.default_factory is not MISSING
         entry = _Entry(field.name, own, how, NoneType in kinds, default)
         entries.setdefault(how.name or field.name, []).append(entry)
     return entries
 
 
+def _expand(kind: Any) -> Any:
+    """Type behind an alias of a `type` statement, which NDArray is in some versions of numpy."""
+    value = getattr(get_origin(kind), "__value__", None)
+    return kind if value is None else value[get_args(kind)]
+
+
 def _element(kind: Any) -> Any:
     """Type of the elements of a tuple; any other type itself."""
-    return get_args(kind)[0] if get_origin(kind) is tuple else kind
+    return _expand(get_args(kind)[0]) if get_origin(kind) is tuple else kind
 
 
 def _is_number(kind: Any) -> bool:
