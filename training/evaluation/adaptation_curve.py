@@ -5,12 +5,12 @@ from some frames of the others: neighbours in time are too similar to learn from
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import UNKNOWN_STATE, State
@@ -22,7 +22,7 @@ from eitskin.training.adaptation.press_fit import (
     learn_places,
     touch_places,
 )
-from eitskin.training.evaluation.scores import match_distances
+from eitskin.training.evaluation.scores import match_distances, root_mean_square
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -37,6 +37,7 @@ COUNTS = (5, 20, 50, 200, 1000)
 TREES = 100
 ADAPTED, TRAINED, FORESTS = "adapted", "as trained", "ExtraTrees"
 ALONE = "without the design"
+NOTHING = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +64,10 @@ class CurvePoint:
         return asdict(self)
 
 
-@dataclass(slots=True)
-class _Errors:
-    """Errors gathered over the blocks: of angles [deg] and places [m], and touches in all."""
-
-    angles: list[float] = field(default_factory=list)
-    places: list[float] = field(default_factory=list)
-    touches: int = 0
-
-    def add_angles(self, errors: Array) -> None:
-        self.angles += errors[np.isfinite(errors)].tolist()
-
-    def add_places(self, errors: ArrayLike, touches: int) -> None:
-        self.places += np.asarray(errors, dtype=float).tolist()
-        self.touches += touches
-
-
-Gathered = defaultdict[tuple[str, int], _Errors]
-"""Errors by method and number of labelled frames."""
+Errors = tuple[Array, Array]
+"""Errors of angles (n,) [deg], and of places (m,) [m]; NaN for touches that were not found."""
+Gathered = defaultdict[tuple[str, int], list[Errors]]
+"""Errors in each block, by method and number of labelled frames."""
 
 
 def press_curve(
@@ -94,20 +81,20 @@ def press_curve(
 
     Raises DataError for fewer presses than can be learned from in each block.
     """
-    gathered: Gathered = defaultdict(_Errors)
+    gathered: Gathered = defaultdict(list)
     named = {ADAPTED: presses}
     if presses.design is not None:
         named[ALONE] = replace(presses, design=None)
     logs = np.log(np.where(presses.ratios > 0, presses.ratios, 1.0))
     for chosen, tested in _trials(np.arange(len(presses)), FEWEST, progress):
-        truth = presses.places[tested]
-        places = {FORESTS: _forest(logs[chosen], presses.places[chosen], logs[tested])}
-        for name, known in named.items():
-            learned = learn_places(known.select(chosen))
-            places[name] = learned.locator.apply(presses.ratios[tested])
-        for name in (*named, FORESTS):
-            errors = np.linalg.norm(places[name] - truth, axis=1)
-            gathered[name, len(chosen)].add_places(errors, len(truth))
+        places = {
+            name: learn_places(known.select(chosen)).locator.apply(presses.ratios[tested])
+            for name, known in named.items()
+        }
+        places[FORESTS] = _forest(logs[chosen], presses.places[chosen], logs[tested])
+        for name, found in places.items():
+            errors = np.linalg.norm(found - presses.places[tested], axis=1)
+            gathered[name, len(chosen)].append((NOTHING, errors))
     return _points(gathered)
 
 
@@ -123,76 +110,79 @@ def pipeline_curve(
 
     Raises DataError for fewer labelled frames than there are blocks.
     """
-    gathered: Gathered = defaultdict(_Errors)
+    gathered: Gathered = defaultdict(list)
     order = np.lexsort((np.arange(len(data)), data.time, data.episode))
     labelled = order[(_bent(data) | (data.touch_count == 1))[order]]
     judged: Rows | None = None
     for chosen, tested in _trials(labelled, 1, progress):
         part, shown, mine = data.select(tested), data.select(chosen), replace(pipeline)
         if judged is not tested:
-            _judge(gathered[TRAINED, 0], pipeline, part)
+            gathered[TRAINED, 0].append(_pipeline_errors(pipeline, part))
             judged = tested
         try:
             mine.adapt(shown)
         except DataError:  # few frames may contradict their angles; more may not
             continue
-        _judge(gathered[ADAPTED, len(chosen)], mine, part)
-        _judge_forests(gathered[FORESTS, len(chosen)], shown, part)
+        gathered[ADAPTED, len(chosen)].append(_pipeline_errors(mine, part))
+        gathered[FORESTS, len(chosen)].append(_forest_errors(shown, part))
     return _points(gathered)
 
 
-def _judge(errors: _Errors, pipeline: Pipeline, data: Dataset) -> None:
-    said = pipeline.perceive(data)
-    if pipeline.targets.angle and (bent := _bent(data)).any():
-        errors.add_angles(said.bend_angle_deg[bent] - data.bend_angle_deg[bent])
-    if pipeline.targets.touches and (touched := np.flatnonzero(data.touch_count == 1)).size:
-        truth = touch_places(data, touched)
-        pairs = [(truth[[k]], said.touches[row].place[:1]) for k, row in enumerate(touched)]
-        errors.add_places([d for pair in pairs for d in match_distances(*pair)], len(pairs))
+def _pipeline_errors(pipeline: Pipeline, data: Dataset) -> Errors:
+    said, bent, touched = pipeline.perceive(data), _bent(data), np.flatnonzero(_touched(data))
+    angles, distances = said.bend_angle_deg[bent] - data.bend_angle_deg[bent], [NOTHING]
+    if pipeline.targets.touches and touched.size:
+        for place, row in zip(touch_places(data, touched), touched, strict=True):
+            matched = match_distances(place, said.touches[row].place[:1])
+            distances.append(np.array(matched or [np.nan]))
+    return angles[np.isfinite(angles)], np.concatenate(distances)
 
 
-def _judge_forests(errors: _Errors, shown: Dataset, data: Dataset) -> None:
-    """Regressions of angles on changes from the flat sensor, of places on those by touches."""
+def _forest_errors(shown: Dataset, data: Dataset) -> Errors:
+    """Errors of regressions on changes, of angles from the flat sensor, of places by touches."""
     learned, tested = Observations.of(shown), Observations.of(data)
+    angles = places = NOTHING
     known, asked = _bent(shown), _bent(data)
     if known.any() and asked.any():
-        angle = shown.bend_angle_deg[known].astype(float)
-        found = _forest(_good(learned.static[known]), angle, _good(tested.static[asked]))
-        errors.add_angles(found - data.bend_angle_deg[asked])
-    known, asked = shown.touch_count == 1, data.touch_count == 1
+        truth = shown.bend_angle_deg[known].astype(float)
+        angles = _forest(learned.static[known], truth, tested.static[asked])
+        angles = angles - data.bend_angle_deg[asked]
+    known, asked = _touched(shown), _touched(data)
     if known.any() and asked.any():
-        place, truth = (
-            touch_places(each, np.flatnonzero(mask))
-            for each, mask in ((shown, known), (data, asked))
-        )
-        found = _forest(_good(learned.dynamic[known]), place, _good(tested.dynamic[asked]))
-        errors.add_places(np.linalg.norm(found - truth, axis=1), len(truth))
-
-
-def _good(changes: NDArray[np.floating]) -> Array:
-    """Changes (n, C) with 0 for bad channels."""
-    return np.asarray(np.nan_to_num(changes), dtype=float)
+        truth = touch_places(shown, np.flatnonzero(known))
+        found = _forest(learned.dynamic[known], truth, tested.dynamic[asked])
+        places = np.linalg.norm(found - touch_places(data, np.flatnonzero(asked)), axis=1)
+    return angles, places
 
 
 def _forest(features: Array, truth: Array, asked: Array) -> Array:
-    """Predictions (m, K) of extremely randomised trees for features (m, F)."""
+    """Predictions (m, K) of extremely randomised trees for features (m, F); 0 for bad channels."""
     ensemble = require("sklearn.ensemble", "training")
-    forest = ensemble.ExtraTreesRegressor(TREES, random_state=0).fit(features, truth)
-    predicted: Array = forest.predict(asked)
+    forest = ensemble.ExtraTreesRegressor(TREES, random_state=0)
+    predicted: Array = forest.fit(np.nan_to_num(features), truth).predict(np.nan_to_num(asked))
     return predicted
 
 
-def _points(gathered: Mapping[tuple[str, int], _Errors]) -> tuple[CurvePoint, ...]:
-    return tuple(
-        CurvePoint(
-            name,
-            count,
-            float(np.sqrt(np.mean(np.square(each.angles)))) if each.angles else None,
-            1e3 * float(np.mean(each.places)) if each.places else None,
-            len(each.places) / each.touches if each.touches else None,
+def _points(gathered: Gathered) -> tuple[CurvePoint, ...]:
+    points = []
+    for (name, count), blocks in gathered.items():
+        angles, places = (np.concatenate(errors) for errors in zip(*blocks, strict=True))
+        found = np.isfinite(places)
+        points.append(
+            CurvePoint(
+                name,
+                count,
+                root_mean_square(angles) if angles.size else None,
+                1e3 * float(places[found].mean()) if found.any() else None,
+                float(found.mean()) if found.size else None,
+            )
         )
-        for (name, count), each in gathered.items()
-    )
+    return tuple(points)
+
+
+def _touched(data: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) has a single touch."""
+    return np.asarray(data.touch_count == 1)
 
 
 def _bent(data: Dataset) -> NDArray[np.bool_]:

@@ -1,18 +1,16 @@
 """Cramer-Rao bound on the errors of touches and bend angle estimated from one frame.
 
 The measurements are the logarithms of a frame's resistances over those of a reference, as in the
-pipelines, so that noise is relative. With their covariance C and their derivatives G by the
-parameters, the covariance of every unbiased estimate is at least (G C^-1 G^T)^-1, the inverse of
-the Fisher information (Rao 1945, Cramer 1946).
+pipelines, so that noise is relative, and white. With derivatives G by the parameters, divided by
+the standard deviation of each measurement, the covariance of every unbiased estimate is at least
+(G G^T)^-1, the inverse of the Fisher information (Rao 1945, Cramer 1946).
 """
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cholesky, solve_triangular
 from scipy.special import ellipe
 
 from eitskin.errors import ConfigurationError
@@ -116,19 +114,16 @@ class SceneDerivatives:
                 f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames; give both"
             )
         touches = len(self.by_touch)
-        rows = [self.by_touch.reshape(3 * touches, len(self.by_angle))]
-        if not angle_known:
-            rows.append(self.by_angle[None])
-        wanted = sum(map(len, rows))
-        if not wanted:
+        if angle_known and not touches:
             raise ConfigurationError(
                 "expected touches or an unknown angle to estimate, got neither; name one"
             )
-        if not factor_known:
-            rows.append(np.ones((1, len(self.by_angle))))
-        covariance = np.diag(noise**2) * (1.0 + 1.0 / reference_frames)
-        parameters = fisher_information(np.concatenate(rows), covariance)
-        least = cramer_rao_bound(parameters, nuisance=range(wanted, len(parameters)))
+        rows = [
+            *(row for touch in self.by_touch for row in touch),
+            *([] if angle_known else [self.by_angle]),
+            *([] if factor_known else [np.ones(len(self.by_angle))]),
+        ]
+        least = cramer_rao_bound(rows, noise * math.sqrt(1.0 + 1.0 / reference_frames))
         parts = [slice(start, start + 3) for start in range(0, 3 * touches, 3)]
         blocks = np.array([least[part, part] for part in parts]).reshape(-1, 3, 3)
         positions = blocks[:, :2, :2]
@@ -136,62 +131,40 @@ class SceneDerivatives:
             place=np.sqrt(np.trace(positions, axis1=1, axis2=2)),
             distance=mean_distance(positions),
             force=np.sqrt(blocks[:, 2, 2]),
-            angle_deg=0.0 if angle_known else float(np.sqrt(least[wanted - 1, wanted - 1])),
+            angle_deg=0.0 if angle_known else float(np.sqrt(least[3 * touches, 3 * touches])),
         )
 
 
-def fisher_information(derivatives: Array, covariance: Array) -> Array:
-    """Fisher information G C^-1 G^T of normal noise, (parameters, parameters).
-
-    Args:
-        derivatives: G, of the mean by the parameters, (parameters, measurements).
-        covariance: C, of the noise, (measurements, measurements).
-
-    Raises:
-        ConfigurationError: for a covariance that is not positive definite.
-    """
-    deviation = np.sqrt(np.abs(np.diag(covariance)))
-    try:
-        factor = cholesky(covariance / np.outer(deviation, deviation), lower=True)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ConfigurationError(
-            f"the covariance of the noise must be positive definite, got one that is not: {error}"
-        ) from error
-    white = solve_triangular(factor, (derivatives / deviation).T, lower=True)
-    found: Array = white.T @ white
-    return found
-
-
-def cramer_rao_bound(information: Array, nuisance: Sequence[int] = ()) -> Array:
-    """Least covariance of unbiased estimates of all parameters but `nuisance`.
+def cramer_rao_bound(derivatives: ArrayLike, deviation: ArrayLike) -> Array:
+    """Least covariance of unbiased estimates of all parameters, (parameters, parameters).
 
     The inverse of the Fisher information, which is first scaled to a unit diagonal: parameters in
     metres beside parameters in newtons would cost digits.
 
     Args:
-        information: Fisher information of all parameters, (parameters, parameters).
-        nuisance: indices of the parameters that are unknown, and left out of the result.
+        derivatives: of the measurements' means by the parameters, (parameters, measurements).
+        deviation: standard deviation of the noise of each measurement, (measurements,) or one.
 
     Raises:
         ConfigurationError: for parameters that the measurements do not determine.
     """
-    wanted = np.setdiff1d(np.arange(len(information)), np.asarray(nuisance, dtype=int))
-    diagonal = np.diag(information)
-    if not np.all(diagonal > 0.0):
-        nothing = np.flatnonzero(~(diagonal > 0.0)).tolist()
+    white = np.asarray(derivatives, dtype=float) / np.asarray(deviation, dtype=float)
+    sizes = np.linalg.norm(white, axis=1)
+    if not np.all(sizes > 0.0):
+        nothing = np.flatnonzero(~(sizes > 0.0)).tolist()
         raise ConfigurationError(
             f"the measurements do not depend on parameters {nothing}; leave these out"
         )
-    scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    scaled = white / sizes[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
     if values[0] < _SINGULAR:
         mixed = np.flatnonzero(np.abs(vectors[:, 0]) > 0.1).tolist()
         raise ConfigurationError(
             f"the measurements do not determine parameters {mixed} separately; fix one"
         )
-    root = (scale[:, None] * vectors / np.sqrt(values))[wanted]
-    found: Array = root @ root.T
-    return found
+    root = vectors / (sizes[:, None] * np.sqrt(values))
+    least: Array = root @ root.T
+    return least
 
 
 def mean_distance(covariance: Array) -> Array:
@@ -230,16 +203,20 @@ def scene_derivatives(
         raise ConfigurationError(
             "expected touches with forces, got a touch with a depth; give a force instead"
         )
+    by = steps or Steps()
+    parameters: list[tuple[int | None, str, float]] = [
+        (number, name, step)
+        for number, touch in enumerate(scene.touches)
+        for name, step in (("x", by.place), ("y", by.place), ("force", by.force * touch.force))
+    ]
     scenes, weights = [scene], []
-    for number, name, step in _parameters(scene, steps or Steps()):
+    for number, name, step in (*parameters, (None, "angle_deg", by.angle_deg)):
         changed, factors = _stencil(simulator, scene, number, name, step)
         weights.append((slice(len(scenes), len(scenes) + len(changed)), np.array(factors) / step))
         scenes += changed
-    if instrument is None:
-        measured = simulator.measure_all(scenes, tolerance=0.0).real
-    else:
-        terminals = simulator.measure_all(scenes, tolerance=0.0, instrument=instrument)
-        measured = terminals[:, 0].real
+    measured = simulator.measure_all(scenes, tolerance=0.0, instrument=instrument).real
+    if instrument is not None:
+        measured = measured[:, 0]
     logarithms = np.log(np.abs(measured))
     rows = np.array([weight @ logarithms[part] for part, weight in weights])
     return SceneDerivatives(
@@ -247,15 +224,6 @@ def scene_derivatives(
         by_touch=rows[:-1].reshape(len(scene.touches), 3, measured.shape[1]),
         by_angle=rows[-1],
     )
-
-
-def _parameters(scene: Scene, steps: Steps) -> Iterator[tuple[int | None, str, float]]:
-    """Index of a touch, or None for the bend, with an attribute and the step of that attribute."""
-    for number, touch in enumerate(scene.touches):
-        yield number, "x", steps.place
-        yield number, "y", steps.place
-        yield number, "force", steps.force * touch.force
-    yield None, "angle_deg", steps.angle_deg
 
 
 def _stencil(
