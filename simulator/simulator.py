@@ -276,7 +276,6 @@ class Simulator:
         self,
         scenes: Sequence[Scene],
         tolerance: float = TOLERANCE,
-        before_each: Callable[[], None] = lambda: None,
         instrument: Instrument | None = None,
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
@@ -290,27 +289,21 @@ class Simulator:
             scenes: in any order; equal scenes are solved once.
             tolerance: error of a scene's change from the flat sensor, relative; 0 for each scene
                 solved by itself, as by `measure`.
-            before_each: called before each solution; may raise to stop.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
-        return self._measured(self.impedances(scenes, tolerance, before_each), instrument)
+        return self._measured(self.impedances(scenes, tolerance), instrument)
 
     def impedances(
-        self,
-        scenes: Sequence[Scene],
-        tolerance: float = TOLERANCE,
-        before_each: Callable[[], None] = lambda: None,
+        self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
     ) -> NDArray[np.inexact]:
         """Electrode impedance matrices [ohm] of many scenes, (scenes, electrodes, electrodes).
 
-        Args:
-            scenes, tolerance, before_each: as for `measure_all`.
+        Arguments as for `measure_all`.
         """
         found: dict[Scene, NDArray[np.inexact]] = {}
         with kernels():
             for group in _by_bend(scenes).values():
                 for scene in group:
-                    before_each()
                     found[scene] = self._impedances.at(scene, tolerance)
         return np.array([found[scene] for scene in scenes])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
-from eitskin.datasets.store.dataset import Dataset, require_same_origin
+from eitskin.datasets.store.dataset import Dataset, SpecimenReferences, require_same_origin
 from eitskin.datasets.store.folder import read_entry
 from eitskin.datasets.store.manifest import (
     MANIFEST,
@@ -16,7 +16,6 @@ from eitskin.datasets.store.manifest import (
     read_manifest,
 )
 from eitskin.datasets.store.shard_reader import read_shard
-from eitskin.datasets.store.values import SpecimenReferences
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import DataError
 from eitskin.files import read_bytes

@@ -9,6 +9,7 @@ import numpy as np
 
 from eitskin.bounds import drawn
 from eitskin.datasets.recipe.scene_group import (
+    count_problems,
     draw_positions,
     position_problems,
     range_problem,
@@ -229,8 +230,7 @@ class RandomEpisodes:
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
         """Contradictions within the episodes, or with the sensor's `outline`, a sentence each."""
         yield from _count_problems(self.count, self.period)
-        if not 1 <= self.frames <= LIMITS["frame"]:
-            yield f"frames must be from 1 to {LIMITS['frame']}, got {self.frames}"
+        yield from count_problems("frames", self.frames, 1, LIMITS["frame"])
         for name in ("angle_deg", "speed_deg_s", "rest_s", "pause_s", "hold_s"):
             above = -math.inf if name == "angle_deg" else 0.0
             if problem := range_problem(name, getattr(self, name), above):
@@ -266,7 +266,6 @@ Episodes = ScriptedEpisode | RandomEpisodes
 
 
 def _count_problems(count: int, period: float) -> Iterator[str]:
-    if count < 1:
-        yield f"count must be at least 1, got {count}"
+    yield from count_problems("count", count)
     if not 0.0 < period <= LONGEST_PERIOD:
         yield f"period must be a time above 0 s and at most {LONGEST_PERIOD:g} s, got {period}"

@@ -12,7 +12,7 @@ import numpy as np
 from eitskin.config import Location, read, read_toml, to_toml
 from eitskin.datasets.recipe import SHIPPED, shipped_names
 from eitskin.datasets.recipe.episode import Episodes
-from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.scene_group import SceneGroup, count_problems
 from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Mounts, Specimen, Specimens
 from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
@@ -192,15 +192,9 @@ class Recipe:
             yield "name must not be empty"
         if not 0 <= self.seed < 2**63:
             yield f"seed must be from 0 to 2^63 - 1, got {self.seed}"
-        if not 1 <= self.frames_per_shard <= LIMITS["frame"]:
-            yield (
-                f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {self.frames_per_shard}"
-            )
-        if not 1 <= self.reference_frames <= MOST_REFERENCE_FRAMES:
-            yield (
-                f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
-                f"{self.reference_frames}"
-            )
+        yield from count_problems("frames_per_shard", self.frames_per_shard, 1, LIMITS["frame"])
+        counted = self.reference_frames, 1, MOST_REFERENCE_FRAMES
+        yield from count_problems("reference_frames", *counted)
         yield from self._size_problems()
         yield from self._protocol_problems()
         if self.mounts.count and self.fixture != Clamp():
@@ -214,18 +208,18 @@ class Recipe:
             yield str(error)
             return
         for number, group in enumerate(self.scenes):
-            problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
+            problems = [*group.problems(outline), *map(self._bend_problem, group.angle_deg)]
             if group.rolls and isinstance(self.fixture, Clamp):
                 problems.append(_ROLLED)
             problems += self._support_problems(group.support, group.bends)
-            for problem in problems:
+            for problem in filter(None, problems):
                 yield f"scenes[{number}] ({group.state}): {problem}"
         for number, each in enumerate(self.episodes):
             problems = list(each.problems(outline))
-            problems = problems or [*self._bend_problems(each.angles_deg)]
+            problems = problems or [*map(self._bend_problem, each.angles_deg)]
             problems += self._skew_problems(each.period)
             problems += self._support_problems(None, each.angles_deg != (0.0, 0.0))
-            for problem in problems:
+            for problem in filter(None, problems):
                 yield f"episodes[{number}]: {problem}"
 
     def _support_problems(self, support: Support | None, bent: bool) -> Iterator[str]:
@@ -277,11 +271,6 @@ class Recipe:
             self.instrument.session(self.measured_protocol, 1.0, np.random.default_rng(0))
         except ConfigurationError as error:
             yield f"instrument: {error}"
-
-    def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
-        for angle in angles_deg:
-            if problem := self._bend_problem(angle):
-                yield problem
 
     def _bend_problem(self, angle_deg: float) -> str:
         """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""

@@ -75,12 +75,11 @@ class SceneGroup:
                 yield problem
         if self.positions:
             yield from self._position_problems(outline)
-        elif self.count < 1:
-            yield f"count must be at least 1, got {self.count}"
-        elif self.repeats != 1:
-            yield "repeats goes with positions; give positions, or count alone"
-        if self.per_bend < 1:
-            yield f"per_bend must be at least 1, got {self.per_bend}"
+        else:
+            yield from count_problems("count", self.count)
+            if self.repeats != 1:
+                yield "repeats goes with positions; give positions, or count alone"
+        yield from count_problems("per_bend", self.per_bend)
         if self.state == "touch":
             yield from touch_problems(
                 self.force, self.touches, self.margin, self.spacing, outline, self.pressed_by
@@ -142,8 +141,7 @@ class SceneGroup:
     def _position_problems(self, outline: PlaneOutline) -> Iterator[str]:
         if self.count:
             yield "count follows from positions and repeats; leave it out"
-        if self.repeats < 1:
-            yield f"repeats must be at least 1, got {self.repeats}"
+        yield from count_problems("repeats", self.repeats)
         if self.touches != (1, 1):
             yield "positions are pressed one at a time; leave out touches"
         yield from position_problems(self.positions, outline)
@@ -180,6 +178,13 @@ def draw_positions(
         f"could not place {amount} touches {spacing:g} m apart and {margin:g} m from the rim; ask "
         "for fewer touches, or less spacing or margin"
     )
+
+
+def count_problems(name: str, value: int, least: int = 1, most: int | None = None) -> Iterator[str]:
+    """Sentence on a number that is below `least`, or above `most` where that is given."""
+    if value < least or (most is not None and value > most):
+        limits = f"at least {least}" if most is None else f"from {least} to {most}"
+        yield f"{name} must be {limits}, got {value}"
 
 
 def range_problem(name: str, limits: tuple[float, float], above: float = -math.inf) -> str:

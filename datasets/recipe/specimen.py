@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recipe.scene_group import range_problem
+from eitskin.datasets.recipe.scene_group import count_problems, range_problem
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
@@ -94,8 +94,7 @@ class Specimens:
 
     def problems(self, design: SensorDesign, fixture: Fixture) -> Iterator[str]:
         """Impossible values for sensors like `design` on a `fixture`, a sentence each."""
-        if not 1 <= self.count <= LIMITS["specimen"]:
-            yield f"specimens: count must be from 1 to {LIMITS['specimen']}, got {self.count}"
+        yield from count_problems("specimens: count", self.count, 1, LIMITS["specimen"])
         for name, (limit, unit) in RANGES.items():
             if not 0.0 <= (value := getattr(self, name)) <= limit:
                 yield f"specimens: {name} must be from 0 to {limit:g}{unit}, got {value}"
@@ -163,8 +162,7 @@ class Mounts:
 
     def problems(self) -> Iterator[str]:
         """Impossible values, a sentence each."""
-        if not 0 <= self.count <= MOST_MOUNTS:
-            yield f"mounts: count must be from 0 to {MOST_MOUNTS}, got {self.count}"
+        yield from count_problems("mounts: count", self.count, 0, MOST_MOUNTS)
         for name in ("span", "offset", "stiffness"):
             above = -math.inf if name == "offset" else 0.0
             if problem := range_problem(name, getattr(self, name), above):

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -19,8 +19,8 @@ from eitskin.datasets.store.schema import (
     MAX_TOUCHES,
     MOST_REFERENCE_FRAMES,
     QUANTITIES,
+    check_values,
 )
-from eitskin.datasets.store.values import SpecimenReferences, check_values
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import quoted
 from eitskin.frame import Frame, Status
@@ -124,7 +124,7 @@ class Dataset:
                 )
             object.__setattr__(self, field.name, values)
         object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
-        check_values({field.name: getattr(self, field.name) for field in FIELDS})
+        check_values(self.columns)
         if self.source not in ("simulated", "measured"):
             raise DataError(f"source must be 'simulated' or 'measured', got {self.source!r}")
         if self.quantity not in ("", *QUANTITIES):
@@ -170,6 +170,11 @@ class Dataset:
     def channels(self) -> int:
         """Number of measurements of a frame."""
         return int(self.impedance.shape[1])
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All arrays by name, (n, ...) for each frame and (S, ...) for each specimen."""
+        return {field.name: getattr(self, field.name) for field in FIELDS}
 
     @property
     def bytes_per_frame(self) -> int:
@@ -285,26 +290,87 @@ class Dataset:
         """
         rest = iter(parts)
         first = next(rest)
-        columns: dict[str, Any] = {
-            field.name: np.empty((frames, *getattr(first, field.name).shape[1:]), field.dtype)
-            for field in FRAME_FIELDS
-        }
-        references = SpecimenReferences()
+        collected = ColumnCollector(first, frames, {field.name for field in FIELDS})
         end = 0
         for part in itertools.chain((first,), rest):
             require_same_origin(first, part)
-            references.add(part.specimen_number, part.reference)
             start, end = end, end + len(part)
             if end > frames:
                 break
-            for name, column in columns.items():
-                column[start:end] = getattr(part, name)
-            columns["specimen"][start:end] = part.specimen_number[part.specimen]
+            collected.put(slice(start, end), part.columns)
         if end != frames:
             raise DataError(f"expected parts with {frames} frames in all, got {end}")
-        numbers, reference = references.collected()
-        columns["specimen"] = np.searchsorted(numbers, columns["specimen"]).astype(np.uint32)
-        return dataclasses.replace(first, reference=reference, specimen_number=numbers, **columns)
+        return dataclasses.replace(first, **collected.whole())
+
+
+class SpecimenReferences:
+    """References of specimens by number, each kept once; parts must agree on those they share."""
+
+    def __init__(self) -> None:
+        """Begin without specimens."""
+        self._rows: dict[int, NDArray[Any]] = {}
+
+    def __len__(self) -> int:
+        """Number of specimens."""
+        return len(self._rows)
+
+    def add(self, numbers: NDArray[np.uint32], reference: NDArray[Any]) -> None:
+        """Add the specimens of one part.
+
+        Args:
+            numbers: of the specimens within the dataset, rising, (S,).
+            reference: a row for each specimen, (S, C).
+
+        Raises DataError where a specimen has another reference than in the parts before.
+        """
+        for number, row in zip(numbers.tolist(), reference, strict=True):
+            if not np.array_equal(self._rows.setdefault(number, row), row):
+                raise DataError(
+                    "the parts of a dataset must share the reference of a specimen, but that of "
+                    f"specimen {number} differs; these were not made together"
+                )
+
+    def collected(self) -> tuple[NDArray[np.uint32], NDArray[Any]]:
+        """Numbers of all specimens, rising, (S,), and their references (S, C)."""
+        numbers = sorted(self._rows)
+        return np.array(numbers, dtype=np.uint32), np.array([self._rows[n] for n in numbers])
+
+
+class ColumnCollector:
+    """Columns of a dataset that are filled from its parts, one at a time.
+
+    Attributes:
+        references: of the specimens of all parts.
+    """
+
+    def __init__(self, like: Dataset, frames: int, names: Collection[str]) -> None:
+        """Begin with uninitialised columns `names` of as many frames, in the shapes of `like`."""
+        self.references = SpecimenReferences()
+        self._columns = {
+            field.name: np.empty((frames, *getattr(like, field.name).shape[1:]), field.dtype)
+            for field in FRAME_FIELDS
+            if field.name in names
+        }
+
+    def put(self, rows: slice | NDArray[np.int64], part: Mapping[str, NDArray[Any]]) -> None:
+        """Fill some rows with the columns of a part; raises DataError for other references."""
+        if "reference" in part:
+            self.references.add(part["specimen_number"], part["reference"])
+        for name, column in self._columns.items():
+            values = part[name]
+            column[rows] = part["specimen_number"][values] if name == "specimen" else values
+
+    def whole(self) -> dict[str, Any]:
+        """All columns by name, (n, ...), with those of the specimens of all parts, (S, ...)."""
+        if "specimen" not in self._columns:
+            return self._columns
+        numbers, reference = self.references.collected()
+        rows = np.searchsorted(numbers, self._columns["specimen"]).astype(np.uint32)
+        return self._columns | {
+            "specimen": rows,
+            "specimen_number": numbers,
+            "reference": reference,
+        }
 
 
 def require_same_origin(one: Any, other: Any) -> None:

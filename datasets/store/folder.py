@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eitskin.datasets.store.dataset import ORIGIN, Dataset, frame_bytes, require_same_origin
+from eitskin.datasets.store.dataset import (
+    ORIGIN,
+    ColumnCollector,
+    Dataset,
+    frame_bytes,
+    require_same_origin,
+)
 from eitskin.datasets.store.manifest import (
     Manifest,
     Names,
@@ -23,7 +29,6 @@ from eitskin.datasets.store.manifest import (
 from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS
 from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.shard_reader import Columns, opened_shard, read_shard, shard_of
-from eitskin.datasets.store.values import SpecimenReferences
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 
@@ -252,22 +257,15 @@ class StoredDataset(Dataset):
         missing = _complete(names) - self._held
         if not missing:
             return
-        columns, references = self._empty(len(self), missing), SpecimenReferences()
+        require_memory(self._folder, len(self) * frame_bytes(self.channels, missing))
+        columns = ColumnCollector(self._head, len(self), missing)
         shards = self._manifest.shards
         for number, entry in enumerate(shards, 1):
-            part = self._part(entry, missing)
-            if "reference" in part:
-                references.add(part["specimen_number"], part["reference"])
-                part["specimen"] = part["specimen_number"][part["specimen"]]
-            for name, column in columns.items():
-                column[entry.first_index : entry.first_index + entry.count] = part[name]
+            rows = slice(entry.frames.start, entry.frames.stop)
+            columns.put(rows, self._part(entry, missing))
             if self._progress:
                 self._progress(number, len(shards))
-        if "reference" in missing:
-            columns["specimen_number"], columns["reference"] = references.collected()
-            rows = np.searchsorted(columns["specimen_number"], columns["specimen"])
-            columns["specimen"] = rows.astype(np.uint32)
-        for name, column in columns.items():
+        for name, column in columns.whole().items():
             object.__setattr__(self, name, column)
         self._held.update(missing)
         object.__setattr__(self, "_manifest", note_known(self._manifest))
@@ -282,30 +280,20 @@ class StoredDataset(Dataset):
             chosen = chosen.astype(np.int64)
         rows = np.arange(len(self))[chosen]
         self.read("reference")
-        columns = self._empty(len(rows), _NAMES)
+        require_memory(self._folder, len(rows) * self.bytes_per_frame)
+        columns = ColumnCollector(self._head, len(rows), _NAMES)
+        columns.references.add(self.specimen_number, self.reference)
         order = np.argsort(rows, kind="stable")
         starts = [entry.first_index for entry in self._manifest.shards]
         ends = [*np.searchsorted(rows[order], starts).tolist(), len(rows)]
         for entry, start, end in zip(self._manifest.shards, ends[:-1], ends[1:], strict=True):
             if start < end:
                 part, places = self._part(entry, _NAMES), order[start:end]
-                numbers = part["specimen_number"][part["specimen"]]
-                part["specimen"] = np.searchsorted(self.specimen_number, numbers).astype(np.uint32)
-                for name, column in columns.items():
-                    column[places] = part[name][rows[places] - entry.first_index]
+                within = rows[places] - entry.first_index
+                frames = {field.name: part[field.name][within] for field in FRAME_FIELDS}
+                columns.put(places, part | frames)
         known: dict[str, Any] = {name: getattr(self, name) for name in ORIGIN}
-        known |= {"reference": self.reference, "specimen_number": self.specimen_number}
-        known["names"] = self.names
-        return Dataset(**(known | columns))
-
-    def _empty(self, frames: int, names: Collection[str]) -> Columns:
-        """Uninitialised columns of as many frames; raises ConfigurationError without the memory."""
-        require_memory(self._folder, frames * frame_bytes(self.channels, names))
-        return {
-            field.name: np.empty((frames, *getattr(self._head, field.name).shape[1:]), field.dtype)
-            for field in FRAME_FIELDS
-            if field.name in names
-        }
+        return Dataset(**known, **columns.whole(), names=self.names)
 
     def _part(self, entry: ShardEntry, names: Collection[str]) -> Columns:
         """Columns of one shard; raises DataError for damage and shards of another dataset."""

@@ -72,6 +72,11 @@ class ShardEntry:
     sha256: str
     known: bool = field(default=False, compare=False)
 
+    @property
+    def frames(self) -> range:
+        """Numbers of its frames within the dataset."""
+        return range(self.first_index, self.first_index + self.count)
+
 
 @dataclass(frozen=True, slots=True)
 class Manifest:

@@ -1,6 +1,7 @@
 """Datasets written anew: combined, in other shards, in the newest version of the format."""
 
 import dataclasses
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from eitskin.datasets.store.manifest import (
     note_known,
     read_manifest,
 )
-from eitskin.datasets.store.schema import LIMITS
+from eitskin.datasets.store.schema import FORMAT_VERSION, LIMITS
 from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
@@ -66,7 +67,8 @@ def combine(
         for path, manifest in zip(paths, manifests, strict=True)
     ]
     for path, head in zip(paths[1:], heads[1:], strict=True):
-        _require_alike(paths[0], heads[0], path, head)
+        if different := "; ".join(_differences(heads[0], head)):
+            raise DataError(f"{path} cannot be combined with {paths[0]}: {different}")
     shared = _shared(heads)
     total = sum(len(manifest.shards) for manifest in manifests)
     parts = _renumbered(paths, manifests, magnitudes)
@@ -148,17 +150,7 @@ def _require_distinct(paths: Sequence[Path], manifests: Sequence[Manifest]) -> N
         seen |= {entry.sha256: path for entry in manifest.shards}
 
 
-def _require_alike(path: Path, one: Dataset, other_path: Path, other: Dataset) -> None:
-    """Raise DataError, with every difference and its remedy, for datasets of different kinds."""
-    found = [text for text in _differences(one, other) if text]
-    if found:
-        raise DataError(
-            f"{other_path} cannot be combined with {path}: "
-            + "; ".join(f"{text}" for text in found)
-        )
-
-
-def _differences(one: Dataset, other: Dataset) -> Iterator[str | None]:
+def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     """Differences that keep two datasets from being combined, each with its remedy."""
     if one.protocol != other.protocol or one.impedance.shape[1] != other.impedance.shape[1]:
         yield (
@@ -253,14 +245,7 @@ def compact(
             if progress:
                 progress(len(entries), len(pieces))
         shards = tuple(sorted(entries, key=lambda entry: entry.first_index))
-        made = Manifest(
-            manifest.source,
-            manifest.recipe_sha256,
-            manifest.seed,
-            manifest.frames,
-            shards,
-            names=manifest.names,
-        )
+        made = dataclasses.replace(manifest, shards=shards, format_version=FORMAT_VERSION)
         (temporary / MANIFEST).write_bytes(manifest_bytes(made))
     note_known(made)
     return made
@@ -276,34 +261,28 @@ class _Piece:
 
 
 def _pieces(manifest: Manifest, frames_per_shard: int | None) -> list[_Piece]:
-    shards = manifest.shards
-    if frames_per_shard is None:
-        return [_Piece(n, _frames(entry), (entry,)) for n, entry in enumerate(shards)]
-    pieces: list[_Piece] = []
-    begun = 0  # first old shard with frames of the piece
-    for number, first in enumerate(range(0, manifest.frames, frames_per_shard)):
-        frames = range(first, min(first + frames_per_shard, manifest.frames))
-        while _frames(shards[begun]).stop <= frames.start:
-            begun += 1
-        end = begun
-        while end < len(shards) and shards[end].first_index < frames.stop:
-            end += 1
-        pieces.append(_Piece(number, frames, shards[begun:end]))
-    return pieces
-
-
-def _frames(entry: ShardEntry) -> range:
-    return range(entry.first_index, entry.first_index + entry.count)
+    shards, frames = manifest.shards, manifest.frames
+    pieces = [entry.frames for entry in shards]
+    if frames_per_shard is not None:
+        starts = range(0, frames, frames_per_shard)
+        pieces = [range(start, min(start + frames_per_shard, frames)) for start in starts]
+    firsts = [entry.first_index for entry in shards]
+    return [
+        _Piece(
+            n, piece, shards[bisect_right(firsts, piece[0]) - 1 : bisect_right(firsts, piece[-1])]
+        )
+        for n, piece in enumerate(pieces)
+    ]
 
 
 def _write(folder: Path, out: Path, piece: _Piece) -> ShardEntry:
     """Write one new shard; returns its entry."""
-    parts = (_part(folder, entry, piece.frames) for entry in piece.sources)
-    data = Dataset.collect(parts, len(piece.frames))
+    frames = piece.frames
+
+    def part(entry: ShardEntry) -> Dataset:
+        """Frames of an old shard that are among those of the new one."""
+        first, stop = (max(edge - entry.first_index, 0) for edge in (frames.start, frames.stop))
+        return read_entry(folder, entry).select(slice(first, stop))
+
+    data = Dataset.collect(map(part, piece.sources), len(frames))
     return write_entry(out, piece.number, data, piece.frames.start, Path.write_bytes)
-
-
-def _part(folder: Path, entry: ShardEntry, frames: range) -> Dataset:
-    """Frames of one old shard that are among `frames`."""
-    start, stop = (edge - entry.first_index for edge in (frames.start, frames.stop))
-    return read_entry(folder, entry).select(slice(max(start, 0), max(stop, 0)))

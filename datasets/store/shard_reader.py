@@ -29,10 +29,10 @@ from eitskin.datasets.store.schema import (
     MAX_VALUES,
     MOST_SHARD_BYTES,
     Field,
+    check_values,
 )
 from eitskin.datasets.store.shard import unsealed
 from eitskin.datasets.store.stored_arrays import all_arrays, one_array
-from eitskin.datasets.store.values import check_values
 from eitskin.errors import DataError
 from eitskin.files import MOST_TEXT, quoted, read_bytes
 from eitskin.geometry.design.sensor import SensorDesign
@@ -86,7 +86,7 @@ def opened_shard(
 
     Raises DataError for any violation of the format.
     """
-    with _named_errors(path):
+    with _as_data_errors(path):
         image, _ = unsealed(content)
         if not known:
             limits = Limits(  # ten times of what most take
@@ -219,25 +219,16 @@ class OpenShard:
 
 
 @contextmanager
-def _named_errors(path: Path) -> Iterator[None]:
-    """Raise all errors of reading a file as DataError that begins with its name."""
-    try:
-        with _as_data_errors():
-            yield
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-
-
-@contextmanager
-def _as_data_errors() -> Iterator[None]:
-    """Raise all errors of reading a file as DataError."""
+def _as_data_errors(path: Path | None = None) -> Iterator[None]:
+    """Raise all errors of reading a file as DataError that begins with its name, if given."""
+    name = "" if path is None else f"{path}: "
     try:
         yield
-    except DataError:
-        raise
+    except DataError as error:
+        raise DataError(f"{name}{error}") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
         raise DataError(
-            f"this is not a whole shard of an eitskin dataset: {error}; make or copy it again"
+            f"{name}this is not a whole shard of an eitskin dataset: {error}; make or copy it again"
         ) from error
 
 

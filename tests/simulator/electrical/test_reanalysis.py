@@ -213,22 +213,6 @@ def test_a_scene_does_not_depend_on_the_others(small) -> None:
     assert together[::2].tobytes() == np.array(alone).tobytes()
 
 
-def test_each_solution_can_be_stopped(small) -> None:
-    class Stop(Exception):  # noqa: N818
-        pass
-
-    calls = []
-
-    def stop():
-        calls.append(None)
-        if len(calls) == 3:
-            raise Stop
-
-    with pytest.raises(Stop):
-        small.measure_all(scenes(), before_each=stop)
-    assert len(calls) == 3
-
-
 # Refusals
 
 
