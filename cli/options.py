@@ -1,6 +1,7 @@
 """Options and output that commands share."""
 
 import contextlib
+import dataclasses
 import functools
 import inspect
 import json
@@ -9,7 +10,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import typer
 from rich.console import Console, RenderableType
@@ -21,12 +22,11 @@ from eitskin.errors import ConfigurationError, cut
 if TYPE_CHECKING:
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
+    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+    from eitskin.simulator.simulator import Simulator
     from eitskin.training.method.interface import Method
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")]
 
 BoardOption = Annotated[
     str | None,
@@ -65,9 +65,6 @@ MechanicsFile = Annotated[
 FixtureFile = Annotated[
     Path | None, typer.Option(help="Fixture file: the clamp, hinge or arc that bends the sensor.")
 ]
-PressModel = Annotated[
-    str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")
-]
 Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
 MeasuredPairs = Annotated[
     str | None,
@@ -77,7 +74,7 @@ MeasuredPairs = Annotated[
         "file; a name with its number of electrodes, as in adjacent:16.",
     ),
 ]
-
+Detail = Annotated[str, typer.Option(help="coarse, fast, standard or fine.")]
 
 VIRTUAL = "virtual:"
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
@@ -91,41 +88,75 @@ def own_method(code: str | None) -> "type[Method] | None":
 
 
 def with_output(function: Callable[..., None]) -> Callable[..., None]:
-    """Command of a function, with the options --seed, --json, --quiet and --verbose.
+    """Command of a function, with --seed, and with the options of each dataclass that it takes.
 
-    The function takes an `Output`, and `seed`, an int, where it draws random numbers.
+    Such a dataclass, as `Output`, has a field with a Typer annotation for each of its options.
     """
     signature = inspect.signature(function)
-    own = [each for each in signature.parameters.values() if each.name != "output"]
-    draws = any(each.name == "seed" and each.annotation is int for each in own)
-    own = [each for each in own if each.name != "seed" or not draws]
-    shared = {"seed": Seed, "as_json": Json, "quiet": Quiet, "verbose": Verbose}
-    parameters = {each.name: each for each in own} | {
-        name: inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=0 if name == "seed" else False,
-            annotation=kind,
-        )
-        for name, kind in shared.items()
-        if name not in {each.name for each in own}
-    }
+    parameters: dict[str, inspect.Parameter] = {}
+    groups: dict[str, tuple[Any, list[str]]] = {}
+    for each in signature.parameters.values():
+        if not dataclasses.is_dataclass(each.annotation):
+            seed = (each.name, each.annotation) == ("seed", int)
+            parameters[each.name] = each.replace(annotation=Seed) if seed else each
+            continue
+        members = [
+            m for m in dataclasses.fields(each.annotation) if get_origin(m.type) is Annotated
+        ]
+        groups[each.name] = each.annotation, [member.name for member in members]
+        for m in members:
+            parameters[m.name] = _keyword(m.name, m.default, m.type)
+    if "seed" not in signature.parameters:  # every command takes it
+        parameters["seed"] = _keyword("seed", 0, Seed)
 
     @functools.wraps(function)
-    def command(
-        *arguments: Any,
-        as_json: bool = False,
-        quiet: bool = False,
-        verbose: bool = False,
-        **options: Any,
-    ) -> None:
-        if not draws and "seed" not in signature.parameters:
-            options.pop("seed", None)  # every command takes it
-        function(*arguments, output=Output(as_json, quiet, verbose), **options)
+    def command(*arguments: Any, **options: Any) -> None:
+        if "seed" not in signature.parameters:
+            options.pop("seed", None)
+        for name, (group, members) in groups.items():
+            given = {member: options.pop(member) for member in members if member in options}
+            options[name] = group(**given)
+        function(*arguments, **options)
 
     command.__signature__ = signature.replace(parameters=tuple(parameters.values()))  # type: ignore[attr-defined]
     command.__annotations__ = {each.name: each.annotation for each in parameters.values()}
     return command
+
+
+def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Options of a simulated sensor: design, materials, fixture, model of touches, protocol."""
+
+    sensor: SensorFile = None
+    mechanics: MechanicsFile = None
+    fixture: FixtureFile = None
+    touch_model: Annotated[
+        str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")
+    ] = ""
+    protocol: Pairs = "pairwise"
+
+    def simulator(
+        self, resolution: "Resolution | Discretisation", design: "SensorDesign | None" = None
+    ) -> "Simulator":
+        """Simulator of the sensor; raises ConfigurationError for options or files that do not fit.
+
+        The design is that of --sensor, unless another is given.
+        """
+        from eitskin.protocol import Protocol
+        from eitskin.simulator.deformation.sensor_grid import read_fixed
+        from eitskin.simulator.deformation.touches import TouchModel
+        from eitskin.simulator.simulator import Simulator
+
+        design = design or read_design(self.sensor)
+        fixture, mechanics, grid = read_fixed(self.fixture, self.mechanics)
+        pairs = Protocol.named(self.protocol, len(design.electrodes))
+        model = one_of("--touch-model", self.touch_model, TouchModel) if self.touch_model else None
+        return Simulator(design, resolution, fixture, pairs, mechanics, model, grid=grid)
 
 
 def read_design(sensor: Path | None) -> "SensorDesign":
@@ -155,11 +186,8 @@ def electrode_pair(drive: str, electrodes: int) -> tuple[int, int]:
     return pair
 
 
-def one_of(option: str, text: str, kind: Any) -> str:
-    """Check that the text is one of the values of the Literal `kind`, and return the text.
-
-    Raises ConfigurationError that names the option.
-    """
+def one_of(option: str, text: str, kind: Any) -> Any:
+    """The text, a value of the Literal `kind`; else a ConfigurationError of the option."""
     if text not in get_args(kind):
         raise ConfigurationError(
             f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
@@ -217,9 +245,15 @@ def _was_interrupted(error: BaseException | None) -> bool:
 class Output:
     """Output of a command: the result on stdout, everything else on stderr."""
 
-    as_json: bool = False
-    quiet: bool = False
-    verbose: bool = False
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object.")
+    ] = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")] = (
+        False
+    )
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")] = (
+        False
+    )
     console: Console = field(default_factory=Terminal)
     notes: Console = field(default_factory=lambda: Terminal(stderr=True))
 

@@ -12,14 +12,11 @@ from rich.table import Table
 
 from eitskin.cli.options import (
     TRAINING,
-    Json,
     Output,
-    Quiet,
-    Seed,
-    Verbose,
     ended_by_signals,
     own_method,
     watched,
+    with_output,
 )
 from eitskin.cli.terminal import FigureTable
 from eitskin.errors import ConfigurationError
@@ -68,21 +65,12 @@ _SEEDED = {
 def _seeded(name: str) -> Callable[..., None]:
     """Command of one of `_SEEDED`."""
 
-    def command(
-        out: Out = _OUT,
-        *,
-        quick: Quick = False,
-        seed: Seed = 0,
-        as_json: Json = False,
-        quiet: Quiet = False,
-        verbose: Verbose = False,
-    ) -> None:
+    def command(out: Out = _OUT, *, quick: Quick = False, seed: int = 0, output: Output) -> None:
         from eitskin.benchmarks import speed, world
         from eitskin.benchmarks.accuracy import run as accuracy
         from eitskin.benchmarks.stability import run as stability
 
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
-        output = Output(as_json, quiet, verbose)
         require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
         from eitskin.datasets.store.folder import make_folder
 
@@ -93,30 +81,29 @@ def _seeded(name: str) -> Callable[..., None]:
 
 
 for _name, _help in _SEEDED.items():
-    app.command(_name, help=_help)(_seeded(_name))
+    app.command(_name, help=_help)(with_output(_seeded(_name)))
 
 
 @app.command()
+@with_output
 def recordings(
     data: Annotated[Path, typer.Argument(help="Folder of the real recordings.")],
     out: Out = _OUT,
     *,
     quick: Quick = False,
     leaderboard: LeaderboardFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Measure real recordings: presses of a round skin, a frame of another board, a water tank."""
     from eitskin.benchmarks.recordings import run
 
-    output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING, bench="matplotlib")
     _require_whole(leaderboard, quick)
     _present(output, run(data, quick, watched(output)), out, leaderboard)
 
 
 @app.command()
+@with_output
 def transfer(
     pipelines: Annotated[
         list[Path] | None,
@@ -125,12 +112,10 @@ def transfer(
     out: Out = _OUT,
     *,
     quick: Quick = False,
-    seed: Seed = 0,
+    seed: int = 0,
     workers: Workers = 2,
     leaderboard: LeaderboardFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Measure pipelines on sensors with other clamps, layers, contacts and boards.
 
@@ -139,7 +124,6 @@ def transfer(
     from eitskin.benchmarks.transfer.run import run
     from eitskin.training.pipeline.saved_form import SHIPPED
 
-    output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
     named = {path.stem: path for path in pipelines or [SHIPPED]}
     if len(named) < len(pipelines or []):
@@ -151,18 +135,17 @@ def transfer(
 
 
 @app.command()
+@with_output
 def methods(
     out: Out = _OUT,
     *,
     preset: Presets = None,
     method: Methods = None,
     quick: Quick = False,
-    seed: Seed = 0,
+    seed: int = 0,
     workers: Workers = 2,
     leaderboard: LeaderboardFile = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Train methods on the same frames, and judge them on the same unseen sensors.
 
@@ -170,7 +153,6 @@ def methods(
     """
     from eitskin.benchmarks.skinbench.methods import run
 
-    output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
     own = {each.KIND: (each, code) for code in method or () if (each := own_method(code))}
     _require_whole(leaderboard, quick, seed)
@@ -182,6 +164,7 @@ def methods(
 
 
 @app.command()
+@with_output
 def paper(
     out: Out = _OUT,
     *,
@@ -202,9 +185,7 @@ def paper(
     method: Methods = None,
     leaderboard: LeaderboardFile = None,
     quick: Quick = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Repeat the paper's experiments: published, its pipeline trained here, ours, and others.
 
@@ -213,7 +194,6 @@ def paper(
     from eitskin.benchmarks.paper.report import report
     from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
 
-    output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING, bench="matplotlib")
     contenders = [Contender(each) for each in preset or ()]
     own = [Contender(method=own_method(each)) for each in method or ()]
@@ -236,6 +216,7 @@ def paper(
 
 
 @app.command()
+@with_output
 def layouts(
     out: Out = _OUT,
     *,
@@ -248,9 +229,7 @@ def layouts(
     ] = None,
     workers: Workers = 2,
     quick: Quick = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    output: Output,
 ) -> None:
     """Cramer-Rao bounds of touches for electrode layouts: sweeps, and a search for the best eight.
 
@@ -258,7 +237,6 @@ def layouts(
     """
     from eitskin.benchmarks.layouts.run import NAMES, run
 
-    output = Output(as_json, quiet, verbose)
     require_all(bench="matplotlib")
     folder = _folder(out, "layouts") / "parts"
     with output.progress() as bar:
@@ -272,6 +250,7 @@ def layouts(
 
 
 @app.command("all")
+@with_output
 def run_all(
     out: Out = _OUT,
     *,
@@ -290,10 +269,8 @@ def run_all(
         Path | None,
         typer.Option(help="Folder with real recordings, which one benchmark needs."),
     ] = None,
-    seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    seed: int = 0,
+    output: Output,
 ) -> None:
     """Run all benchmarks, one after the other, into one folder with an index.md.
 
@@ -302,7 +279,6 @@ def run_all(
     from eitskin.benchmarks import suite
     from eitskin.benchmarks.results import INDEX, write_index
 
-    output = Output(as_json, quiet, verbose)
     chosen = suite.chosen(only, long or quick)
     if only is None:
         require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")

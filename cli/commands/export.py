@@ -10,17 +10,13 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.commands.simulate import announce_unsolved, simulator
+from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.options import (
-    FixtureFile,
     FramesPath,
-    MechanicsFile,
     MethodCode,
     Output,
-    Pairs,
-    PressModel,
     SceneFile,
-    SensorFile,
+    SensorOptions,
     own_method,
     read_design,
     with_output,
@@ -98,11 +94,7 @@ def export_vtu(
     scene: SceneFile,
     *,
     out: NewFolder,
-    sensor: SensorFile = None,
-    mechanics: MechanicsFile = None,
-    fixture: FixtureFile = None,
-    touch_model: PressModel = "",
-    protocol: Pairs = "pairwise",
+    sensor: SensorOptions,
     drive: Annotated[
         tuple[int, int] | None,
         typer.Option(help="Only the current from A to B; all of the protocol when omitted."),
@@ -119,9 +111,8 @@ def export_vtu(
 
     what = Scene.from_toml(scene)
     _require_empty(out)
-    design = read_design(sensor)
-    resolution = field_resolution(design, cell)
-    sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
+    design = read_design(sensor.sensor)
+    sim = sensor.simulator(field_resolution(design, cell), design)
     announce_unsolved(sim, what, output)
     start = time.perf_counter()
     grids = scene_grids(sim, what, None if drive is None else [drive])

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Group
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import Agreement, MeterFit
 
     Frames = NDArray[np.complex128]
@@ -85,8 +83,8 @@ def fit(
     from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
-    detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
-    quantity = cast("Quantity", one_of("--reads", reads, Quantity)) if reads else None
+    detail = one_of("--resolution", resolution, Resolution)
+    quantity: Quantity | None = one_of("--reads", reads, Quantity) if reads else None
     sensor = SensorDesign.from_toml(design)
     require_parent(out)
     data = read_recorded(recording, values, protocol)

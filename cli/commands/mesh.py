@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Output, SensorFile, electrode_pair, one_of, read_design, with_output
+from eitskin.cli.options import (
+    Detail,
+    Output,
+    SensorFile,
+    electrode_pair,
+    one_of,
+    read_design,
+    with_output,
+)
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -22,7 +30,7 @@ if TYPE_CHECKING:
 def command(
     *,
     sensor: SensorFile = None,
-    resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "standard",
+    resolution: Detail = "standard",
     cells: Annotated[
         str | None,
         typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),
@@ -41,7 +49,7 @@ def command(
     design = read_design(sensor)
     named = cast("Resolution", resolution)
     suited = suited_cells(named, design)
-    kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else suited
+    kind = one_of("--cells", cells, CellKind) if cells else suited
     pair = None if drive is None else electrode_pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")

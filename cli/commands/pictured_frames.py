@@ -5,8 +5,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from eitskin.cli.commands.simulate import announce_unsolved, simulator
-from eitskin.cli.options import Output, opened_board
+from eitskin.cli.commands.simulate import announce_unsolved
+from eitskin.cli.options import Output, SensorOptions, opened_board
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _from_scene(
             f"expected --reference untouched or flat for a scene, got '{reference}'"
         )
     scene, design = Scene.from_toml(path), design or SensorDesign.reference()
-    sim = simulator(design, resolution, None, protocol or "pairwise", None, "")
+    sim = SensorOptions(protocol=protocol or "pairwise").simulator(resolution, design)
     sim.check_scene(scene)
     announce_unsolved(sim, scene, output)
     before = Scene() if reference == "flat" else dataclasses.replace(scene, touches=())

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import typer
 from rich.table import Table
@@ -11,6 +11,7 @@ from rich.table import Table
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.pictured_frames import SCHEMES, PicturedFrame, pictured_frames
 from eitskin.cli.options import (
+    Detail,
     MeasuredPairs,
     Output,
     SensorFile,
@@ -21,14 +22,7 @@ from eitskin.cli.options import (
     require_parent,
     with_output,
 )
-from eitskin.cli.page.access import (
-    Access,
-    PageHost,
-    PagePort,
-    PageTokenFile,
-    ShowPage,
-    tell_invitations,
-)
+from eitskin.cli.page.access import Access, PageOptions, tell_invitations
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -37,8 +31,7 @@ if TYPE_CHECKING:
 
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
-    from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.training.reconstruction.reconstructor import Difference, Method, Reconstructor
+    from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
 Source = Annotated[
     str,
@@ -89,12 +82,9 @@ def command(
     reference: Reference = "untouched",
     average: Averaged = 16,
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
-    resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "fast",
+    resolution: Detail = "fast",
     out: Out = None,
-    page: ShowPage = False,
-    page_port: PagePort = 8940,
-    page_host: PageHost = "127.0.0.1",
-    page_token_file: PageTokenFile = None,
+    page: PageOptions,
     seed: int = 0,
     output: Output,
 ) -> None:
@@ -105,26 +95,28 @@ def command(
     from eitskin.training.reconstruction.reconstructor import Difference, Method, Reconstructor
     from eitskin.training.reconstruction.regularised_inverse import Regularisation
 
-    names = list(get_args(Method)) if method == "all" else [one_of("--method", method, Method)]
+    names: list[Method] = (
+        [one_of("--method", method, Method)] if method != "all" else [*get_args(Method)]
+    )
     chosen_rule = Regularisation.named(rule)
     compared = None if difference is None else one_of("--difference", difference, Difference)
-    detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
+    detail = one_of("--resolution", resolution, Resolution)
     _require_out(out)
 
-    def maker(design: "SensorDesign", protocol: "Protocol", name: str) -> Reconstructor:
+    def maker(design: "SensorDesign", protocol: "Protocol", name: "Method") -> Reconstructor:
         return Reconstructor(
             design,
             protocol,
-            cast("Method", name),
+            name,
             chosen_rule,
             pixels,
-            cast("Difference | None", compared),
+            compared,
             detail,
         )
 
-    if page:
-        access = Access.of(page_host, page_token_file)
-        _follow_live(source, sensor, protocol, names, maker, (page_port, access), seed, output)
+    if page.page:
+        served = page.page_port, page.access
+        _follow_live(source, sensor, protocol, names, maker, served, seed, output)
         return
     taken = pictured_frames(
         source, sensor, protocol, frames, reference, average, detail, seed, output
@@ -185,8 +177,8 @@ def _follow_live(
     uri: str,
     sensor: Path | None,
     protocol: str | None,
-    methods: list[str],
-    maker: "Callable[[SensorDesign, Protocol, str], Reconstructor]",
+    methods: "list[Method]",
+    maker: "Callable[[SensorDesign, Protocol, Method], Reconstructor]",
     served: "tuple[int, Access]",
     seed: int,
     output: Output,

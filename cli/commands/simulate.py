@@ -4,20 +4,17 @@ import dataclasses
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Group
 from rich.table import Column, Table
 
 from eitskin.cli.options import (
-    FixtureFile,
-    MechanicsFile,
+    Detail,
     Output,
-    Pairs,
-    PressModel,
     SceneFile,
-    SensorFile,
+    SensorOptions,
     electrode_pair,
     one_of,
     read_design,
@@ -27,9 +24,7 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
-    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.deformation.touches import PressedTouch
-    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.instrument.instrument import Instrument
     from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.simulator import Simulator
@@ -39,11 +34,9 @@ if TYPE_CHECKING:
 @with_output
 def command(
     scene: SceneFile,
-    sensor: SensorFile = None,
-    mechanics: MechanicsFile = None,
-    fixture: FixtureFile = None,
-    touch_model: PressModel = "",
-    resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "standard",
+    *,
+    sensor: SensorOptions,
+    resolution: Detail = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
@@ -51,7 +44,6 @@ def command(
         str | None,
         typer.Option(help="Board that measures: ideal, ad5940, or an instrument file."),
     ] = None,
-    protocol: Pairs = "pairwise",
     support: Annotated[
         str | None,
         typer.Option(help="rigid, plates or free, instead of the scene's or the sensor's."),
@@ -66,7 +58,6 @@ def command(
             help="Current from A to B, as A-B; the pair with the largest change when omitted."
         ),
     ] = None,
-    *,
     seed: int = 0,
     output: Output,
 ) -> None:
@@ -78,11 +69,10 @@ def command(
     from eitskin.simulator.view.scene_pictures import draw_scenes
 
     what = on_support(Scene.from_toml(scene), support)
-    design = read_design(sensor)
     board = _instrument(noise, instrument)
+    design = read_design(sensor.sensor)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
-    detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
-    sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
+    sim = sensor.simulator(one_of("--resolution", resolution, Resolution), design)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene(), _noise_free(board), np.random.default_rng(seed))
     announce_unsolved(sim, what, output)
@@ -130,7 +120,7 @@ def _colours(
     for option, given in (("--colour", colour), ("--drive", drive)):
         if given is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
-    what = cast("Colour", one_of("--colour", colour or "conductance", Colour))
+    what = one_of("--colour", colour or "conductance", Colour)
     if drive is None:
         return what, None
     if what != "current":
@@ -234,37 +224,6 @@ def _cautions(presses: "tuple[PressedTouch, ...]") -> list[str]:
         for press in presses
         if press.caution
     ]
-
-
-def simulator(
-    design: "SensorDesign",
-    resolution: "Resolution | Discretisation",
-    fixture: Path | None,
-    protocol: str,
-    mechanics: Path | None,
-    touch_model: str,
-) -> "Simulator":
-    """Simulator configured by a command's options.
-
-    Raises ConfigurationError for options or files that do not fit.
-    """
-    from eitskin.protocol import Protocol
-    from eitskin.simulator.deformation.sensor_grid import read_fixed
-    from eitskin.simulator.deformation.touches import TouchModel
-    from eitskin.simulator.simulator import Simulator
-
-    held, materials, grid = read_fixed(fixture, mechanics)
-    return Simulator(
-        design,
-        resolution,
-        held,
-        Protocol.named(protocol, len(design.electrodes)),
-        materials,
-        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel))
-        if touch_model
-        else None,
-        grid=grid,
-    )
 
 
 def on_support(scene: "Scene", support: str | None) -> "Scene":

@@ -1,7 +1,7 @@
 """`eitskin twin`: the physical numbers behind one real sensor, fitted to labelled frames."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Group
@@ -19,7 +19,6 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.meter_fit import Agreement
     from eitskin.training.twin.twin import Twin
 
@@ -77,7 +76,7 @@ def fit(
     from eitskin.training.twin.parameters import TwinPrior
     from eitskin.training.twin.twin import Twin
 
-    detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
+    detail = one_of("--resolution", resolution, Resolution)
     new_folder(out)
     sensor = SensorDesign.from_toml(design)
     wide = read_toml(TwinPrior, prior) if prior else TwinPrior()

@@ -25,25 +25,6 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{16,128}")
 _LARGEST_FILE = 4096  # bytes
 
 
-ShowPage = Annotated[bool, typer.Option("--page", help="Also serve a page to browsers.")]
-PagePort = Annotated[
-    int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
-]
-PageHost = Annotated[
-    str,
-    typer.Option(
-        help="Address to serve the page at; 0.0.0.0 for every network, which then needs a token."
-    ),
-]
-PageTokenFile = Annotated[
-    Path | None,
-    typer.Option(help="File of the page's two tokens, made where it is not there; asks for them."),
-]
-PageFolder = Annotated[
-    Path, typer.Option(help="Folder of recordings and pipelines that are made from the page.")
-]
-
-
 class Role(IntEnum):
     """Permission of a browser; each has those before it."""
 
@@ -132,7 +113,7 @@ class Access:
 
     @classmethod
     def of(cls, host: str = LOOPBACK, token_file: Path | None = None) -> "Access":
-        """Access for options of a command: without a token only on the loopback interface.
+        """Access without a token only on the loopback interface.
 
         Raises ConfigurationError for a host that is none, and those of `Tokens.kept`.
         """
@@ -184,6 +165,34 @@ class Access:
                 return str(asked.getsockname()[0])
             except OSError:
                 return socket.gethostname()
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """Options of the live page."""
+
+    page: Annotated[bool, typer.Option("--page", help="Also serve a page to browsers.")] = False
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
+    ] = 8940
+    page_host: Annotated[
+        str,
+        typer.Option(
+            help="Address to serve the page at; 0.0.0.0 for every network, which then needs a "
+            "token."
+        ),
+    ] = LOOPBACK
+    page_token_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of the page's two tokens, made where it is not there; asks for them."
+        ),
+    ] = None
+
+    @property
+    def access(self) -> Access:
+        """Address and tokens; raises ConfigurationError as `Access.of` does."""
+        return Access.of(self.page_host, self.page_token_file)
 
 
 def resolved(host: str) -> tuple[socket.AddressFamily, str]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,15 +28,7 @@ from eitskin.cli.options import (
     own_method,
     with_output,
 )
-from eitskin.cli.page.access import (
-    Access,
-    PageFolder,
-    PageHost,
-    PagePort,
-    PageTokenFile,
-    ShowPage,
-    tell_invitations,
-)
+from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
@@ -101,11 +93,10 @@ def command(
     record: Record = None,
     mcap: Mcap = None,
     every_frame: EveryFrame = False,
-    page: ShowPage = False,
-    page_port: PagePort = 8940,
-    page_host: PageHost = "127.0.0.1",
-    page_token_file: PageTokenFile = None,
-    page_folder: PageFolder = Path("page-files"),
+    page: PageOptions,
+    page_folder: Annotated[
+        Path, typer.Option(help="Folder of recordings and pipelines that are made from the page.")
+    ] = Path("page-files"),
     udp: UdpAddress = None,
     websocket: WebSocketAddress = None,
     reference: ReferenceFile = None,
@@ -129,7 +120,7 @@ def command(
     from eitskin.training.pipeline.pipeline import open_pipeline
 
     board = named_board(board, output)
-    access = Access.of(page_host, page_token_file) if page else None
+    access = page.access if page.page else None  # refused before the board is opened
     own = own_method(method)
     pipeline = open_pipeline(model, own)
     tell_missing(pipeline, output)
@@ -152,13 +143,13 @@ def command(
         if not board.startswith("replay:"):
             session.expected = expected_magnitudes(pipeline)
         held = SessionPipeline(pipeline)
-        if page:
+        if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
             from eitskin.cli.page.live_page import LivePage
 
             tasks = stack.enter_context(SessionTasks(session, held, page_folder, model, own))
             session.page = stack.enter_context(
-                LivePage(session.connection, sheet_of(pipeline), page_port, access, tasks)
+                LivePage(session.connection, sheet_of(pipeline), page.page_port, access, tasks)
             )
             tell_invitations(session.page.invitations, output)
         if ros2:
@@ -192,7 +183,7 @@ def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipel
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
-    name = cast("Method", one_of("--picture", method, Method))
+    name = one_of("--picture", method, Method)
     return PicturePipeline(LivePictures.of(sheet, board.protocol, name), held)
 
 
