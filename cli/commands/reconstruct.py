@@ -207,12 +207,12 @@ def _follow_live(
                 board.protocol, "--protocol names", "the board measures", "leave --protocol out"
             )
         pipeline = PicturePipeline(LivePictures(maker(design, board.protocol, methods[0])))
-        session = LiveSession(Connection(board), output)
+        session = LiveSession(Connection(board), output, pipeline)
         session.connection.tell = session.say
         session.page = stack.enter_context(LivePage(session.connection, design, *served))
         tell_invitations(session.page.invitations, output)
         output.note("keep the sensor untouched at first")
-        session.follow(run_live(session.connection, pipeline), None)
+        session.follow(run_live(session.connection, session), None)
 
 
 def _require_out(out: Path | None) -> None:

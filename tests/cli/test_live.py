@@ -151,7 +151,7 @@ def test_a_frame_without_estimate_says_why():
 
 
 def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
-    session = session_of(QuietBoard(), expected=np.full(28, 600.0))
+    session = session_of(QuietBoard(), pipeline=types.SimpleNamespace(expected=np.full(28, 600.0)))
     with session.output.notes.capture() as capture:
         for number in range(40):
             status = np.zeros(28, np.uint8)

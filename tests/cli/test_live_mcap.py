@@ -116,7 +116,10 @@ def test_after_a_failure_nothing_more_is_written(tmp_path, monkeypatch):
     board = types.SimpleNamespace(counts=Counts(), info=types.SimpleNamespace(period=0.3))
     recording = Recording(McapWriter(tmp_path / "run.mcap"), tmp_path)
     session = live.LiveSession(
-        Connection(board), Output(notes=Console(width=200)), [recording], clock=lambda: 50.0
+        Connection(board),
+        Output(notes=Console(width=200)),
+        recordings=[recording],
+        clock=lambda: 50.0,
     )
     with monkeypatch.context() as patched, session.output.notes.capture() as capture:
         full_after(patched, 3)

@@ -76,16 +76,16 @@ def test_the_service_takes_a_zero_of_the_session_s_kind():
     """Flat, unless the session's stored reference is of a mounted sensor."""
     info = types.SimpleNamespace(uid=bytes(range(12)), period=0.3)
     board = types.SimpleNamespace(uri="serial:x", info=info, counts=None)
-    session = LiveSession(Connection(board), Output(quiet=True))
     asked = []
 
     def tare(*arguments):
         asked.append(arguments)
-        return types.SimpleNamespace(zero=Zero.MOUNTED)
+        pipeline.stored = types.SimpleNamespace(zero=Zero.MOUNTED)
 
     pipeline, frames = types.SimpleNamespace(tare=tare), [frame(0), frame(1)]
-    assert session.tare(pipeline, frames) == "zero: the sensor flat, mean of 2 frames"
-    assert session.tare(pipeline, frames) == "zero: the sensor as mounted, mean of 2 frames"
+    session = LiveSession(Connection(board), Output(quiet=True), pipeline)
+    assert session.tare(frames) == "zero: the sensor flat, mean of 2 frames"
+    assert session.tare(frames) == "zero: the sensor as mounted, mean of 2 frames"
     assert asked == [
         (frames, zero, bytes(range(12)).hex(), "serial:x") for zero in (Zero.FLAT, Zero.MOUNTED)
     ]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from eitskin.cli.commands.live.session import LiveSession, SessionPipeline
+from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.live.task import Progress, Task
 from eitskin.cli.commands.live.tasks import SessionTasks
 from eitskin.cli.options import Output
@@ -54,9 +54,9 @@ class Running:
 
     def __init__(self, folder, pipeline):
         output = Output(quiet=True, notes=Console(width=200))
-        self.session = LiveSession(Connection(Board()), output)
+        self.session = LiveSession(Connection(Board()), output, pipeline)
         self.numbers, self.bad = count(), []
-        self.tasks = SessionTasks(self.session, SessionPipeline(pipeline), folder, "fake.eitmodel")
+        self.tasks = SessionTasks(self.session, folder, "fake.eitmodel")
 
     def ask(self, path, **body):
         self.tasks.commands[path](json.dumps(body).encode())
@@ -235,12 +235,11 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr(virtual_board, "Simulator", lru_cache(Simulator))
     pipeline = Pipeline.load("reference.eitmodel")
     with open_board("virtual:?speed=max") as board:
-        session = LiveSession(Connection(board), Output(quiet=True))
-        held = SessionPipeline(pipeline)
-        with SessionTasks(session, held, tmp_path, "reference.eitmodel") as tasks:
+        session = LiveSession(Connection(board), Output(quiet=True), pipeline)
+        with SessionTasks(session, tmp_path, "reference.eitmodel") as tasks:
             tasks.commands["/setup"](b'{"angles": "25", "presses": 2, "frames": 3}')
             asked = []
-            for reading in run_live(session.connection, held):
+            for reading in run_live(session.connection, session):
                 session.take(reading)
                 task = tasks.state()["task"]
                 if task["over"]:
@@ -262,7 +261,7 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
         "use the new pipeline",
     ]
     assert Pipeline.load(saved).adaptation["bends"] == 3
-    assert held.current is not pipeline  # which the answer wanted
+    assert session.pipeline is not pipeline  # which the answer wanted
     assert str(session.stored.zero) == "flat"
     assert f"eitskin live {saved}" in task["text"]
     assert [each.suffix for each in sorted(tmp_path.iterdir())].count(".json") == 1

@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.commands.live.session import (
-    LiveSession,
-    Recording,
-    SessionPipeline,
-    expected_magnitudes,
-)
+from eitskin.cli.commands.live.session import LiveSession, Recording
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     BoardOption,
@@ -33,7 +28,6 @@ from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
     from eitskin.cli.page.plan import Region
-    from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.live import FramePipeline
@@ -136,18 +130,15 @@ def command(
         if reference is not None:
             use_reference(pipeline, reference, opened.info, output)
         tell_unjudged(pipeline, output)
-        session = LiveSession(Connection(opened), output, recordings)
-        session.stored = getattr(pipeline, "stored", None)
-        session.connection.tell = session.say
         # A recording was checked when it was made, and need not begin flat.
-        if not board.startswith("replay:"):
-            session.expected = expected_magnitudes(pipeline)
-        held = SessionPipeline(pipeline)
+        checks = not board.startswith("replay:")
+        session = LiveSession(Connection(opened), output, pipeline, checks, recordings)
+        session.connection.tell = session.say
         if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
             from eitskin.cli.page.live_page import LivePage
 
-            tasks = stack.enter_context(SessionTasks(session, held, page_folder, model, own))
+            tasks = stack.enter_context(SessionTasks(session, page_folder, model, own))
             session.page = stack.enter_context(
                 LivePage(session.connection, sheet_of(pipeline), page.page_port, access, tasks)
             )
@@ -155,10 +146,7 @@ def command(
         if ros2:
             from eitskin.hardware.ros2.skin_node import SkinNode
 
-            def tare(taken: "Sequence[Frame]") -> str:
-                return session.tare(held.current, taken)
-
-            node = SkinNode(ros2_namespace, ros2_domain, tare)
+            node = SkinNode(ros2_namespace, ros2_domain, session.tare)
             session.node = stack.enter_context(node)
             output.note(f"ROS 2: topics of /{node.name} in domain {ros2_domain}")
         if udp is not None or websocket is not None:
@@ -167,24 +155,24 @@ def command(
             for address in publisher.addresses:
                 output.note(f"readings: {address}")
         newest = not (every_frame or recordings)
-        followed = held if picture is None else _pictured(held, opened, picture)
+        followed = session if picture is None else _pictured(session, opened, picture)
         session.follow(run_live(session.connection, followed, newest=newest), frames)
 
 
-def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipeline":
+def _pictured(session: LiveSession, board: "Board", method: str) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures, PicturePipeline
     from eitskin.cli.page.plan import Region
     from eitskin.training.reconstruction.reconstructor import Method
 
-    sheet = sheet_of(held.current)
+    sheet = sheet_of(session.pipeline)
     if isinstance(sheet, Region):
         raise ConfigurationError(
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
     name = one_of("--picture", method, Method)
-    return PicturePipeline(LivePictures.of(sheet, board.protocol, name), held)
+    return PicturePipeline(LivePictures.of(sheet, board.protocol, name), session)
 
 
 def tell_missing(pipeline: "Pipeline", output: Output) -> None:

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Group, RenderableType
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams.publisher import ReadingPublisher
-    from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.references import StoredReference
     from eitskin.training.pipeline.session import SessionOrder
 
@@ -100,47 +99,28 @@ class Recording:
         self.problem = self.problem or str(error).partition(";")[0]
 
 
-T = TypeVar("T")
-
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
 SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
 
 
 @dataclass
-class SessionPipeline:
-    """Pipeline of a live session, which may be exchanged for another between two frames.
+class LiveSession:
+    """Live session: shows, records and summarises readings.
 
     Attributes:
-        current: pipeline of the next frame.
+        pipeline: of the next frame; may be exchanged for another between two frames.
+        checks: whether the sensor is checked where a session begins.
     """
-
-    current: "Pipeline"
-
-    def process(self, frame: "Frame") -> "Estimate":
-        """Estimate of the current pipeline."""
-        return self.current.process(frame)
-
-
-def expected_magnitudes(
-    pipeline: "Pipeline",
-) -> "NDArray[np.float64] | None":
-    """Magnitudes (measurements,) [ohm] of the sensor as its session begins; None where unknown."""
-    return getattr(pipeline, "expected", None)
-
-
-@dataclass
-class LiveSession:
-    """Live session: shows, records and summarises readings."""
 
     connection: "Connection"
     output: Output
+    pipeline: Any = None
+    checks: bool = True
     recordings: list[Recording] = field(default_factory=list)
     page: "LivePage | None" = None
     node: "SkinNode | None" = None
     publisher: "ReadingPublisher | None" = None
-    expected: "NDArray[np.float64] | None" = None
-    stored: "StoredReference | None" = None
     order: "SessionOrder | None" = None
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
@@ -152,6 +132,17 @@ class LiveSession:
     latest: Latest["Reading"] = field(default_factory=Latest)
     _recording: threading.Lock = field(default_factory=threading.Lock)
     _asked: queue.SimpleQueue[Callable[[], None]] = field(default_factory=queue.SimpleQueue)
+
+    @property
+    def stored(self) -> "StoredReference | None":
+        """Reference of the sensor, beside which a session need not begin flat."""
+        reference: StoredReference | None = getattr(self.pipeline, "stored", None)
+        return reference
+
+    def process(self, frame: "Frame") -> "Estimate":
+        """Estimate of the session's pipeline."""
+        estimate: Estimate = self.pipeline.process(frame)
+        return estimate
 
     def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
         """Show readings until they end or `frames` of them were processed, then summarise."""
@@ -213,9 +204,9 @@ class LiveSession:
             self.recordings.remove(recording)
             recording.close()
 
-    def between_frames(self, function: Callable[[], T]) -> "Future[T]":
+    def between_frames(self, function: Callable[[], str]) -> "Future[str]":
         """Have a function called by the live loop, after the next reading; from any thread."""
-        future: Future[T] = Future()
+        future: Future[str] = Future()
 
         def call() -> None:
             if future.set_running_or_notify_cancel():
@@ -227,12 +218,12 @@ class LiveSession:
         self._asked.put(call)
         return future
 
-    def tare(self, pipeline: "Pipeline", frames: Sequence["Frame"]) -> str:
+    def tare(self, frames: Sequence["Frame"]) -> str:
         """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
         from eitskin.training.method.predictions import Zero
 
         zero, board = Zero.FLAT if self.stored is None else self.stored.zero, self.connection.board
-        self.stored = pipeline.tare(frames, zero, board_number(board.info), board.uri)
+        self.pipeline.tare(frames, zero, board_number(board.info), board.uri)
         text = f"zero: the sensor {zero}, mean of {len(frames)} frames"
         self.say(text)
         return text
@@ -251,13 +242,14 @@ class LiveSession:
                 zero = "the stored reference stays in use"
             self.say(f"session {frame.session} begins: the board has started anew, and {zero}")
             self.beginning = []
-        if self.expected is None or len(self.beginning) >= CHECKED:
+        expected = getattr(self.pipeline, "expected", None) if self.checks else None
+        if expected is None or len(self.beginning) >= CHECKED:
             return
         self.beginning.append(frame)
         if len(self.beginning) == CHECKED:
             from eitskin.hardware.diagnosis.sensor_check import check_sensor
 
-            for finding in check_sensor(self.beginning, self.expected).findings:
+            for finding in check_sensor(self.beginning, expected).findings:
                 self.say(f"sensor check: {finding.message}")
 
     def say(self, text: str) -> None:
@@ -276,9 +268,8 @@ class LiveSession:
         # A machine that is busy for a moment is no silence.
         if age < longest_silence(period, SHORTEST_SILENCE):
             return ""
-        return f"nothing for {age:.0f} s" + f"; {self.connection.problem}" * bool(
-            self.connection.problem
-        )
+        problem = self.connection.problem
+        return f"nothing for {age:.0f} s{f'; {problem}' if problem else ''}"
 
     def view(self) -> RenderableType:
         """Panel of the newest reading and notes."""

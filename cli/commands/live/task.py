@@ -5,8 +5,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from eitskin.cli.commands.own_sensor.poses import Dialogue
 from eitskin.errors import DeviceError, EitskinError
 from eitskin.latest import Latest
 
@@ -59,8 +60,8 @@ class CancelledError(EitskinError):
     """A task that somebody cancelled, or whose session has ended."""
 
 
-class Task:
-    """One piece of work in a thread of its own.
+class Task(Dialogue):
+    """One piece of work in a thread of its own, which asks by buttons of the page.
 
     Attributes:
         state: what there is to see, replaced as a whole.
@@ -88,7 +89,7 @@ class Task:
         self._patience, self._clock = patience, clock
         self._cancelled = threading.Event()
         self._answered = threading.Condition()
-        self._answer: str | None = None
+        self._answer: Any = None  # text of the choice
 
     def run(self, work: "Callable[[Task], str]") -> None:
         """Do the work; its result, or its error, is the last state."""
@@ -106,11 +107,14 @@ class Task:
         """Show what is being done."""
         self._become(Progress.WORKING, text)
 
-    def say(self, text: str) -> None:
+    def note(self, text: str) -> None:
         """Add a line to what was said."""
         lines = (*self.state.lines, text)[-MOST_LINES:]
         self.state = replace(self.state, lines=lines)
         self._changed()
+
+    def sketch(self, text: str) -> None:
+        """Do nothing: the page shows places on its map."""
 
     def readings(self) -> "Iterator[Reading]":
         """Readings from the next one on, without those that become old meanwhile.
@@ -157,16 +161,11 @@ class Task:
             self._answer = None
         self.state = replace(self.state, place=place)
         self._become(Progress.ASKING, text, tuple(choices.items()))
-        answer = self._wait_for_answer()
-        if answer is None:
-            raise CancelledError
-        return answer
-
-    def _wait_for_answer(self) -> str | None:
-        """Answer; None where the task was cancelled."""
         with self._answered:
             self._answered.wait_for(lambda: self._cancelled.is_set() or self._answer is not None)
-            return self._answer
+            if self._answer is None:
+                raise CancelledError
+            return str(self._answer)
 
     def answer(self, text: str) -> bool:
         """Answer the question; False where there is none, or none with this choice."""

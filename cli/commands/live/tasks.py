@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.commands.check import FRAMES, sensor_findings
-from eitskin.cli.commands.live.session import Recording, SessionPipeline, expected_magnitudes
+from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.commands.live.task import Task
-from eitskin.cli.commands.own_sensor.adapt import angles_of, open_start
-from eitskin.cli.commands.own_sensor.poses import Dialogue, asked, staged
-from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, design_of
+from eitskin.cli.commands.own_sensor.adapt import in_words, open_start
+from eitskin.cli.commands.own_sensor.poses import asked, staged
+from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupOptions
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
 from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, read_command
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.hardware.boards.board import Board
+from eitskin.simulator.scene.scene import Scene
 
 if TYPE_CHECKING:
     from eitskin.cli.commands.live.session import LiveSession
@@ -28,24 +29,6 @@ if TYPE_CHECKING:
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.protocol.messages import Info
     from eitskin.training.method.interface import Method
-
-
-@dataclass(frozen=True, slots=True)
-class PageDialogue(Dialogue):
-    """Dialogue by buttons of the page, which shows places on its map."""
-
-    task: Task
-
-    def ask(
-        self, text: str, choices: Mapping[str, str], place: tuple[float, float] | None = None
-    ) -> str:
-        return self.task.ask(text, choices, place)
-
-    def note(self, text: str) -> None:
-        self.task.say(text)
-
-    def sketch(self, text: str) -> None:
-        pass
 
 
 class SessionBoard(Board):
@@ -80,47 +63,6 @@ class SessionBoard(Board):
         """Do nothing: the session needs its board."""
 
 
-def guided_setup(
-    task: Task,
-    board: Board,
-    model: Path,
-    method: "type[Method] | None",
-    out: Path,
-    command: "SetupCommand",
-) -> Setup:
-    """Go through the steps of a set-up.
-
-    Args:
-        task: with the frames of the session.
-        board: of the session; a virtual one is moved by the set-up itself.
-        model: trained pipeline to start from.
-        method: class of the user's own method; None for one of eitskin's.
-        out: of the sensor's own pipeline.
-        command: what is taken of the sensor.
-    """
-    task.show(f"opening {model}")
-    start, dialogue = open_start(model, method), PageDialogue(task)
-    virtual = board.stage is not None
-    hand = staged(FORCE) if virtual else asked(dialogue)
-    angles, presses, frames = angles_of(command.angles), command.presses, command.frames
-    design = design_of(start)
-    setup = Setup(model, start, design, out, angles, presses, frames, dialogue, hand)
-    try:
-        setup.run(lambda: SessionBoard(board, task))
-        return setup
-    finally:
-        if virtual:
-            _flatten(board)
-        if setup.taken:
-            task.say(setup.kept)
-
-
-def _flatten(board: Board) -> None:
-    from eitskin.simulator.scene.scene import Scene
-
-    board.stage.set(Scene())
-
-
 MOST = 1000
 USE = "use the new pipeline in this session? Lay the sensor flat, untouched, first"
 ENDS_WITHIN = 5.0  # s, after which a task is left alone: its files are whole or absent
@@ -145,30 +87,6 @@ class AnswerCommand:
     answer: str
 
 
-@dataclass(frozen=True, slots=True)
-class SetupCommand:
-    """POST /setup: begin the steps of `eitskin setup`.
-
-    Attributes:
-        angles: known bend angles [deg], separated by commas.
-        presses: number of presses that are asked for.
-        frames: number in each pose.
-    """
-
-    angles: str = "-20,15,30,42.5,50"
-    presses: int = 10
-    frames: int = 8
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if not (0 <= self.presses <= MOST and 1 <= self.frames <= MOST):
-            raise ConfigurationError(
-                f"expected 0 to {MOST} presses and 1 to {MOST} frames in each pose, got "
-                f"{self.presses} and {self.frames}"
-            )
-        angles_of(self.angles)
-
-
 class SessionTasks(Closeable, SessionCommands):
     """Tasks that a page may ask of a live session, one at a time, and a recording beside them.
 
@@ -179,7 +97,6 @@ class SessionTasks(Closeable, SessionCommands):
     def __init__(
         self,
         session: "LiveSession",
-        pipeline: SessionPipeline,
         folder: Path,
         model: Path,
         method: "type[Method] | None" = None,
@@ -188,13 +105,12 @@ class SessionTasks(Closeable, SessionCommands):
 
         Args:
             session: live session.
-            pipeline: of the session.
             folder: of files that are made, itself made when it is needed.
             model: that the pipeline was opened from, for a set-up to begin with.
             method: class of the user's own method; None for one of eitskin's.
         """
         self.folder = folder
-        self._session, self._pipeline = session, pipeline
+        self._session = session
         self._model, self._method = model, method
         self._lock = threading.Lock()
         self._task: Task | None = None
@@ -208,7 +124,7 @@ class SessionTasks(Closeable, SessionCommands):
             "/tare": (Plain, lambda _: self._start("zero", self._tare)),
             "/check": (Plain, lambda _: self._start("check", self._check)),
             "/record": (RecordCommand, lambda command: self._record(command.record)),
-            "/setup": (SetupCommand, self._set_up),
+            "/setup": (SetupOptions, self._set_up),
             "/answer": (AnswerCommand, lambda command: self._give(command.answer)),
             "/cancel": (Plain, lambda _: self._cancel()),
         }
@@ -267,7 +183,7 @@ class SessionTasks(Closeable, SessionCommands):
     def _tare(self, task: Task) -> str:
         taken = task.take(TARE_FRAMES, "hold the sensor still and untouched")
         frames = [reading.frame for reading in taken]
-        return self._in_loop(task, lambda: self._session.tare(self._pipeline.current, frames))
+        return self._in_loop(task, lambda: self._session.tare(frames))
 
     def _in_loop(self, task: Task, function: Callable[[], str]) -> str:
         """Result of a function that the live loop calls between two frames."""
@@ -280,20 +196,35 @@ class SessionTasks(Closeable, SessionCommands):
     def _check(self, task: Task) -> str:
         taken = task.take(FRAMES, "keep the sensor flat and untouched")
         frames = [reading.frame for reading in taken]
-        found = sensor_findings(self._pipeline.current, frames, lambda: _estimate(taken[-1]))
+        found = sensor_findings(self._session.pipeline, frames, lambda: _estimate(taken[-1]))
         for sentence in found.sentences:
-            task.say(sentence)
+            task.note(sentence)
         healthy = f"healthy: nothing was found in {len(taken)} frames"
         return "\n".join(each.message for each in found.findings) or healthy
 
-    def _set_up(self, command: SetupCommand) -> None:
+    def _set_up(self, options: SetupOptions) -> None:
+        if max(options.presses, options.frames) > MOST:
+            raise ConfigurationError(
+                f"expected at most {MOST} presses, and frames in each pose, got {options.presses} "
+                f"and {options.frames}"
+            )
         out = self._fresh("setup", ".eitmodel")
         board = self._session.connection.board
 
         def work(task: Task) -> str:
-            done = guided_setup(task, board, self._model, self._method, out, command)
-            text = f"{done.out}: {done.words}\nfor later: {done.live_command(board.uri)}"
-            task.say(text)
+            task.show(f"opening {self._model}")
+            hand = asked(task) if board.stage is None else staged(FORCE)
+            start = open_start(self._model, self._method)
+            done = Setup(self._model, start, out, options, task, hand)
+            try:
+                adapted = done.run(lambda: SessionBoard(board, task))
+            finally:
+                if board.stage is not None:  # which the set-up itself has moved
+                    board.stage.set(Scene())
+                if done.taken:
+                    task.note(done.kept)
+            text = f"{done.out}: {in_words(adapted)}\nfor later: {done.live_command(board.uri)}"
+            task.note(text)
             if task.ask(USE, {"": "use it now", "n": "not now"}):
                 return text
             return f"{text}\n{self._in_loop(task, lambda: self._exchange(done))}"
@@ -304,10 +235,8 @@ class SessionTasks(Closeable, SessionCommands):
         """Go on with the pipeline that was set up; between two frames."""
         from eitskin.training.pipeline.references import StoredReference
 
-        pipeline = self._pipeline.current = done.adapted or self._pipeline.current
-        pipeline.use(None if done.zero is None else StoredReference.read(done.zero))
-        self._session.stored = pipeline.stored
-        self._session.expected = expected_magnitudes(pipeline)
+        done.adapted.use(None if done.zero is None else StoredReference.read(done.zero))
+        self._session.pipeline, self._session.checks = done.adapted, True
         text = "this session goes on with it"
         self._session.say(f"{done.out}: {text}")
         return text

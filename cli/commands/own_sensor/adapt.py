@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from eitskin.training.method.input_spec import InputSpec
     from eitskin.training.method.interface import Calibration, Method
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.twin.twin import PressedTwin
 
+ANGLES = "-20,15,30,42.5,50"  # deg
 NOTHING = "none"
 """Name in place of a pipeline, where nothing was trained before."""
 
@@ -87,7 +87,8 @@ def command(
     require_writable(out, replace)
     before = open_start(model, own_method(method))
     data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
-    _require_same_measurements(before, data)
+    if before is not None and data.protocol is not None:
+        before.layout.require_same_measurements(data.protocol, data.frequency)
     curve = () if no_table else curve_of(before, data, output)
     if curve:
         output.show(curve_table(curve))
@@ -108,12 +109,6 @@ def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | None":
     return open_pipeline(model, method)
 
 
-def _require_same_measurements(before: "Pipeline | None", data: "Dataset") -> None:
-    """Refuse frames of another protocol than a pipeline's before any is looked at."""
-    if before is not None and data.protocol is not None:
-        before.layout.require_same_measurements(data.protocol, data.frequency)
-
-
 def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) -> "Pipeline":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
@@ -132,15 +127,11 @@ def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) 
             "expected a pipeline that knows the forces of touches with --twin, got one of touch "
             "positions, which learns from presses alone; leave out --twin"
         )
-    before.adapt(data, twin=_pressed(twin, before) if twin else None)
-    return before
-
-
-def _pressed(folder: Path, pipeline: "Pipeline") -> "PressedTwin":
-    """Twin in a folder, read before frames are."""
     from eitskin.training.twin.twin import PressedTwin
 
-    return PressedTwin.read(folder, pipeline.layout.protocol)
+    layout = before.layout
+    before.adapt(data, twin=PressedTwin.read(twin, layout.protocol) if twin else None)
+    return before
 
 
 def curve_of(
@@ -264,7 +255,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
     board: BoardUri,
     reference: ReferenceFile = None,
-    angles: Angles = "-20,15,30,42.5,50",
+    angles: Angles = ANGLES,
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
     method: MethodCode = None,

@@ -11,6 +11,7 @@ import typer
 
 from eitskin.cli.commands import check, tare
 from eitskin.cli.commands.own_sensor.adapt import (
+    ANGLES,
     Angles,
     StartModel,
     adapt,
@@ -53,6 +54,24 @@ FORCE = 8.0  # N, of the presses on a virtual board
 REPEAT, SKIP = "r", "s"
 
 
+@dataclass(frozen=True)
+class SetupOptions:
+    """Number of frames and presses, and angles, that a set-up takes."""
+
+    angles: Angles = ANGLES
+    presses: Annotated[int, typer.Option(min=0, help="Number of presses that are asked for.")] = 10
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if self.presses < 0 or self.frames < 1:
+            raise ConfigurationError(
+                "expected no negative number of presses, and a frame or more in each pose, got "
+                f"{self.presses} and {self.frames}"
+            )
+        angles_of(self.angles)
+
+
 @with_output
 def command(
     model: StartModel,
@@ -60,9 +79,7 @@ def command(
     out: Annotated[Path, typer.Option(help="File of the sensor's own pipeline, NAME.eitmodel.")],
     board: BoardOption = None,
     sensor: SensorFile = None,
-    angles: Angles = "-20,15,30,42.5,50",
-    presses: Annotated[int, typer.Option(min=0, help="Number of presses that are asked for.")] = 10,
-    frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8,
+    options: SetupOptions,
     no_prompt: Annotated[
         bool,
         typer.Option("--no-prompt", help="Ask nothing: for a virtual: board, which moves itself."),
@@ -80,22 +97,10 @@ def command(
     from eitskin.training.pipeline.saved_form import require_writable
 
     require_writable(out, replace)
-    start = open_start(model, None)
-    design = SensorDesign.from_toml(sensor) if sensor else design_of(start)
-    dialogue = TerminalDialogue(output)
+    dialogue, start = TerminalDialogue(output), open_start(model, None)
     hand = staged(FORCE) if no_prompt else asked(dialogue)
-    setup = Setup(
-        model,
-        start,
-        design,
-        out,
-        angles_of(angles),
-        presses,
-        frames,
-        dialogue,
-        hand,
-        asks=not no_prompt,
-    )
+    design = SensorDesign.from_toml(sensor) if sensor else None
+    setup = Setup(model, start, out, options, dialogue, hand, design, asks=not no_prompt)
     if setup.recorded.exists() and not replace:
         raise ConfigurationError(
             f"{setup.recorded} exists and is not replaced; {setup.going_on}, choose another --out, "
@@ -115,7 +120,7 @@ def command(
         **said(adapted),
         "next": following,
     }
-    output.result(result, f"{setup.out}: {setup.words}\nnext: {following}")
+    output.result(result, f"{setup.out}: {in_words(adapted)}\nnext: {following}")
 
 
 def _chosen_board(dialogue: Dialogue) -> str:
@@ -145,13 +150,11 @@ class Setup:
     Attributes:
         model: name of the pipeline to start from, or `none`.
         start: that pipeline; None for none.
-        design: of the sensor; None where nothing tells it.
         out: of the sensor's own pipeline.
-        angles: known bend angles [deg].
-        presses: number of presses at named places.
-        frames: number in each pose.
-        dialogue: with the person at it.
+        options: number of frames, presses and angles.
+        dialogue: with the person at the sensor.
         hand: way of bringing it into a pose.
+        design: of the sensor; that of the pipeline when omitted, None where nothing tells it.
         asks: whether steps can be repeated and skipped.
         taken: labelled frames by the step that took them.
         zero: file of the stored reference; None before it was taken.
@@ -160,17 +163,20 @@ class Setup:
 
     model: Path
     start: "Pipeline | None"
-    design: "SensorDesign | None"
     out: Path
-    angles: list[float]
-    presses: int
-    frames: int
+    options: SetupOptions
     dialogue: Dialogue
     hand: "Hand"
+    design: "SensorDesign | None" = None
     asks: bool = True
     taken: "dict[str, list[tuple[Frame, FrameLabel]]]" = field(default_factory=dict)
     zero: Path | None = None
-    adapted: "Pipeline | None" = None
+    adapted: "Pipeline" = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Take the pipeline's design, where no other is given."""
+        if self.design is None and self.start is not None:
+            self.design = self.start.layout.known_design
 
     @property
     def recorded(self) -> Path:
@@ -191,11 +197,6 @@ class Setup:
         """Words that say how to learn from the labelled frames that are kept."""
         return f"go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
 
-    @property
-    def words(self) -> str:
-        """Frames that the pipeline learned from."""
-        return in_words(self.adapted) if self.adapted else ""
-
     def live_command(self, uri: str) -> str:
         """Command that goes on with the sensor's own pipeline."""
         reference = f" --reference {self.zero}" if self.zero else ""
@@ -206,21 +207,29 @@ class Setup:
 
         Raises ConfigurationError where no step took frames to learn from.
         """
-
-        def step(name: str, what: str, work: "Callable[[Board], str]") -> None:
-            self._step(name, what, lambda: self._with_board(opened, work))
-
-        if self.start is not None:
-            step("check", "is the sensor on the board healthy?", self._check)
-            step("zero", "its flat, untouched state is stored", self._tare)
-        if self.start is not None and self.start.targets.angle and self.angles:
-            step("angles", f"{len(self.angles)} known bend angles", self._bend)
-        if self.presses:
-            step("presses", f"{self.presses} presses at named places", self._press)
+        start, angles, presses = self.start, angles_of(self.options.angles), self.options.presses
+        steps: list[tuple[str, str, Callable[[Board], str]]] = []
+        if start is not None:
+            check_sensor, store_zero = partial(self._check, start), partial(self._tare, start)
+            steps.append(("check", "is the sensor on the board healthy?", check_sensor))
+            steps.append(("zero", "its flat, untouched state is stored", store_zero))
+            if start.targets.angle and angles:
+                steps.append(("angles", f"{len(angles)} known bend angles", self._bend))
+        if presses:
+            steps.append(("presses", f"{presses} presses at named places", self._press))
+        for name, what, work in steps:
+            self._step(name, what, opened, work)
         return self._finish()
 
-    def _step(self, name: str, what: str, run: Callable[[], str]) -> None:
+    def _step(
+        self, name: str, what: str, opened: "Callable[[], Board]", work: "Callable[[Board], str]"
+    ) -> None:
         """Run a step, as often as wanted; its errors are told, and it may be repeated."""
+
+        def run() -> str:
+            with opened() as board:
+                return work(board)
+
         if not self.asks:
             self.dialogue.note(f"{name}: {what}")
             self.dialogue.note(f"{name}: {run()}")
@@ -235,15 +244,8 @@ class Setup:
             if answer != REPEAT:
                 return
 
-    def _with_board(self, opened: "Callable[[], Board]", work: "Callable[[Board], str]") -> str:
-        with opened() as board:
-            return work(board)
-
-    def _check(self, board: "Board") -> str:
+    def _check(self, start: "Pipeline", board: "Board") -> str:
         """The sensor check; findings are told, and the step may be repeated."""
-        start = self.start
-        if start is None:
-            return "skipped"
         tare.require_same_measurements(start, board)
         taken = list(islice(board.frames(), check.FRAMES))
         found = check.sensor_findings(
@@ -255,22 +257,20 @@ class Setup:
             raise typer.Exit(check.EXIT_UNHEALTHY)
         return text or "healthy"
 
-    def _tare(self, board: "Board") -> str:
-        pipeline = self.start
-        if pipeline is None:
-            return "skipped"
+    def _tare(self, start: "Pipeline", board: "Board") -> str:
         from eitskin.training.method.predictions import Zero
 
-        reference = tare.taken_from_board(pipeline, board, tare.FRAMES, Zero.FLAT)
-        pipeline.use(None)
+        reference = tare.taken_from_board(start, board, tare.FRAMES, Zero.FLAT)
+        start.use(None)
         self.zero = reference.write(self.out.with_suffix(".json"))
         return f"{self.zero} is the zero of this sensor, for --reference"
 
     def _bend(self, board: "Board") -> str:
-        return self._take(board, "angles", [bent(0.0), *(bent(angle) for angle in self.angles)])
+        angles = angles_of(self.options.angles)
+        return self._take(board, "angles", [bent(0.0), *(bent(angle) for angle in angles)])
 
     def _press(self, board: "Board") -> str:
-        count = self.presses
+        count = self.options.presses
         if self.design is None:
             raise ConfigurationError(
                 "expected the sensor's outline, to name places on it, got none; give --sensor"
@@ -289,7 +289,7 @@ class Setup:
         done = frames_in_poses(
             board,
             poses,
-            self.frames,
+            self.options.frames,
             self.hand,
             lambda pose: self.dialogue.note(f"taken: {pose.words}"),
             newest=self.asks,
@@ -314,8 +314,3 @@ class Setup:
         self.adapted = adapt(self.start, open_dataset(self.recorded))
         self.out = self.adapted.save(self.out)
         return self.adapted
-
-
-def design_of(start: "Pipeline | None") -> "SensorDesign | None":
-    """Design of a pipeline's sensor; None where it has none."""
-    return None if start is None else start.layout.known_design
