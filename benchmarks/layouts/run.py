@@ -2,14 +2,15 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.layouts.bound import Judge, Sampling, SheetBound, Watch, judge_layouts
+from eitskin.benchmarks.layouts.bound import Judge, Sampling, SheetBound, judge_layouts
 from eitskin.benchmarks.layouts.candidates import (
     PAPER,
     SIZE,
@@ -19,7 +20,7 @@ from eitskin.benchmarks.layouts.candidates import (
     with_electrodes,
 )
 from eitskin.benchmarks.layouts.search import COUNT, QUICK, SearchPlan, search
-from eitskin.benchmarks.results import Report, ReportTable, measured
+from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
 from eitskin.geometry.design.outline import Rectangle
@@ -31,19 +32,20 @@ MIRRORED, TURNED = "best with both mirrors", "best with a half turn"
 NAMES = (*sweeps(), SEARCH)
 SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
 QUICK_SAMPLING = Sampling(0.0225)
-HEADINGS = (
-    "n",
-    "scan [ms]",
-    "50 % [mm]",
-    "90 %",
-    "worst",
-    "paced",
-    "force [N]",
-    "angle [deg]",
-    "weak/strong",
-    "condition",
-    "patterns",
-)
+_COLUMNS = {
+    "n": ("measurements", "d"),
+    "scan [ms]": ("scan_ms", ".0f"),
+    "50 % [mm]": ("place_mm", ".2f"),
+    "90 %": ("place_90_mm", ".2f"),
+    "worst": ("place_worst_mm", ".2f"),
+    "paced": ("place_90_paced_mm", ".2f"),
+    "force [N]": ("force_90_n", ".2f"),
+    "angle [deg]": ("angle_untouched_deg", ".3f"),
+    "weak/strong": ("uniformity", ".3f"),
+    "condition": ("condition", ".3g"),
+    "patterns": ("patterns", "d"),
+}
+"""Figure of each column, and its format."""
 LEGEND = (
     "bound of the place of 10 N: median, 90 % and worst over the sheet, and 90 % paced, for as "
     "many frames as take the time of the paper's; force: 90 %; angle: of the untouched sheet; "
@@ -61,8 +63,7 @@ _DRAWN = (
     ("search", "even, half a pitch on"),
     ("count", "10 on the rim"),
 )
-_MOST = 6
-_COLUMNS = 2
+_MOST, _ABREAST = 6, 2  # maps
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
 
@@ -77,92 +78,44 @@ class JudgedLayout:
     bound: SheetBound
 
 
-@dataclass(frozen=True, slots=True)
-class LayoutFigures:
-    """Figures of one layout in the tables.
+def figures_of(judged: JudgedLayout) -> dict[str, Any]:
+    """Row of table.csv of one layout.
 
     Percentiles are over the sheet; bounds are of one frame against a reference of one, with the
-    angle of the bend unknown where nothing else is said.
-
-    Attributes:
-        sweep: that the layout belongs to.
-        layout: its name.
-        resolution, spacing_mm: of its judgement.
-        angle_deg: of the bend.
-        measurements: in a frame.
-        scan_ms: from one frame to the next [ms].
-        fits_wire: whether a frame fits into one packet.
-        place_mm, place_90_mm, place_worst_mm: median, 90th percentile and worst place [mm].
-        place_90_known_mm: 90th percentile with the angle known [mm].
-        place_90_paced_mm: 90th percentile for the mean of as many frames as take the time of one
-            of the paper's layout, or their fraction [mm].
-        force_n, force_90_n, force_worst_n: the same of the force [N].
-        angle_90_deg: 90th percentile of the angle's bound beside a press [deg].
-        angle_untouched_deg: bound of the angle of the untouched sheet [deg].
-        uniformity: 10th over 90th percentile of the signal.
-        condition: largest over 15th singular value of the signals.
-        patterns: independent patterns of the signals above the noise.
-        full_scale_ohm: largest resistance [ohm]; the noise is relative to it.
-        electrodes_mm: "x y" of each middle, with semicolons between [mm].
+    angle of the bend unknown where the name does not end in `known_mm`. `paced` is the bound for
+    the mean of as many frames as take the time of one of the paper's layout, or their fraction;
+    `fits_wire` says whether a frame fits into one packet, `electrodes_mm` "x y" of each middle.
     """
-
-    sweep: str
-    layout: str
-    resolution: str
-    spacing_mm: float
-    angle_deg: float
-    measurements: int
-    scan_ms: float
-    fits_wire: bool
-    place_mm: float
-    place_90_mm: float
-    place_worst_mm: float
-    place_90_known_mm: float
-    place_90_paced_mm: float
-    force_n: float
-    force_90_n: float
-    force_worst_n: float
-    angle_90_deg: float
-    angle_untouched_deg: float
-    uniformity: float
-    condition: float
-    patterns: int
-    full_scale_ohm: float
-    electrodes_mm: str
-
-    @classmethod
-    def of(cls, judged: JudgedLayout) -> "LayoutFigures":
-        """Figures of a judged layout."""
-        layout, sampling, bound = judged.layout, judged.sampling, judged.bound
-        place, place_90, worst = _percentiles(1e3 * bound.place)
-        force, force_90, force_worst = _percentiles(bound.force)
-        return cls(
-            sweep=judged.sweep,
-            layout=layout.name,
-            resolution=sampling.resolution,
-            spacing_mm=1e3 * sampling.spacing,
-            angle_deg=layout.angle_deg,
-            measurements=len(layout.protocol),
-            scan_ms=round(1e3 * layout.scan_time, 1),
-            fits_wire=len(layout.protocol) <= PER_PACKET,
-            place_mm=place,
-            place_90_mm=place_90,
-            place_worst_mm=worst,
-            place_90_known_mm=_percentiles(1e3 * bound.place_known)[1],
-            place_90_paced_mm=place_90 * (layout.scan_time / paper().scan_time) ** 0.5,
-            force_n=force,
-            force_90_n=force_90,
-            force_worst_n=force_worst,
-            angle_90_deg=_percentiles(bound.angle_deg)[1],
-            angle_untouched_deg=bound.untouched_deg,
-            uniformity=bound.uniformity,
-            condition=bound.condition,
-            patterns=bound.patterns,
-            full_scale_ohm=bound.full_scale,
-            electrodes_mm="; ".join(
-                f"{1e3 * e.x:g} {1e3 * e.y:g}" for e in layout.design.electrodes
-            ),
-        )
+    layout, bound = judged.layout, judged.bound
+    place, place_90, place_worst = _percentiles(1e3 * bound.place)
+    force, force_90, force_worst = _percentiles(bound.force)
+    return {
+        "sweep": judged.sweep,
+        "layout": layout.name,
+        "resolution": judged.sampling.resolution,
+        "spacing_mm": 1e3 * judged.sampling.spacing,
+        "angle_deg": layout.angle_deg,
+        "measurements": len(layout.protocol),
+        "scan_ms": 1e3 * layout.scan_time,
+        "fits_wire": len(layout.protocol) <= PER_PACKET,
+        "place_mm": place,
+        "place_90_mm": place_90,
+        "place_worst_mm": place_worst,
+        "place_90_known_mm": _percentiles(1e3 * bound.place_known)[1],
+        "place_90_paced_mm": place_90 * (layout.scan_time / paper().scan_time) ** 0.5,
+        "force_n": force,
+        "force_90_n": force_90,
+        "force_worst_n": force_worst,
+        "angle_90_deg": _percentiles(bound.angle_deg)[1],
+        "angle_untouched_deg": bound.untouched_deg,
+        "uniformity": bound.uniformity,
+        "condition": bound.condition,
+        "patterns": bound.patterns,
+        "full_scale_ohm": bound.full_scale,
+        "electrodes_mm": "; ".join(
+            f"{1e3 * e.x:g} {1e3 * e.y:g}" for e in layout.design.electrodes
+        ),
+    }
 
 
 def run(
@@ -171,7 +124,7 @@ def run(
     names: Sequence[str] = NAMES,
     quick: bool = False,
     workers: int = 1,
-    watch: Watch = lambda _: None,
+    progress: Progress = lambda *_: None,
 ) -> Report:
     """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
 
@@ -180,7 +133,7 @@ def run(
         names: of sweeps, of which "search" is one.
         quick: few places, few layouts in the search.
         workers: processes that judge.
-        watch: called with the name of each finished layout.
+        progress: told of each finished layout; those of the search are not known before.
 
     Raises ConfigurationError for an unknown sweep, PartialError as `judge_layouts` does.
     """
@@ -191,6 +144,12 @@ def run(
         )
     began = time.perf_counter()
     sampling = QUICK_SAMPLING if quick else SAMPLING
+    done = count(1)
+
+    def watch(name: str) -> None:
+        number = next(done)
+        progress(f"layouts: {name}", number, max(number, len(asked)))
+
     judge = partial(judge_layouts, folder, workers, watch)
     asked = [(name, each) for name, some in sweeps().items() if name in names for each in some]
     bounds = judge([(layout, sampling) for _, layout in asked])
@@ -204,43 +163,26 @@ def run(
 
 
 def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report:
-    tables: dict[str, ReportTable] = {}
-    for each in judged:
-        finer = (
-            f", {each.sampling.resolution} mesh, places {1e3 * each.sampling.spacing:g} mm apart"
-        )
-        title = f"{each.sweep}{finer if each.sweep == SEARCH else ''}"
-        table = tables.setdefault(title, ReportTable((title, *HEADINGS), []))
-        tables[title] = replace(table, rows=[*table.rows, _cells(LayoutFigures.of(each))])
-    figures = [pair for title, table in tables.items() for pair in table.figures(title)]
+    rows = [figures_of(each) for each in judged]
+    tables: dict[str, list[tuple[str, ...]]] = {}
     sentences = [LEGEND]
-    for each in judged:
+    for each, row in zip(judged, rows, strict=True):
+        title = each.sweep
+        if title == SEARCH:
+            title += f", {row['resolution']} mesh, places {row['spacing_mm']:g} mm apart"
+        cells = [f"{row[name]:{digits}}" for name, digits in _COLUMNS.values()]
+        cells[0] += "" if row["fits_wire"] else "*"
+        tables.setdefault(title, []).append((each.layout.name, *cells))
         if each.layout.name in (MIRRORED, TURNED):
-            middles = LayoutFigures.of(each).electrodes_mm
-            sentences.append(f"{each.layout.name}: middles at (x y) {middles} mm")
+            sentences.append(f"{each.layout.name}: middles at (x y) {row['electrodes_mm']} mm")
+    shown = [ReportTable((title, *_COLUMNS), cells) for title, cells in tables.items()]
+    figures = [pair for table in shown for pair in table.figures(table.headings[0])]
     return Report(
         results=measured("layouts", figures, began=began, quick=quick, options="--workers 2"),
-        rows=[asdict(LayoutFigures.of(each)) for each in judged],
-        tables=list(tables.values()),
+        rows=rows,
+        tables=shown,
         sentences=sentences,
         plots={"layouts.png": partial(plot_maps, judged)},
-    )
-
-
-def _cells(each: LayoutFigures) -> tuple[str, ...]:
-    return (
-        each.layout,
-        f"{each.measurements}{'' if each.fits_wire else '*'}",
-        f"{each.scan_ms:.0f}",
-        f"{each.place_mm:.2f}",
-        f"{each.place_90_mm:.2f}",
-        f"{each.place_worst_mm:.2f}",
-        f"{each.place_90_paced_mm:.2f}",
-        f"{each.force_90_n:.2f}",
-        f"{each.angle_untouched_deg:.3f}",
-        f"{each.uniformity:.3f}",
-        f"{each.condition:.3g}",
-        str(each.patterns),
     )
 
 
@@ -255,16 +197,10 @@ def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
         replace(mirrored.layout, name=MIRRORED),
         replace(turned.layout, name=TURNED),
     ]
-    yield from _twice(SEARCH, layouts, plan.sampling, judge, quick)
-
-
-def _twice(
-    sweep: str, layouts: Sequence[Layout], sampling: Sampling, judge: Judge, quick: bool
-) -> Iterator[JudgedLayout]:
-    fine = replace(sampling if quick else FINE, resolution="standard")
-    questions = [(layout, each) for each in (sampling, fine) for layout in layouts]
+    fine = replace(plan.sampling if quick else FINE, resolution="standard")
+    questions = [(layout, each) for each in (plan.sampling, fine) for layout in layouts]
     for (layout, each), bound in zip(questions, judge(questions), strict=True):
-        yield JudgedLayout(sweep, layout, each, bound)
+        yield JudgedLayout(SEARCH, layout, each, bound)
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:
@@ -278,11 +214,11 @@ def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
     values = np.concatenate([1e3 * each.bound.place.ravel() for each in shown])
     ends = np.percentile(values, (2, 100))
     scale = require("matplotlib.colors", "bench").LogNorm(float(ends[0]), float(ends[1]))
-    rows = -(-len(shown) // _COLUMNS)
+    rows = -(-len(shown) // _ABREAST)
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(9.5, 2.05 * rows + 0.4), layout="constrained"
     )
-    grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True, sharey=True)
+    grid = figure.subplots(rows, _ABREAST, squeeze=False, sharex=True, sharey=True)
     for axes, each in zip(grid.ravel(), shown, strict=False):
         filled = _draw(axes, each, scale)
     for axes in grid.ravel()[len(shown) :]:

@@ -88,16 +88,6 @@ class PaperComparison:
     contenders: tuple[Contender, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Measured:
-    """Measurements of one seed."""
-
-    recipe: Recipe
-    figures: dict[str, Figures]
-    bounds: Figures
-    signal_to_noise: SignalToNoise
-
-
 def run(
     pipeline: Path,
     folder: Path,
@@ -132,7 +122,7 @@ def run(
         )
     began = time.perf_counter()
     ours = Pipeline.load(pipeline)
-    parts = []
+    figures, bounds, ratios = [], [], []
     for seed in range(seeds):
         place = folder / f"{'quick-' if quick else ''}seed-{seed}"
         sets = make(place, seed, quick, workers, progress)
@@ -145,7 +135,10 @@ def run(
             trained[each.name] = _pipeline(
                 sets.training, kept, each.settings(seed), progress, each.method
             )
-        parts.append(_measured(sets, trained, ours, seed, quick, progress))
+        measured = _measured(sets, trained, ours, seed, quick, progress)
+        figures.append(measured[0])
+        bounds.append(measured[1])
+        ratios.append(SignalToNoise.of(sets.unseen))
     columns = [OWN, UNSEEN, OURS]
     columns += [column for each in contenders for column in columns_of(each.name)]
     return PaperComparison(
@@ -153,13 +146,12 @@ def run(
         seeds=tuple(range(seeds)),
         quick=quick,
         pipeline=f"{pipeline.name}, {_description(ours)}",
-        recipe=parts[-1].recipe,
+        recipe=sets.recipe,
         figures={
-            column: tuple(part.figures[column] for part in parts if column in part.figures)
-            for column in columns
+            column: tuple(each[column] for each in figures if column in each) for column in columns
         },
-        bounds=tuple(part.bounds for part in parts),
-        signal_to_noise=tuple(part.signal_to_noise for part in parts),
+        bounds=tuple(bounds),
+        signal_to_noise=tuple(ratios),
         contenders=tuple(contenders),
     )
 
@@ -171,7 +163,7 @@ def _measured(
     seed: int,
     quick: bool,
     progress: Progress,
-) -> _Measured:
+) -> tuple[dict[str, Figures], Figures]:
     def said(what: str, done: int) -> None:
         progress(f"measuring, seed {seed}: {what}", done, len(trained) + 2)
 
@@ -189,7 +181,7 @@ def _measured(
     count = BOUNDED_QUICK if quick else BOUNDED
     bounds = paper_scores.bounds(sets.unseen, sets.recipe, count, seed)
     said("done", len(trained) + 2)
-    return _Measured(sets.recipe, figures, bounds, SignalToNoise.of(sets.unseen))
+    return figures, bounds
 
 
 def columns_of(name: str) -> tuple[str, str]:

@@ -1,18 +1,17 @@
 """Scores of a pipeline in the paper's experiments, their bounds, and signal to noise."""
 
 import dataclasses
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.frames import frame_times
 from eitskin.benchmarks.paper.sets import episodes, in_episode
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
-from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -58,7 +57,7 @@ def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     if errors:
         values, weights = zip(*errors, strict=True)
         found["touch.error_mm"] = float(np.average(values, weights=weights))
-    p50, p99 = percentiles(times(pipeline, data).tolist())
+    p50, p99 = percentiles(frame_times(pipeline, data, range(len(data))).tolist())
     return found | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
 
 
@@ -146,29 +145,6 @@ def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
     for row in range(len(data)):
         yield pipeline.process(data.frame(row))
     pipeline.reset()
-
-
-def times(pipeline: Pipeline, data: Dataset) -> Array:
-    """Times (n,) [s] of `process` for each frame, after its two references."""
-    seconds = np.zeros(len(data))
-    for row in range(len(data)):
-        pipeline.reset()
-        flat, free = data.reference[data.specimen[row]], data.touch_reference[row]
-        frames = [_frame(data, values, n) for n, values in enumerate((flat, free))]
-        for frame in frames:
-            pipeline.process(frame)
-        last = _frame(data, data.impedance[row], len(frames))
-        start = time.perf_counter()
-        pipeline.process(last)
-        seconds[row] = time.perf_counter() - start
-    pipeline.reset()
-    return seconds
-
-
-def _frame(data: Dataset, values: NDArray[np.complex64], number: int) -> Frame:
-    return dataclasses.replace(
-        data.frame(0), impedance=values.astype(np.complex128), time=0.3 * number, number=number
-    )
 
 
 def _touches(name: str, score: TouchScore) -> Figures:

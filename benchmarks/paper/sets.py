@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.results import Progress
-from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.episode import Episodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimen, Specimens
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 
@@ -55,15 +54,13 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
 
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
-    all_recipes, made = dict(recipes(seed, quick)), {}
-    for name, recipe in all_recipes.items():
-        place = folder / name
-
-        def show(done: int, total: int, name: str = name) -> None:
-            progress(f"frames, seed {seed}: {name}", done, total)
-
-        generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
-        made[name] = open_dataset(place)
+    all_recipes = dict(recipes(seed, quick))
+    made = {
+        name: generate_missing(
+            recipe, folder / name, workers, progress, f"frames, seed {seed}: {name}"
+        )
+        for name, recipe in all_recipes.items()
+    }
     # A pipeline is told of the nominal sensor; what is special about this one nobody knows.
     training = dataclasses.replace(made["training"], design=SensorDesign.reference())
     own, unseen = (

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from eitskin.benchmarks.frames import frame_times, generate_missing
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
-from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
 from eitskin.training.method.interface import Method
@@ -59,11 +58,7 @@ def run(
     began, place = time.perf_counter(), folder / ("quick-frames" if quick else "frames")
     recipe = small_recipe(*((QUICK_FRAMES, QUICK_SPECIMENS) if quick else (FRAMES, SPECIMENS)))
 
-    def show(done: int, total: int) -> None:
-        progress("frames", done, total)
-
-    generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
-    data = open_dataset(place)
+    data = generate_missing(recipe, place, workers, progress, "frames")
     chosen = presets or (() if methods else BASELINES)
     asked: list[tuple[str, TrainingSettings, type[Method] | None]] = [
         *((name, TrainingSettings.preset(name, seed), None) for name in chosen),
@@ -124,20 +119,6 @@ def _row(name: str, pipeline: Pipeline, unseen: Dataset, seconds: str) -> tuple[
         "" if (value := found[key]) is None else f"{factor * value:.{digits}f}"
         for key, (_, factor, digits) in _COLUMNS.items()
     ]
-    return (name, *cells, seconds, f"{frame_ms(pipeline, unseen):.2f}")
-
-
-def frame_ms(pipeline: Pipeline, data: Dataset) -> float:
-    """Median processor time of `process` for a touched frame [ms], after its two references."""
-    times = []
-    for number in np.flatnonzero(data.touch_count > 0)[:TIMED].tolist():
-        pipeline.reset()
-        flat, free = data.reference[data.specimen[number]], data.touch_reference[number]
-        for n, values in enumerate((flat, free, data.impedance[number])):
-            impedance = values.astype(np.complex128)
-            frame = replace(data.frame(0), impedance=impedance, number=n, time=0.3 * n)
-            start = time.process_time()
-            pipeline.process(frame)
-        times.append(time.process_time() - start)
-    pipeline.reset()
-    return 1e3 * float(np.median(times))
+    touched = np.flatnonzero(unseen.touch_count > 0)[:TIMED].tolist()
+    frame_ms = 1e3 * np.median(frame_times(pipeline, unseen, touched, time.process_time))
+    return (name, *cells, seconds, f"{frame_ms:.2f}")

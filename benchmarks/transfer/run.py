@@ -31,29 +31,17 @@ Array = NDArray[np.float64]
 Figures = dict[str, float]
 
 BOUND = "Cramer-Rao bound"
-_HEADINGS = (
-    "pipeline",
-    "world",
-    "labelled",
-    "states [%]",
-    "angle [deg]",
-    "/ SE",
-    "false [%]",
-    "found [%]",
-    "place [mm]",
-    "/ SE",
-    "refused [%]",
-)
-_CELLS = (
-    ("untouched states right", 100.0),
-    ("angle, rms [deg]", 1.0),
-    ("angle, error over standard error", 1.0),
-    ("touches in untouched frames", 100.0),
-    ("touches found", 100.0),
-    ("place, mean [mm]", 1.0),
-    ("place, error over standard error", 1.0),
-    ("sensors refused", 100.0),
-)
+_COLUMNS = {
+    "states [%]": ("untouched states right", 100.0),
+    "angle [deg]": ("angle, rms [deg]", 1.0),
+    "/ SE": ("angle, error over standard error", 1.0),
+    "false [%]": ("touches in untouched frames", 100.0),
+    "found [%]": ("touches found", 100.0),
+    "place [mm]": ("place, mean [mm]", 1.0),
+    "place / SE": ("place, error over standard error", 1.0),
+    "refused [%]": ("sensors refused", 100.0),
+}
+"""Figure of each column, and the factor to its unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,50 +75,33 @@ class Labelled:
         return [int(flat[0]), *order[: self.angles].tolist(), *presses.tolist()]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Predictions of one sensor's frames beside the truth.
+def judge(data: Dataset, said: Predictions) -> dict[str, Array]:
+    """Judge predictions of one sensor's frames.
 
-    Attributes:
-        right: whether the state of each untouched frame (n,) is right.
-        angle: error of the angle of each untouched frame (n,) [deg].
-        angle_ratio: the same over its standard error (n,); NaN without one.
-        false: touches found in untouched frames.
-        place: errors of found touches (t,) [m].
-        place_ratio: the same over their standard errors (t,); NaN without one.
-        touches: number of true touches.
+    Returns, of the n untouched frames, whether the state is "right", the error of the "angle"
+    [deg], "angle_ratio", the same over its standard error, and how many touches are "false"; of the
+    found touches the error of the "place" [m] and "place_ratio"; and "touches" of each frame.
+    Ratios are NaN without a standard error.
     """
-
-    right: NDArray[np.bool_]
-    angle: Array
-    angle_ratio: Array
-    false: int
-    place: Array
-    place_ratio: Array
-    touches: int
-
-    @classmethod
-    def of(cls, data: Dataset, said: Predictions) -> "Judged":
-        """Judge predictions for the frames of a dataset."""
-        free = data.state != State.TOUCH
-        angle = said.bend_angle_deg[free] - data.bend_angle_deg[free]
-        errors, ratios = [], []
-        for row in np.flatnonzero(~free):
-            true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-            true = true[np.isfinite(true[:, 0])]
-            rows, columns = match(true, said.touches[row].place)
-            distance = np.linalg.norm(true[rows] - said.touches[row].place[columns], axis=1)
-            errors.append(distance)
-            ratios.append(distance / said.touches[row].deviation[columns])
-        return cls(
-            said.state[free] == data.state[free],
-            angle,
-            angle / said.bend_deviation_deg[free],
-            sum(len(said.touches[row]) for row in np.flatnonzero(free)),
-            np.concatenate(errors),
-            np.concatenate(ratios),
-            int(data.touch_count[~free].sum()),
-        )
+    free = data.state != State.TOUCH
+    angle = said.bend_angle_deg[free] - data.bend_angle_deg[free]
+    errors, ratios = [], []
+    for row in np.flatnonzero(~free):
+        true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
+        true = true[np.isfinite(true[:, 0])]
+        rows, columns = match(true, said.touches[row].place)
+        distance = np.linalg.norm(true[rows] - said.touches[row].place[columns], axis=1)
+        errors.append(distance)
+        ratios.append(distance / said.touches[row].deviation[columns])
+    return {
+        "right": said.state[free] == data.state[free],
+        "angle": angle,
+        "angle_ratio": angle / said.bend_deviation_deg[free],
+        "false": np.array([len(said.touches[row]) for row in np.flatnonzero(free)]),
+        "place": np.concatenate(errors),
+        "place_ratio": np.concatenate(ratios),
+        "touches": data.touch_count[~free],
+    }
 
 
 def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
@@ -153,24 +124,20 @@ def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
             except EitskinError:
                 refused += 1
         data = world.frames.select(world.frames.specimen == number)
-        judged.append(Judged.of(data, own.perceive(data)))
+        judged.append(judge(data, own.perceive(data)))
     return dict(_judged_figures(judged)) | {"sensors refused": refused / len(judged)}
 
 
-def _judged_figures(judged: list[Judged]) -> Iterator[tuple[str, float]]:
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(each, name) for each in judged])
-
-    place, ratio = joined("place"), joined("place_ratio")
-    free = joined("right")
-    yield "untouched states right", float(free.mean())
-    yield "angle, rms [deg]", root_mean_square(joined("angle"))
-    yield "angle, error over standard error", root_mean_square(joined("angle_ratio"))
-    yield "touches in untouched frames", sum(each.false for each in judged) / len(free)
-    yield "touches found", len(place) / sum(each.touches for each in judged)
-    if len(place):
-        yield "place, mean [mm]", 1e3 * float(place.mean())
-        yield "place, error over standard error", root_mean_square(ratio)
+def _judged_figures(judged: list[dict[str, Array]]) -> Iterator[tuple[str, float]]:
+    of = {name: np.concatenate([each[name] for each in judged]) for name in judged[0]}
+    yield "untouched states right", float(of["right"].mean())
+    yield "angle, rms [deg]", root_mean_square(of["angle"])
+    yield "angle, error over standard error", root_mean_square(of["angle_ratio"])
+    yield "touches in untouched frames", float(of["false"].sum() / len(of["right"]))
+    yield "touches found", float(len(of["place"]) / of["touches"].sum())
+    if len(of["place"]):
+        yield "place, mean [mm]", 1e3 * float(of["place"].mean())
+        yield "place, error over standard error", root_mean_square(of["place_ratio"])
 
 
 TOUCHED, BENT = 4, 4  # frames of each sensor, evenly among its frames
@@ -252,16 +219,17 @@ def run(
         if world.name not in FEW
     }
     rows = tuple(_scored(pipelines, worlds, progress))
+    headings = ("pipeline", "world", "labelled", *_COLUMNS)
     cells = [(row.pipeline, row.world, str(row.labelled), *_cells(row.figures)) for row in rows]
     cells += [(BOUND, world, "", *_cells(figures)) for world, figures in limits.items()]
     return Report(
         results=measured("transfer", _figures(rows, limits), began=began, seed=seed, quick=quick),
         rows=[
             {"pipeline": row.pipeline, "world": row.world, "labelled": str(row.labelled)}
-            | {name: row.figures.get(name) for name, _ in _CELLS}
+            | {name: row.figures.get(name) for name, _ in _COLUMNS.values()}
             for row in rows
         ],
-        tables=[ReportTable(_HEADINGS, cells, 3)],
+        tables=[ReportTable(headings, cells, 3)],
     )
 
 
@@ -276,7 +244,7 @@ def _figures(rows: Sequence[Row], limits: Mapping[str, Figures]) -> Iterator[tup
 
 
 def _cells(figures: Figures) -> Iterator[str]:
-    for name, factor in _CELLS:
+    for name, factor in _COLUMNS.values():
         yield f"{factor * figures[name]:.3g}" if name in figures else "-"
 
 

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.results import Progress
-from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts, Specimens
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
 from eitskin.datasets.store.schema import State
 from eitskin.geometry.design.sensor import Plates
 from eitskin.simulator.instrument.instrument import Instrument
@@ -137,16 +136,11 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
     """
     made = []
     for name in (*WORLDS, *(() if quick else FEW)):
-        frames, known = recipes(name, seed, quick)
         sets = []
-        for recipe in (frames, known):
+        for recipe in recipes(name, seed, quick):
             place = folder / recipe.name.replace(" ", "-").replace(",", "")
-
-            def show(done: int, total: int, name: str = recipe.name) -> None:
-                progress(f"frames: {name}", done, total)
-
-            generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
-            sets.append(open_dataset(place))
+            part = f"frames: {recipe.name}"
+            sets.append(generate_missing(recipe, place, workers, progress, part))
         made.append(World(name, sets[0], _apart(*sets)))
     return made
 

@@ -1,7 +1,8 @@
 """The command group `eitskin bench`: errors and run times, written and shown alike."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,9 +73,7 @@ def _seeded(name: str) -> Callable[..., None]:
 
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
         require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
-        from eitskin.datasets.store.folder import make_folder
-
-        make_folder(out)
+        _make(out)
         _present(output, modules[name].run(seed, quick, watched(output)), out)
 
     return command
@@ -129,8 +128,8 @@ def transfer(
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
     _require_whole(leaderboard, quick, seed)
-    with output.progress() as bar:
-        found = run(named, _folder(out, "transfer"), seed, quick, workers, _progress(bar))
+    with _folder(output, out, "transfer") as (folder, progress):
+        found = run(named, folder, seed, quick, workers, progress)
     _present(output, found, out, leaderboard)
 
 
@@ -156,9 +155,9 @@ def methods(
     require_all(training=TRAINING)
     own = {each.KIND: (each, code) for code in method or () if (each := own_method(code))}
     _require_whole(leaderboard, quick, seed)
-    folder, classes = _folder(out, "methods"), [each for each, _ in own.values()]
-    with output.progress() as bar:
-        found = run(folder, preset or (), classes, seed, quick, workers, _progress(bar))
+    classes = [each for each, _ in own.values()]
+    with _folder(output, out, "methods") as (folder, progress):
+        found = run(folder, preset or (), classes, seed, quick, workers, progress)
     codes = {name: code for name, (_, code) in own.items()}
     _present(output, found, out, leaderboard, codes)
 
@@ -200,14 +199,14 @@ def paper(
     for each in (*contenders, *own):
         each.settings(0)  # unknown names are told before the work
     _require_whole(leaderboard, quick)
-    with output.progress() as bar:
+    with _folder(output, out, "paper") as (folder, progress):
         found = run(
             pipeline or REFERENCE,
-            _folder(out, "paper"),
+            folder,
             seeds,
             quick,
             workers,
-            _progress(bar),
+            progress,
             paper_seeds=paper_seeds,
             contenders=[*contenders, *own],
         )
@@ -238,14 +237,14 @@ def layouts(
     from eitskin.benchmarks.layouts.run import NAMES, run
 
     require_all(bench="matplotlib")
-    folder = _folder(out, "layouts") / "parts"
-    with output.progress() as bar:
-        task = bar.add_task("layouts", total=None, rate="")
-
-        def show(name: str) -> None:
-            bar.update(task, advance=1, rate=name)
-
-        found = run(folder, names=sweep or NAMES, quick=quick, workers=workers, watch=show)
+    with _folder(output, out, "layouts") as (folder, progress):
+        found = run(
+            folder / "parts",
+            names=sweep or NAMES,
+            quick=quick,
+            workers=workers,
+            progress=progress,
+        )
     _present(output, found, out)
 
 
@@ -282,9 +281,7 @@ def run_all(
     chosen = suite.chosen(only, long or quick)
     if only is None:
         require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")
-    from eitskin.datasets.store.folder import make_folder
-
-    make_folder(out)
+    _make(out)
     done = []
     with ended_by_signals():  # or the benchmark that runs would go on without this one
         for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
@@ -357,22 +354,27 @@ def _require_whole(leaderboard: Path | None, quick: bool, seed: int = 0) -> None
     read_leaderboard(leaderboard)
 
 
-def _folder(out: Path, name: str) -> Path:
-    """Folder of one benchmark, made."""
+def _make(folder: Path) -> None:
+    """Make a folder of results."""
     from eitskin.datasets.store.folder import make_folder
 
-    make_folder(out / name)
-    return out / name
+    make_folder(folder)
 
 
-def _progress(bar: Any) -> "Progress":
-    """Progress of a benchmark's parts on a bar, each by the name before its colon."""
-    tasks: dict[str, Any] = {}
+@contextmanager
+def _folder(output: Output, out: Path, name: str) -> Iterator[tuple[Path, "Progress"]]:
+    """Folder of one benchmark, made, and the progress of its parts on a bar.
 
-    def show(part: str, done: int, total: int) -> None:
-        name, _, rest = part.partition(": ")
-        if name not in tasks:
-            tasks[name] = bar.add_task(name, total=total, rate="")
-        bar.update(tasks[name], completed=done, total=total, rate=rest)
+    Each part is shown by the name before its colon.
+    """
+    _make(out / name)
+    with output.progress() as bar:
+        tasks: dict[str, Any] = {}
 
-    return show
+        def show(part: str, done: int, total: int) -> None:
+            name, _, rest = part.partition(": ")
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total, rate="")
+            bar.update(tasks[name], completed=done, total=total, rate=rest)
+
+        yield out / name, show

@@ -103,6 +103,7 @@ class NeoHookean(Law):
 
     @property
     def alpha(self) -> float:
+        """Degree of the invariant."""
         return 2.0
 
     def invariant(self, F: Array) -> tuple[Array, Array]:

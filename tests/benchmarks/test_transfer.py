@@ -10,7 +10,7 @@ from command_line import printed_json
 
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import run, worlds
-from eitskin.benchmarks.transfer.run import Judged, Labelled
+from eitskin.benchmarks.transfer.run import Labelled, judge
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.schema import State
@@ -96,13 +96,13 @@ def test_predictions_are_judged_by_hand():
         bend_deviation_deg=np.array([0.5, 3.0, 1.0]),
         touches=(none, wrong, near),
     )
-    judged = Judged.of(data, said)
-    assert judged.right.tolist() == [True, False]
-    assert judged.angle.tolist() == [1.0, -3.0]
-    assert judged.angle_ratio.tolist() == [2.0, -1.0]
-    assert (judged.false, judged.touches) == (1, 2)
-    assert judged.place.tolist() == pytest.approx([0.004])
-    assert judged.place_ratio.tolist() == pytest.approx([2.0])
+    judged = judge(data, said)
+    assert judged["right"].tolist() == [True, False]
+    assert judged["angle"].tolist() == [1.0, -3.0]
+    assert judged["angle_ratio"].tolist() == [2.0, -1.0]
+    assert (judged["false"].sum(), judged["touches"].sum()) == (1, 2)
+    assert judged["place"].tolist() == pytest.approx([0.004])
+    assert judged["place_ratio"].tolist() == pytest.approx([2.0])
 
 
 @pytest.mark.slow
