@@ -12,8 +12,7 @@ from eitskin.training.joint.bend_curve import (
 )
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
-from eitskin.training.joint.prior import TouchPrior
-from eitskin.training.joint.touch_response import InputRanges, TouchResponse
+from eitskin.training.joint.touch_response import InputRanges, TouchPrior, TouchResponse
 
 NOISE = 2e-4  # of log V, one frame
 SIZE = (0.150, 0.060)

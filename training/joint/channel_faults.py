@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.combinations import Combinations, CombinedChange
-from eitskin.training.joint.lapack import orthonormal
 from eitskin.training.joint.objective import (
     MapEstimate,
     TouchObjective,
@@ -92,27 +92,12 @@ def possible_faults(protocol: Protocol, flat: Array, combinations: Combinations)
     return PossibleFaults(tuple(faults), changes, (whole.seen(changes), whole.remainder(changes)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FaultFit:
-    """MAP estimate of a frame without the measurements of one fault.
-
-    Attributes:
-        fault: whose measurements are left out.
-        objective: without those measurements.
-        found: its MAP estimate.
-    """
-
-    fault: ChannelFault
-    objective: TouchObjective
-    found: MapEstimate
-
-
 def fit_with_fault(
     objective: TouchObjective,
     untouched: MapEstimate,
     found: MapEstimate,
     possible: PossibleFaults,
-) -> FaultFit | None:
+) -> tuple[ChannelFault, TouchObjective, MapEstimate] | None:
     """Explain the frame by one fault and fewer touches; None where that fits worse.
 
     Args:
@@ -120,6 +105,9 @@ def fit_with_fault(
         untouched: its estimate without touches.
         found: its best estimate.
         possible: faults that are considered.
+
+    Returns:
+        the fault, the objective without its measurements, and the estimate by that.
     """
     touches = len(found.unknowns.touches)
     for alternative in _alternatives(objective, untouched, found, possible):
@@ -147,7 +135,7 @@ def fit_with_fault(
         again = levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE)
         again = pruned(fewer, again)
         if again.whole_sigma < ACCEPTED_SIGMA:
-            return FaultFit(fault, fewer, again)
+            return fault, fewer, again
     return None
 
 
@@ -214,7 +202,8 @@ def most_likely_fault(
         directions: signatures of the faults, whitened (m, faults).
         possible: the faults.
     """
-    basis = orthonormal(jacobian)
+    factors, tau, _, _ = lapack.dgeqrf(jacobian)
+    basis = lapack.dorgqr(factors[:, : len(tau)], tau)[0]  # orthonormal, of its columns
     free = directions - basis @ (basis.T @ directions)
     size = np.einsum("cn,cn->n", free, free)
     gain = (residual @ free) ** 2 / np.maximum(size, 1e-9)

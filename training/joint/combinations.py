@@ -5,7 +5,7 @@ independent changes. Training and fit work with combinations, at the cost of as 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -184,11 +184,11 @@ class CombinedChange:
     frames: float
     drift: float
     further: Array | None = None
-    _whole: bool = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Note whether any measurement is left out."""
-        object.__setattr__(self, "_whole", bool(self.good.all()))
+    @cached_property
+    def _whole(self) -> bool:
+        """Whether no measurement is left out."""
+        return bool(self.good.all())
 
     @cached_property
     def count(self) -> int:
@@ -205,10 +205,6 @@ class CombinedChange:
         measured, good = self.measured.copy(), self.good.copy()
         measured[list(measurements)], good[list(measurements)] = 0.0, False
         return replace(self, measured=measured, good=good)
-
-    def noisier(self, covariance: Array) -> "CombinedChange":
-        """The change with a further covariance (K, K) of its noise."""
-        return replace(self, further=covariance)
 
     @cached_property
     def _known(self) -> tuple[Array, Array]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import either
 from eitskin.training.joint.mirrored_frames import SCALE
-from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
@@ -21,6 +20,9 @@ Frame: TypeAlias = tuple[Array, Array, Array]
 Point: TypeAlias = tuple[Array, float, Array, Array, Array]
 Spread: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, float]
 
+ANGLE_PRIOR_STD_DEG = 15.0  # standard deviation of the motion since the reference was taken
+ANGLE_UNIT = 5.0  # deg, the unit step of the angle
+TOUCH_UNITS = np.array([0.010, 0.010, 2.0])  # m, m, N, the unit steps of x, y and force
 STILL_DEG = 0.01  # motion below which the uncertainty of the bend curve is negligible
 OPTIMISM = 10.0
 """Most that is hoped for, in decreases of the misfit that its quadratic model promises."""

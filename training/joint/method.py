@@ -40,14 +40,13 @@ from eitskin.training.joint.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, network_inputs
 from eitskin.training.joint.objective import TouchObjective
 from eitskin.training.joint.own_response import own_output, own_response, response_given, twin_trial
-from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
     AngleEstimate,
     SpecimenModel,
     candidate_rows,
 )
-from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
+from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior, TouchResponse
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
@@ -227,7 +226,7 @@ class JointMethod(Method):
             if abs(moved) > STILL_DEG:
                 objective = found.estimate.objective
                 skew = objective.scan_skew(objective.curve.slope(found.angle_deg), moved)
-                seen = seen.noisier(skew)
+                seen = replace(seen, further=skew)
             bend = specimen.angle(seen)
         return self._prediction(found, bend, specimen)
 

@@ -13,21 +13,22 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
 from eitskin.training.joint.channel_faults import (
     MOST_FAULTS,
     ChannelFault,
     PossibleFaults,
     fit_with_fault,
 )
+from eitskin.training.joint.fit_kernels import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.objective import (
     Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
+    inverse,
     levenberg_marquardt,
 )
-from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
+from eitskin.training.joint.touch_response import MOST_TOUCHES
 from eitskin.training.joint.touch_search import (
     FINE,
     TOUCH_THRESHOLD,
@@ -135,8 +136,8 @@ def fit_frame(
         better = fit_with_fault(objective, untouched, found, possible)
         if better is None:
             break
-        faults.append(better.fault)
-        objective, found = better.objective, better.found
+        fault, objective, found = better
+        faults.append(fault)
         untouched = levenberg_marquardt(objective, untouched.unknowns, *FINE)
         evidence = gain_of(objective, untouched, found)
     if found.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
@@ -301,7 +302,7 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
     """
     unknowns = found.minimum(FINE[1])
     growth = max(found.misfit / found.degrees_of_freedom, 1.0)
-    covariance = growth * lapack.inverse(found.quadratic.hessian)
+    covariance = growth * inverse(found.quadratic.hessian)
     blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(unknowns.touches))]
     covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
     return FrameFit(

@@ -6,15 +6,16 @@ networks tell the angle from the shape of the change. They estimate it as long a
 calibrated; the curve of a calibrated one is known better than that.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from eitskin.training.joint.bend_curve import BEYOND_DEG
-from eitskin.training.joint.prior import MOST_TOUCHES
+from eitskin.training.joint.touch_response import MOST_TOUCHES
 from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
@@ -87,11 +88,7 @@ class AngleNetworks(StoredFields):
     def members(self, change: Array, features: Array, drift: float) -> tuple[Array, Array]:
         """Means and standard deviations (M,) of one frame [deg]; arguments as of `inputs`."""
         values = self.inputs(change, features, np.array(drift))
-        hidden = np.repeat(values[None], len(self.biases[0]), axis=0)
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            before = np.einsum("moi,mi->mo", weight, hidden) + bias
-            hidden = before * expit(before)
-        last = np.einsum("moi,mi->mo", self.weights[-1], hidden) + self.biases[-1]
+        last = dense_network(zip(self.weights, self.biases, strict=True), values)
         return UNIT_DEG * last[:, 0], UNIT_DEG * np.exp(np.clip(last[:, 1], *LOG_DEVIATION))
 
     def estimate(self, change: Array, features: Array, drift: float) -> tuple[float, float]:
@@ -133,12 +130,7 @@ class ProposalNetwork(StoredFields):
 
     def map(self, inputs: Array) -> Array:
         """Map (rows, columns), 0 to 1, from `network_inputs` (inputs,)."""
-        hidden = inputs.astype(np.float32)
-        for weight, bias in self._layers[:-1]:
-            before = weight @ hidden + bias
-            hidden = before * expit(before)
-        weight, bias = self._layers[-1]
-        values: Array = expit(weight @ hidden + bias).astype(float)
+        values: Array = expit(dense_network(self._layers, inputs.astype(np.float32))).astype(float)
         return values.reshape(len(self.rows), len(self.columns))
 
     def places(self, inputs: Array, separation: float) -> Array:
@@ -158,6 +150,20 @@ class ProposalNetwork(StoredFields):
             found.append(around @ self._centres / around.sum())
             remaining[square < (0.6 * separation) ** 2] = 0.0
         return np.array(found).reshape(-1, 2)
+
+
+def dense_network(layers: Iterable[tuple[Any, Any]], values: NDArray[Any]) -> Any:
+    """Output (..., outputs) of layers with SiLU between them, from their inputs (inputs,).
+
+    Args:
+        layers: weights (..., outputs, inputs) and biases (..., outputs) of each; of one network or
+            of several.
+        values: the inputs.
+    """
+    for number, (weight, bias) in enumerate(layers):
+        hidden = values * expit(values) if number else values
+        values = (weight @ hidden[..., None])[..., 0] + bias
+    return values
 
 
 def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: Array) -> Array:

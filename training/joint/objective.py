@@ -15,14 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from eitskin.compiled import implementation
-from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.fit_kernels import RADIUS
-from eitskin.training.joint.prior import ANGLE_UNIT, TouchPrior
-from eitskin.training.joint.touch_response import SpecimenResponse
+from eitskin.training.joint.fit_kernels import ANGLE_UNIT, RADIUS
+from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior
 
 Array = NDArray[np.float64]
 
@@ -186,7 +185,7 @@ class TouchObjective:
 
     def whitening(self, at: Linearisation) -> Array:
         """L^-1 (K, K) of the residual's covariance L L^T."""
-        return lapack.whitening(self.covariance(at))
+        return whitening_matrix(self.covariance(at))
 
     def remainder_scale(self, at: Linearisation) -> Array:
         """Standard deviation (C,) of `CombinedChange.rest`, in its units."""
@@ -241,6 +240,41 @@ class TouchObjective:
         free = self.kernels.free_unknowns(quadratic.products, at.touches, self._frame)
         step, promised = self.kernels.trust_step(quadratic.products, free, RADIUS)
         return step, promised
+
+
+def whitening_matrix(covariance: Array) -> Array:
+    """Whitening matrix L^-1 (n, n), lower triangular, of a covariance L L^T (n, n).
+
+    By LAPACK directly, as `solution`: `numpy.linalg` checks, copies and sets error states at every
+    call, which takes several times as long as the factorisation of so small a matrix.
+    """
+    lower, failed = lapack.dpotrf(covariance.T, lower=1)
+    _check_definite(failed)
+    inverse: Array = lapack.dtrtri(lower, lower=1, overwrite_c=1)[0]
+    return inverse
+
+
+def solution(matrix: Array, right: Array) -> Array:
+    """Solution x of A x = b for a positive definite A (n, n) and b (n,) or (n, m)."""
+    x: Array
+    _, x, failed = lapack.dposv(matrix.T, right, lower=1)
+    _check_definite(failed)
+    return x
+
+
+def inverse(matrix: Array) -> Array:
+    """Inverse (n, n) of a positive definite matrix."""
+    root = whitening_matrix(matrix)
+    product: Array = root.T @ root
+    return product
+
+
+def _check_definite(failed: int) -> None:
+    """Raise LinAlgError where LAPACK has met a minor that is not positive."""
+    if failed:
+        raise np.linalg.LinAlgError(
+            f"expected a positive definite matrix, got one whose minor {failed} is not positive"
+        )
 
 
 def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:

@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
-from eitskin.training.joint.prior import MARGIN, TouchPrior
-from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, SpecimenResponse
+from eitskin.training.joint.touch_response import (
+    LOG_STRENGTH_STD,
+    MARGIN,
+    SpecimenResponse,
+    TouchPrior,
+)
 from eitskin.training.method.interface import TwinTrial
 from eitskin.training.method.known_frames import KnownFrames, TwinPresses, held_numbers
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.channel_faults import (
     FAULT_THRESHOLD,
@@ -24,7 +23,7 @@ from eitskin.training.joint.channel_faults import (
 )
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.networks import AngleNetworks
-from eitskin.training.joint.objective import misfit_sigma
+from eitskin.training.joint.objective import misfit_sigma, solution, whitening_matrix
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TouchCandidates
 
@@ -94,7 +93,7 @@ def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> fl
     """
     slope = curve.slope(angle_deg)
     covariance = noise + curve.uncertainty(angle_deg)
-    information = float(slope @ lapack.solve(covariance, slope))
+    information = float(slope @ solution(covariance, slope))
     return 1.0 / math.sqrt(information)
 
 
@@ -142,7 +141,7 @@ def _judged(
 ) -> tuple[AngleEstimate, Array, Array]:
     """An estimate with its misfit and evidence, the whitened residual, and its metric (K, K)."""
     angle, deviation = estimate
-    whitening = lapack.whitening(combined.noise + curve.uncertainty(angle))
+    whitening = whitening_matrix(combined.noise + curve.uncertainty(angle))
     rest = combined.rest / math.sqrt(combined.frames)
     residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), rest])
     misfit = float(residual @ residual)
@@ -191,13 +190,13 @@ def estimate_angle(
     """
     if start_deg is None:
         angles, values = curve.grid(GRID)
-        white = (change - values) @ lapack.whitening(noise).T
+        white = (change - values) @ whitening_matrix(noise).T
         start_deg = float(angles[np.einsum("ij,ij->i", white, white).argmin()])
     angle = start_deg
     (low, high), information = curve.angle_deg, 0.0
     for _ in range(STEPS):
         value, slope = curve.value_and_slope(angle)
-        weighted = lapack.solve(noise + curve.uncertainty(angle), slope)
+        weighted = solution(noise + curve.uncertainty(angle), slope)
         information = float(weighted @ slope)
         step = float(weighted @ (change - value)) / information
         angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)

@@ -7,15 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
+from eitskin.training.joint.fit_kernels import ANGLE_PRIOR_STD_DEG, TOUCH_UNITS
 from eitskin.training.joint.objective import (
     Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
+    inverse,
     levenberg_marquardt,
+    solution,
 )
-from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def initial_touches(objective: TouchObjective, places: Array, untouched: Lineari
     shapes = objective.response(touches, angle_deg) @ whitening.T
     ridge = (mean / deviation) ** 2
     projections = shapes @ (whitening @ untouched.residual) + ridge
-    share = lapack.solve(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
+    share = solution(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
     touches[:, 2] = np.clip(share * mean, objective.prior.low[2], objective.prior.high[2])
     return Unknowns(touches, angle_deg)
 
@@ -260,6 +261,6 @@ def gain_of(objective: TouchObjective, before: MapEstimate, after: MapEstimate) 
 
 def gains_of(found: MapEstimate) -> Array:
     """Rise of the misfit, to second order, were each touch's force zero (k,)."""
-    variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
+    variance = np.diagonal(inverse(found.quadratic.hessian))
     gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
     return gains

@@ -16,8 +16,13 @@ from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.joint.networks import WIDTH, ProposalNetwork, network_inputs
-from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
-from eitskin.training.joint.touch_response import LOG_STRENGTH_STD, InputRanges, TouchResponse
+from eitskin.training.joint.touch_response import (
+    LOG_STRENGTH_STD,
+    MOST_TOUCHES,
+    InputRanges,
+    TouchPrior,
+    TouchResponse,
+)
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     as_array,

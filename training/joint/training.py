@@ -26,9 +26,8 @@ from eitskin.training.joint.mirrored_frames import (
     noise_of,
 )
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork
-from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.specimen_model import estimate_angle
-from eitskin.training.joint.touch_response import InputRanges, TouchResponse
+from eitskin.training.joint.touch_response import InputRanges, TouchPrior, TouchResponse
 from eitskin.training.method.input_spec import InputSpec, mirrors
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE

@@ -21,9 +21,9 @@ from one_frame import (
 )
 
 from eitskin.training.joint import fit_kernels, model_selection
+from eitskin.training.joint.fit_kernels import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.model_selection import apart, fit_frame
 from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
-from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates, pruned
 
 from smooth_sensor import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
-from eitskin.training.joint.prior import TouchPrior
+from eitskin.training.joint.touch_response import TouchPrior
 
 from smooth_sensor import MEASUREMENTS, SIZE, TOUCH_PRIOR, curve, response
 

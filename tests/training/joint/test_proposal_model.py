@@ -8,7 +8,7 @@ import pytest
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
 from eitskin.training.joint.networks import ProposalNetwork, network_inputs
-from eitskin.training.joint.prior import MOST_TOUCHES
+from eitskin.training.joint.touch_response import MOST_TOUCHES
 from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
 

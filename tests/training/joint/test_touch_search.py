@@ -7,8 +7,8 @@ import pytest
 from one_frame import residual
 
 from eitskin.training.joint.channel_faults import most_likely_fault, possible_faults
+from eitskin.training.joint.fit_kernels import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
-from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.touch_search import (
     LEAST_DISTANCE,
     PAIR_STRIDE,
