@@ -1,4 +1,4 @@
-"""What is learned of touches: their prior, and the change of log V that they make.
+"""The learned model of touches: their prior, and the change of log V that they make.
 
 Training estimates a `TouchPrior` from the touches of its dataset (`TouchPrior.fit`); a saved
 pipeline keeps it in the arrays `bounds` and `scalars`. The response is a network of position, force
