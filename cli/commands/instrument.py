@@ -127,7 +127,7 @@ def _flat_frames(data: "Dataset") -> "tuple[Frames, str]":
 
     from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 
-    untouched = np.isfinite(data.touch_reference).all(axis=1)
+    untouched = data.has_touch_reference
     flat = ~(np.abs(data.bend_angle_deg) > 0.0)  # also where the angle is unknown
     if (untouched & flat).any():
         return data.touch_reference[untouched & flat].astype(complex), "before touches"

@@ -134,8 +134,7 @@ def _from_dataset(
     chosen = numbers(frames, len(data)) if frames else [int(touched[0]) if touched.size else 0]
     taken = PicturedFrames(design, pairs, [])
     flat = data.reference[data.specimen]
-    known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
-    references = {"flat": flat, "untouched": np.where(known, data.touch_reference, flat)}
+    references = {"flat": flat, "untouched": data.untouched}
     if reference not in references:
         number = numbers(reference, len(data))[0]
         references[reference] = np.broadcast_to(data.impedance[number], flat.shape)

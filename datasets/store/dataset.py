@@ -199,6 +199,17 @@ class Dataset:
         return count
 
     @property
+    def has_touch_reference(self) -> NDArray[np.bool_]:
+        """Whether the values before its touches are known of each frame, (n,)."""
+        return np.asarray(np.isfinite(self.touch_reference).all(axis=1))
+
+    @property
+    def untouched(self) -> NDArray[np.complex64]:
+        """Values before the touches of each frame, or else of the flat sensor, (n, C) [ohm]."""
+        known, flat = self.has_touch_reference[:, None], self.reference[self.specimen]
+        return np.where(known, self.touch_reference, flat)
+
+    @property
     def specimen_names(self) -> tuple[str, ...]:
         """Names of the specimens of these frames; the number of one that has no name."""
         numbers = self.specimen_number[np.unique(self.specimen)]

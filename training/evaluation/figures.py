@@ -1,6 +1,6 @@
 """Figures of a report: learning curves, states, bend angles, positions of touches, and images."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,17 @@ from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 SHORTEST_SEQUENCE = 20  # frames
 LEAST_MOVED = 1.0  # deg, in a sequence that is worth drawing
 MOST_VECTORS = 240  # more would hide each other
+ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
+SEVERAL_DEG = 30.0  # and one to four touches
+NEAR_DEG = 5.0  # the frame that is nearest to a wanted angle is shown where it is this near
+COLUMNS = {
+    "truth": "truth",
+    "static": "static reference",
+    "dynamic": "dynamic reference",
+    "touch_map": "touch map",
+}
+METHODS: tuple[Method, ...] = ("back-projection", "noser", "greit")
+PIXELS = 1000
 
 Array = NDArray[np.float64]
 
@@ -287,50 +298,20 @@ def draw_errors(errors: Array, caption: str) -> CaptionedFigure:
     return CaptionedFigure(figure, caption)
 
 
-ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
-SEVERAL_DEG = 30.0  # and one to four touches
-NEAR_DEG = 5.0  # the frame that is nearest to a wanted angle is shown where it is this near
-COLUMNS = {
-    "truth": "truth",
-    "static": "static reference",
-    "dynamic": "dynamic reference",
-    "touch_map": "touch map",
-}
-METHODS: tuple[Method, ...] = ("back-projection", "noser", "greit")
-PIXELS = 1000
-
-
 def touch_maps_by_angle(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Touch maps of one touch at the angles of the paper that have frames near them."""
-    frames = [_nearest(evaluation, 1, wanted) for wanted in ANGLES_DEG]
-    rows = {frame: _degrees(evaluation, frame) for frame in frames if frame is not None}
-    if not rows:
-        return NoFigure(
-            "no frame has exactly one touch of known position and radius at a known angle"
-        )
-    return _draw_rows(evaluation, rows, "One touch at several bend angles")
+    return _draw_rows(evaluation, [(1, angle) for angle in ANGLES_DEG]) or NoFigure(
+        "no frame has exactly one touch of known position and radius at a known angle"
+    )
 
 
 def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Touch maps of one to four touches on the sensor bent by 30 deg."""
     counts = range(1, evaluation.dataset.touch_x.shape[1] + 1)
-    frames = {count: _nearest(evaluation, count, SEVERAL_DEG) for count in counts}
-    rows = {
-        frame: f"{count} at\n{_degrees(evaluation, frame)}"
-        for count, frame in frames.items()
-        if frame is not None
-    }
-    if not rows:
-        return NoFigure(
-            f"no touched frame of known positions and radii is within {NEAR_DEG:g} deg of "
-            f"{SEVERAL_DEG:g} deg"
-        )
-    return _draw_rows(evaluation, rows, f"One to four touches near {SEVERAL_DEG:g} deg")
-
-
-def _degrees(evaluation: Evaluation, frame: int) -> str:
-    angle = f"{evaluation.dataset.bend_angle_deg[frame]:.0f} deg"
-    return angle.replace("-", "\N{MINUS SIGN}")
+    return _draw_rows(evaluation, [(count, SEVERAL_DEG) for count in counts]) or NoFigure(
+        f"no touched frame of known positions and radii is within {NEAR_DEG:g} deg of "
+        f"{SEVERAL_DEG:g} deg"
+    )
 
 
 def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None:
@@ -343,10 +324,24 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
     return nearest if away[nearest] <= NEAR_DEG else None
 
 
-def _draw_rows(evaluation: Evaluation, rows: dict[int, str], title: str) -> CaptionedFigure:
-    """Grid of images, a row for each labelled frame and a column for each kind."""
-    frames = evaluation.dataset.select(list(rows))
-    post_processed = evaluation.predictions.touch_map[list(rows)]
+def _draw_rows(
+    evaluation: Evaluation, wanted: Sequence[tuple[int, float]]
+) -> CaptionedFigure | None:
+    """Grid of images, a column for each kind; None where no frame is near.
+
+    A row shows the frame with a number of touches that is nearest to an angle [deg].
+    """
+    near = dict.fromkeys(_nearest(evaluation, *each) for each in wanted)
+    rows = [row for row in near if row is not None]
+    if not rows:
+        return None
+    frames = evaluation.dataset.select(rows)
+    title = "One touch at several bend angles"
+    labels = [f"{a:.0f} deg".replace("-", "\N{MINUS SIGN}") for a in frames.bend_angle_deg]
+    if wanted[-1][0] > 1:
+        title = f"One to four touches near {SEVERAL_DEG:g} deg"
+        labels = [f"{n} at\n{label}" for n, label in zip(frames.touch_count, labels, strict=True)]
+    post_processed = evaluation.predictions.touch_map[rows]
     images = {"truth": contact_maps(frames, evaluation.pipeline, post_processed.shape)}
     images |= {**reconstructions(evaluation.pipeline, frames), "touch_map": post_processed}
     names = [name for name in COLUMNS if name in images]
@@ -356,7 +351,7 @@ def _draw_rows(evaluation: Evaluation, rows: dict[int, str], title: str) -> Capt
     panels = figure.subplots(len(rows), len(names), squeeze=False, sharex=True, sharey=True)
     look = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "origin": "lower"}
     look |= {"extent": (0.0, length, 0.0, width), "interpolation": "nearest"}
-    for i, (frame, label) in enumerate(rows.items()):
+    for i, (frame, label) in enumerate(zip(rows, labels, strict=True)):
         for axes, name in zip(panels[i], names, strict=True):
             axes.grid(visible=False)
             axes.spines[:].set_visible(False)
@@ -412,15 +407,12 @@ def pictures_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     if not len(first):
         return NoFigure("no touched frame has touches of known positions and radii")
     data = evaluation.dataset.select(touched[first])
-    flat = data.reference[data.specimen]
-    known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
-    before = np.where(known, data.touch_reference, flat)
     values = np.where(data.status == 0, data.impedance, np.nan)
     makers = [
         Reconstructor(layout.design, layout.protocol, method, pixels=PIXELS, resolution="coarse")
         for method in METHODS
     ]
-    pictures = [maker.images(maker.data(values, before)) for maker in makers]
+    pictures = [maker.images(maker.data(values, data.untouched)) for maker in makers]
     panels = [
         PicturePanel(
             f"{maker.method}, {count} touch{'es' * (count > 1)}",

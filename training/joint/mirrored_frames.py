@@ -156,15 +156,13 @@ def is_touched(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) has touches of known force and radius and a reference."""
     count = data.touch_count
     known = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
-    referenced = np.isfinite(data.touch_reference).all(axis=1)
-    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & referenced
+    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & data.has_touch_reference
     return touched
 
 
 def is_untouched(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) is untouched and has a reference at the same bend."""
-    referenced = np.isfinite(data.touch_reference).all(axis=1)
-    untouched: NDArray[np.bool_] = (data.state != State.TOUCH) & referenced
+    untouched: NDArray[np.bool_] = (data.state != State.TOUCH) & data.has_touch_reference
     return untouched
 
 

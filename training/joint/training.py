@@ -227,9 +227,7 @@ def _usable(dataset: Dataset) -> Dataset:
 
 def _with_flat_references(data: Dataset) -> Dataset:
     """Frames of a sensor that is never bent: the flat reference where no other is known."""
-    known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
-    flat = data.reference[data.specimen]
-    return replace(data, touch_reference=np.where(known, data.touch_reference, flat))
+    return replace(data, touch_reference=data.untouched)
 
 
 def _with_strengths(data: Dataset) -> Dataset:

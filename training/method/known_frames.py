@@ -200,13 +200,13 @@ class KnownFrames:
             )
         spec.require_same_measurements(data.protocol, data.frequency)
         spec.require_adaptable(data.reference[specimens[0]].astype(np.complex128))
-        own = np.isfinite(data.touch_reference).all(axis=1)
         idle = data.state == State.IDLE
         angle = np.where(idle, 0.0, data.bend_angle_deg.astype(float))
         touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1).astype(float)
         placed = data.touch_count > 0
         told = placed | ((data.state != State.TOUCH) & (data.state != UNKNOWN_STATE))
-        return cls(Observations.of(data), angle, np.where(own, angle, 0.0), touches, told)
+        before = np.where(data.has_touch_reference, angle, 0.0)
+        return cls(Observations.of(data), angle, before, touches, told)
 
     def __len__(self) -> int:
         """Number of frames."""

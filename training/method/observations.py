@@ -69,12 +69,10 @@ class Observations(StoredFields):
         datasets are free of noise.
         """
         flat = dataset.reference[dataset.specimen]
-        known = np.isfinite(dataset.touch_reference).all(axis=1, keepdims=True)
-        free = np.where(known, dataset.touch_reference, flat)
         bad = dataset.status != 0
         return cls(
             np.where(bad, np.nan, relative_difference(dataset.impedance, flat)),
-            np.where(bad, np.nan, relative_difference(dataset.impedance, free)),
+            np.where(bad, np.nan, relative_difference(dataset.impedance, dataset.untouched)),
             np.abs(flat).astype(float),
             np.ones(len(dataset)),
             np.full(len(dataset), np.inf if dataset.source == "simulated" else 1.0),
@@ -111,9 +109,8 @@ def frame_noise(dataset: Dataset, observations: Observations) -> float:
 
 def _quiet(dataset: Dataset) -> NDArray[np.bool_]:
     """Frames (n,) that differ from their dynamic reference by noise alone."""
-    known = np.isfinite(dataset.touch_reference).all(axis=1)
     quiet: NDArray[np.bool_] = (dataset.state == State.IDLE) | (
-        (dataset.state == State.BEND) & known
+        (dataset.state == State.BEND) & dataset.has_touch_reference
     )
     return quiet
 

@@ -111,15 +111,12 @@ class PaperMethod(Method):
         snr = signal_to_noise(signal / unit, float(noise > 0))
         model = linear_model(layout.design, layout.protocol, layout.pixels)
         reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels, unit)
+        stages = _Stages(train, unseen, layout, reconstruction, settings, rms, progress)
         return cls(
             reconstruction,
-            _fit_classifier(train, unseen, reconstruction, settings, rms, progress)
-            if targets.states
-            else None,
-            _fit_bend_angle(train, settings) if targets.angle else None,
-            _fit_postprocessor(train, unseen, layout, reconstruction, settings, rms, progress)
-            if "touch" in targets.states
-            else None,
+            stages.classifier() if targets.states else None,
+            stages.bend_angle() if targets.angle else None,
+            stages.postprocessor() if "touch" in targets.states else None,
             missing_static,
             missing_dynamic,
             layout.outline,
@@ -255,74 +252,69 @@ class LabelledFrames:
         return self.dynamic[placed], touch_maps(*discs, outline, shape)
 
 
-def _fit_classifier(
-    train: LabelledFrames,
-    unseen: LabelledFrames | None,
-    reconstruction: Reconstruction,
-    settings: TrainingSettings,
-    noise: NDArray[np.float64],
-    progress: Progress,
-) -> Classifier:
-    """Classifier on the reconstruction and, with `bend_free_map`, on one without the bend.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stages:
+    """Training of the stages, from frames to learn from and, where there are any, unseen ones.
 
-    A bend changes dV ten to fifty times more than a light touch on top of it; in the plain
-    reconstruction such a touch is the last percent of the input.
+    `noise` is the rms noise of dV of each channel (measurements,).
     """
-    state = train.dataset.state
-    known = state != UNKNOWN_STATE
-    maps = [reconstruction.matrix]
-    idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
-    if settings.bend_free_map and len(idle) and len(bend):
-        idle_noise = float(np.sqrt(np.mean(idle**2)))
-        maps.append(reconstruction.matrix @ bend_free_projection(bend, idle_noise))
-    return Classifier.fit(
-        train.static[known],
-        state[known],
-        np.stack(maps),
-        reconstruction.shape,
-        settings.classifier,
-        noise,
-        settings.seed,
-        progress,
-        unseen.states() if unseen else None,
-        compress=settings.compressed_maps,
-    )
 
+    train: LabelledFrames
+    unseen: LabelledFrames | None
+    layout: InputSpec
+    reconstruction: Reconstruction
+    settings: TrainingSettings
+    noise: NDArray[np.float64]
+    progress: Progress
 
-def _fit_bend_angle(train: LabelledFrames, settings: TrainingSettings) -> BendAngle:
-    """Regression of the angle on all untouched frames; an idle sensor is flat."""
-    angle = untouched_angles(train.dataset)
-    usable = np.isfinite(angle)
-    return BendAngle.fit(
-        train.static[usable],
-        angle[usable],
-        train.dataset.specimen[usable],
-        settings.seed,
-        squares=settings.bend_squares,
-    )
+    def classifier(self) -> Classifier:
+        """Classifier on the reconstruction and, with `bend_free_map`, on one without the bend.
 
+        A bend changes dV ten to fifty times more than a light touch on top of it; in the plain
+        reconstruction such a touch is the last percent of the input.
+        """
+        static, state = self.train.static, self.train.dataset.state
+        known = state != UNKNOWN_STATE
+        maps = [self.reconstruction.matrix]
+        idle, bend = (static[state == s] for s in (State.IDLE, State.BEND))
+        if self.settings.bend_free_map and len(idle) and len(bend):
+            idle_noise = float(np.sqrt(np.mean(idle**2)))
+            maps.append(maps[0] @ bend_free_projection(bend, idle_noise))
+        return Classifier.fit(
+            static[known],
+            state[known],
+            np.stack(maps),
+            self.reconstruction.shape,
+            self.settings.classifier,
+            self.noise,
+            self.settings.seed,
+            self.progress,
+            self.unseen.states() if self.unseen else None,
+            compress=self.settings.compressed_maps,
+        )
 
-def _fit_postprocessor(
-    train: LabelledFrames,
-    unseen: LabelledFrames | None,
-    layout: InputSpec,
-    reconstruction: Reconstruction,
-    settings: TrainingSettings,
-    noise: NDArray[np.float64],
-    progress: Progress,
-) -> PostProcessor | None:
-    """Post-processor of the touch map; None where no touched frame has a position."""
-    placed = train.touches(layout.outline, reconstruction.shape)
-    if placed is None:
-        return None
-    flips = [each.flips for each in mirrors(layout.design, layout.protocol)]
-    return PostProcessor.fit(
-        *placed,
-        reconstruction,
-        settings.postprocessor,
-        noise,
-        settings.seed,
-        progress,
-        unseen.touches(layout.outline, reconstruction.shape) if unseen else None,
-        flips if settings.mirrored else flips[:1],
-    )
+    def bend_angle(self) -> BendAngle:
+        """Regression of the angle on all untouched frames; an idle sensor is flat."""
+        dataset, squares = self.train.dataset, self.settings.bend_squares
+        angle = untouched_angles(dataset)
+        usable = np.isfinite(angle)
+        frames = (self.train.static[usable], angle[usable], dataset.specimen[usable])
+        return BendAngle.fit(*frames, self.settings.seed, squares=squares)
+
+    def postprocessor(self) -> PostProcessor | None:
+        """Post-processor of the touch map; None where no touched frame has a position."""
+        maps = self.layout.outline, self.reconstruction.shape
+        placed = self.train.touches(*maps)
+        if placed is None:
+            return None
+        flips = [each.flips for each in mirrors(self.layout.design, self.layout.protocol)]
+        return PostProcessor.fit(
+            *placed,
+            self.reconstruction,
+            self.settings.postprocessor,
+            self.noise,
+            self.settings.seed,
+            self.progress,
+            self.unseen.touches(*maps) if self.unseen else None,
+            flips if self.settings.mirrored else flips[:1],
+        )

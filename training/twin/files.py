@@ -125,7 +125,7 @@ def as_plain(twin: Twin) -> dict[str, Any]:
     return {
         "frames": frames.frames,
         "left_out": frames.left_out,
-        "scenes": {kind: frames.count(kind) for kind in KINDS},
+        "scenes": {kind: int(np.sum(frames.kind == k)) for k, kind in enumerate(KINDS)},
         "parameters": [
             {
                 "name": str(each),
@@ -160,18 +160,16 @@ def channel_residuals(twin: Twin) -> list[tuple[str, float, float, dict[str, flo
     reading.
     """
     frames = twin.frames
-    left = twin.posterior.predicted - frames.values
-    rows = []
-    for channel, name in enumerate(frames.protocol.labels):
-        flat = float(frames.values[0, channel])
-        by_kind = {}
-        for number, kind in enumerate(KINDS):
-            own = frames.kind == number
-            if own.any():
-                size = float(np.sqrt(np.mean(left[own, channel] ** 2)))
-                by_kind[kind] = 100.0 * size / max(abs(flat), 1e-300)
-        rows.append((name, flat, float(twin.posterior.predicted[0, channel]), by_kind))
-    return rows
+    flat, left = frames.values[0], twin.posterior.predicted - frames.values
+    sizes = {
+        kind: 100.0 * np.sqrt(np.mean(left[own] ** 2, axis=0)) / np.maximum(np.abs(flat), 1e-300)
+        for kind, own in frames.by_kind.items()
+    }
+    predicted = twin.posterior.predicted[0].tolist()
+    rows = zip(frames.protocol.labels, flat.tolist(), predicted, strict=True)
+    return [
+        (*row, {kind: float(size[k]) for kind, size in sizes.items()}) for k, row in enumerate(rows)
+    ]
 
 
 def _write_residuals(twin: Twin, path: Path) -> None:

@@ -313,11 +313,10 @@ class Problem:
 
     def _first_error(self) -> Array:
         values, kind = self.frames.values, self.frames.kind
-        sizes = [
-            np.sqrt(np.mean(values[kind == k] ** 2)) if (kind == k).any() else 1.0
-            for k in range(len(KINDS))
-        ]
-        return _FIRST_ERROR * np.maximum(sizes, 1e-12)
+        sizes = np.ones(len(KINDS))
+        for k in np.unique(kind):
+            sizes[k] = max(float(np.sqrt(np.mean(values[kind == k] ** 2))), 1e-12)
+        return _FIRST_ERROR * sizes
 
     def _error(self, left: Array, J: Array, error: Array) -> Array:
         """Standard deviation of each kind's residuals over their degrees of freedom, (kinds,)."""
@@ -326,12 +325,11 @@ class Problem:
         scaled = J / deviation[:, None, None]
         leverage = np.einsum("rcp,pq,rcq->r", scaled, covariance, scaled, optimize=True)
         found = error.copy()
-        for k in range(len(KINDS)):
+        for k in np.unique(self.frames.kind):
             own = self.frames.kind == k
-            if own.any():
-                size = left[own].size
-                freedom = max(size - leverage[own].sum(), _LEAST_FREEDOM * size)
-                found[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
+            size = left[own].size
+            freedom = max(size - leverage[own].sum(), _LEAST_FREEDOM * size)
+            found[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
         return found
 
 

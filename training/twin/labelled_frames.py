@@ -60,9 +60,10 @@ class LabelledFrames:
     frames: int
     left_out: int
 
-    def count(self, kind: str) -> int:
-        """Number of rows of a kind."""
-        return int((self.kind == KINDS.index(kind)).sum())
+    @property
+    def by_kind(self) -> dict[str, NDArray[np.bool_]]:
+        """Masks of the rows (n,) of each kind that occurs, by its name, in the order of `KINDS`."""
+        return {name: self.kind == k for k, name in enumerate(KINDS) if (self.kind == k).any()}
 
     def only_flat(self) -> "LabelledFrames":
         """The flat sensor's row alone."""
@@ -111,7 +112,7 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
     reads = _quantity(data)
     frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
     known = [(row, scene) for row, scene in _scenes(data) if scene is not None]
-    has_own = np.asarray(np.isfinite(before).all(axis=1))
+    has_own = data.has_touch_reference
     untouched: Frames = defaultdict(list)
     touched: Frames = defaultdict(list)
     for row, scene in known:

@@ -1,7 +1,7 @@
 """Numbers of a twin, as standard normal coordinates of a prior, and the sensor that has them."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -109,26 +109,25 @@ def sensor_parameters(nominal: Specimen, prior: TwinPrior) -> tuple[Parameter, .
     Places along the rim are among them where the sensor's mesh can follow them: on rectangles,
     electrodes as high as the layer and off the corners.
     """
-    return tuple(_sensor_parameters(nominal, prior))
-
-
-def _sensor_parameters(nominal: Specimen, prior: TwinPrior) -> Iterator[Parameter]:
     design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
-    yield twin_parameter("conductivity", conductivity(design), prior.conductivity)
-    yield twin_parameter("thickness", design.thickness, prior.thickness)
+    found = [
+        twin_parameter("conductivity", conductivity(design), prior.conductivity),
+        twin_parameter("thickness", design.thickness, prior.thickness),
+    ]
     for k, electrode in enumerate(design.electrodes):
-        z = electrode.contact_impedance.real
-        yield twin_parameter("contact_impedance", z, prior.contact_impedance, electrode=k)
+        z, spread = electrode.contact_impedance.real, prior.contact_impedance
+        found.append(twin_parameter("contact_impedance", z, spread, electrode=k))
     if _movable(design):
-        for k in range(len(design.electrodes)):
-            yield twin_parameter("electrode_place", 0.0, prior.electrode_place, "linear", k)
+        numbers, spread = range(len(design.electrodes)), prior.electrode_place
+        found += [twin_parameter("electrode_place", 0.0, spread, "linear", k) for k in numbers]
     if isinstance(design.outline, Rectangle) or not isinstance(fixture, Clamp):
-        yield twin_parameter("span", free_length(fixture), prior.span)
+        found.append(twin_parameter("span", free_length(fixture), prior.span))
         if not isinstance(fixture, FreeArc):
-            yield twin_parameter("offset", fixture.offset, prior.offset, "linear")
-    yield twin_parameter("gel_modulus", mechanics.gel.shear_modulus, prior.gel_modulus)
-    around = mechanics.encapsulation.shear_modulus
-    yield twin_parameter("encapsulation_modulus", around, prior.encapsulation_modulus)
+            found.append(twin_parameter("offset", fixture.offset, prior.offset, "linear"))
+    for name in ("gel", "encapsulation"):
+        kind, modulus = f"{name}_modulus", getattr(mechanics, name).shear_modulus
+        found.append(twin_parameter(kind, modulus, getattr(prior, kind)))
+    return tuple(found)
 
 
 def instrument_parameters(

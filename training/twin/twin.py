@@ -25,7 +25,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.training.twin.fit import Laplace, Problem, TwinForward
-from eitskin.training.twin.labelled_frames import FLAT, KINDS, LabelledFrames, labelled_frames
+from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
     TwinPrior,
     centred,
@@ -245,12 +245,10 @@ class PressedTwin:
 
 def agreements(predicted: Array, frames: LabelledFrames) -> dict[str, Agreement]:
     """Agreement of predicted rows (n, C) with measured ones, by kind."""
-    found = {}
-    for number, kind in enumerate(KINDS):
-        own = frames.kind == number
-        if own.any():
-            found[kind] = agreement(predicted[own].ravel(), frames.values[own].ravel())
-    return found
+    return {
+        kind: agreement(predicted[own].ravel(), frames.values[own].ravel())
+        for kind, own in frames.by_kind.items()
+    }
 
 
 def _forward(
