@@ -18,46 +18,44 @@ from eitskin.cli.options import (
     with_output,
 )
 
-SceneFile = Annotated[
-    Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
-]
-BoardResolution = Annotated[
-    str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
-]
-Instrument = Annotated[
-    str | None,
-    typer.Option(help="ideal, ad5940, or an instrument file; white noise when omitted."),
-]
-Period = Annotated[
-    float | None,
-    typer.Option(min=1e-4, help="Time from frame to frame, s; the AD5940's when omitted."),
-]
 Faults = Annotated[
     str,
     typer.Option(help="Faults to inject, name@frame:index,...; --list-faults lists their names."),
 ]
-Link = Annotated[
-    Path | None, typer.Option(help="A path that leads to the board, also after it was replugged.")
-]
-ListFaults = Annotated[bool, typer.Option("--list-faults", help="List all faults and exit.")]
-Speed = Annotated[str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")]
 
 
 @with_output
 def command(
     *,
-    scene: SceneFile = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
+    ] = None,
     sensor: SensorFile = None,
     protocol: Pairs = "pairwise",
     fixture: FixtureFile = None,
     mechanics: MechanicsFile = None,
-    resolution: BoardResolution = "fast",
-    speed: Speed = "real",
-    instrument: Instrument = None,
-    period: Period = None,
+    resolution: Annotated[
+        str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
+    ] = "fast",
+    speed: Annotated[
+        str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")
+    ] = "real",
+    instrument: Annotated[
+        str | None,
+        typer.Option(help="ideal, ad5940, or an instrument file; white noise when omitted."),
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option(min=1e-4, help="Time from frame to frame, s; the AD5940's when omitted."),
+    ] = None,
     faults: Faults = "",
-    link: Link = None,
-    list_faults: ListFaults = False,
+    link: Annotated[
+        Path | None,
+        typer.Option(help="A path that leads to the board, also after it was replugged."),
+    ] = None,
+    list_faults: Annotated[
+        bool, typer.Option("--list-faults", help="List all faults and exit.")
+    ] = False,
     seed: int = 0,
     output: Output,
 ) -> None:

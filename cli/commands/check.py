@@ -30,22 +30,10 @@ if TYPE_CHECKING:
     from eitskin.protocol import Protocol
     from eitskin.training.pipeline.pipeline import Pipeline
 
-ReferenceModel = Annotated[
-    Path | None,
-    typer.Argument(
-        help="The trained pipeline, which has the expected impedances; reference.eitmodel, where "
-        "the board measures by its protocol, when omitted."
-    ),
-]
 Recording = Annotated[
     Path | None,
     typer.Option(help="Check a dataset or a file as `import` reads it, instead of a board."),
 ]
-FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames to measure.")]
-Calibrate = Annotated[
-    bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
-]
-List = Annotated[bool, typer.Option("--list", help="Only list the serial ports of this machine.")]
 
 EXIT_UNHEALTHY = 4
 FRAMES = 16  # that are measured
@@ -58,17 +46,27 @@ SHIPPED = Path("reference.eitmodel")
 
 @with_output
 def command(
-    model: ReferenceModel = None,
+    model: Annotated[
+        Path | None,
+        typer.Argument(
+            help="The trained pipeline, which has the expected impedances; reference.eitmodel, "
+            "where the board measures by its protocol, when omitted."
+        ),
+    ] = None,
     *,
     board: BoardOption = None,
-    frames: FrameCount = FRAMES,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames to measure.")] = FRAMES,
     recording: Recording = None,
     values: Values = None,
     protocol: MeasuredPairs = None,
     reference: ReferenceFile = None,
     method: MethodCode = None,
-    calibrate: Calibrate = False,
-    list_ports: List = False,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
+    ] = False,
+    list_ports: Annotated[
+        bool, typer.Option("--list", help="Only list the serial ports of this machine.")
+    ] = False,
     seed: int = 0,
     output: Output,
 ) -> None:

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True)
 
-NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")]
-
 
 @app.command("mcap")
 @with_output
@@ -93,7 +91,7 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
 def export_vtu(
     scene: SceneFile,
     *,
-    out: NewFolder,
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")],
     sensor: SensorOptions,
     drive: Annotated[
         tuple[int, int] | None,

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Fit instruments to frames of real boards.")
 
 Design = Annotated[Path, typer.Argument(help="Design file of the sensor.")]
-Out = Annotated[Path, typer.Option(help="Instrument file to write, for --instrument and recipes.")]
 Terms = Annotated[
     str | None,
     typer.Option(
@@ -39,18 +38,6 @@ Terms = Annotated[
         "idle, common_mode, offset, leaks, leads; the first six when omitted."
     ),
 ]
-KeepAll = Annotated[
-    bool, typer.Option("--keep-all", help="Keep also the terms that the frames do not call for.")
-]
-First = Annotated[
-    int | None,
-    typer.Option(min=1, help="Fit to the first so many flat frames, and judge on the others."),
-]
-Reads = Annotated[
-    str | None,
-    typer.Option(help="complex, signed or magnitude; as the values look when omitted."),
-]
-Detail = Annotated[str, typer.Option(help="Resolution of the sensor: coarse, fast, standard ...")]
 
 
 @app.command("fit")
@@ -59,14 +46,27 @@ def fit(
     design: Design,
     recording: Recorded,
     *,
-    out: Out,
+    out: Annotated[
+        Path, typer.Option(help="Instrument file to write, for --instrument and recipes.")
+    ],
     protocol: MeasuredPairs = None,
     values: Values = None,
     terms: Terms = None,
-    keep_all: KeepAll = False,
-    first: First = None,
-    reads: Reads = None,
-    resolution: Detail = "coarse",
+    keep_all: Annotated[
+        bool,
+        typer.Option("--keep-all", help="Keep also the terms that the frames do not call for."),
+    ] = False,
+    first: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fit to the first so many flat frames, and judge on the others."),
+    ] = None,
+    reads: Annotated[
+        str | None,
+        typer.Option(help="complex, signed or magnitude; as the values look when omitted."),
+    ] = None,
+    resolution: Annotated[
+        str, typer.Option(help="Resolution of the sensor: coarse, fast, standard ...")
+    ] = "coarse",
     seed: int = 0,
     output: Output,
 ) -> None:

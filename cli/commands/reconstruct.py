@@ -33,57 +33,52 @@ if TYPE_CHECKING:
     from eitskin.protocol import Protocol
     from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
-Source = Annotated[
-    str,
-    typer.Argument(help="Dataset folder or shard, scene file (.toml), or board URI."),
-]
-MethodName = Annotated[
-    str,
-    typer.Option(
-        "--method",
-        help="back-projection, tikhonov, noser, laplace, total-variation, greit, or all.",
-    ),
-]
-Rule = Annotated[
-    str, typer.Option("--lambda", help="noise-figure:1, snr:100, gcv, or lambda:0.01.")
-]
-DifferenceName = Annotated[
-    str | None,
-    typer.Option(
-        "--difference",
-        help="relative (channel by channel) or absolute; chosen by the protocol when omitted.",
-    ),
-]
-Chosen = Annotated[
-    str | None,
-    typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
-]
 Reference = Annotated[
     str, typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number.")
-]
-Averaged = Annotated[
-    int, typer.Option(min=1, help="First frames of a board, untouched, that make its reference.")
-]
-Out = Annotated[
-    Path | None, typer.Option(help="Picture (.png), or values with their positions (.npz, .csv).")
 ]
 
 
 @with_output
 def command(
-    source: Source,
+    source: Annotated[
+        str,
+        typer.Argument(help="Dataset folder or shard, scene file (.toml), or board URI."),
+    ],
     *,
     sensor: SensorFile = None,
     protocol: MeasuredPairs = None,
-    method: MethodName = "greit",
-    rule: Rule = "noise-figure:1",
-    difference: DifferenceName = None,
-    frames: Chosen = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="back-projection, tikhonov, noser, laplace, total-variation, greit, or all.",
+        ),
+    ] = "greit",
+    rule: Annotated[
+        str, typer.Option("--lambda", help="noise-figure:1, snr:100, gcv, or lambda:0.01.")
+    ] = "noise-figure:1",
+    difference: Annotated[
+        str | None,
+        typer.Option(
+            "--difference",
+            help="relative (channel by channel) or absolute; chosen by the protocol when omitted.",
+        ),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
+    ] = None,
     reference: Reference = "untouched",
-    average: Averaged = 16,
+    average: Annotated[
+        int,
+        typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
+    ] = 16,
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
     resolution: Detail = "fast",
-    out: Out = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Picture (.png), or values with their positions (.npz, .csv)."),
+    ] = None,
     page: PageOptions,
     seed: int = 0,
     output: Output,

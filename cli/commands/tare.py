@@ -28,17 +28,6 @@ if TYPE_CHECKING:
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.references import StoredReference
 
-DatasetOption = Annotated[
-    Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
-]
-FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames that are averaged.")]
-Mounted = Annotated[
-    bool,
-    typer.Option(
-        "--mounted",
-        help="The sensor is curved by what it is mounted on: its shape now is the zero.",
-    ),
-]
 
 FRAMES = 32  # that are averaged
 
@@ -49,10 +38,21 @@ def command(
     *,
     out: Annotated[Path, typer.Option(help="File of the reference, NAME.json.")],
     board: BoardOption = None,
-    dataset: DatasetOption = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option("--dataset", help="Instead of a board: the reference of a specimen."),
+    ] = None,
     specimen: Specimen = 0,
-    frames: FrameCount = FRAMES,
-    mounted: Mounted = False,
+    frames: Annotated[
+        int, typer.Option(min=1, help="Number of frames that are averaged.")
+    ] = FRAMES,
+    mounted: Annotated[
+        bool,
+        typer.Option(
+            "--mounted",
+            help="The sensor is curved by what it is mounted on: its shape now is the zero.",
+        ),
+    ] = False,
     method: MethodCode = None,
     seed: int = 0,
     output: Output,

@@ -33,15 +33,6 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 
-MethodOptions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Hyper-parameter of the method; may be given several times.",
-    ),
-]
-
 
 @with_output
 def command(
@@ -60,7 +51,14 @@ def command(
         ),
     ] = None,
     method: MethodCode = None,
-    settings: MethodOptions = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Hyper-parameter of the method; may be given several times.",
+        ),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),

@@ -106,10 +106,11 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
         **{name: stage.numbers for name, stage in stages.items()},
     }
     document: Document = json.loads(json.dumps(numbers, allow_nan=False))
-    for file, text in (
-        ("report.json", json.dumps(document, indent=1) + "\n"),
-        ("report.html", page(stages, document)),
-    ):
+    files = {
+        "report.json": json.dumps(document, indent=1) + "\n",
+        "report.html": page(stages, document),
+    }
+    for file, text in files.items():
         with atomic_file(demo.out / file, PartialError, REMEDY) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return document
@@ -156,31 +157,28 @@ def marked_number(document: Document, path: str, form: str) -> "Markup":
 
 
 def _paper_rows(document: Document) -> list[tuple[str, str, str, str]]:
-    """Rows of the paper's table: experiment, published, trained here, shipped."""
-    trained = _figures(document, "indentation", "test")
-    shipped = _figures(document, "shipped_indentation", "shipped")
-    rows = []
-    for key in trained | shipped:
-        published = (trained.get(key) or shipped[key])[0]
-        here, other = (figures.get(key, ("", "-"))[1] for figures in (trained, shipped))
-        rows.append((key[1], published, here, other))
-    return rows
+    """Rows of the paper's table: experiment, published, trained here, shipped.
 
-
-def _figures(document: Document, grid: str, test: str) -> dict[tuple[str, str], tuple[str, str]]:
-    """Published and measured figure by experiment and row: touches on the grid, then all frames."""
+    The errors of touches on the grid come first, then all figures of the test frames.
+    """
     import msgspec
 
     from eitskin.training.evaluation.evaluate import Report
     from eitskin.training.evaluation.report import table_rows
 
-    figures, experiment = {}, ""
-    for stage in (grid, test):
-        for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
-            experiment = experiment if name.startswith(" ") else name
-            row = published.replace("+-", "±"), here.replace("+-", "±")
-            if stage == test:
-                figures[experiment, name] = row
-            elif experiment == "one touch: error":
-                figures[GRID, name if name.startswith(" ") else GRID] = row
-    return figures
+    rows: dict[tuple[str, str], list[str]] = {}
+    for column, stages in ((1, ("indentation", "test")), (2, ("shipped_indentation", "shipped"))):
+        for on_grid, stage in zip((True, False), stages, strict=True):
+            experiment = ""
+            for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
+                experiment = experiment if name.startswith(" ") else name
+                if on_grid and experiment != "one touch: error":
+                    continue
+                key = (
+                    (GRID, name if name.startswith(" ") else GRID)
+                    if on_grid
+                    else (experiment, name)
+                )
+                row = rows.setdefault(key, [published.replace("+-", "±"), "-", "-"])
+                row[column] = here.replace("+-", "±")
+    return [(name, *row) for (_, name), row in rows.items()]  # type: ignore[misc]

@@ -3,7 +3,7 @@
 import base64
 import io
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,11 +54,6 @@ class Picture:
     width: float
 
     @classmethod
-    def of_svg(cls, alt: str, caption: str, svg: bytes, width: float) -> "Picture":
-        """Picture of an SVG file, which stays text: that is shorter than base64."""
-        return cls(alt, caption, f"data:image/svg+xml,{quote(svg, safe=_UNQUOTED)}", width)
-
-    @classmethod
     def of_webp(cls, alt: str, caption: str, image: bytes, width: float) -> "Picture":
         """Picture of a WebP file."""
         source = f"data:image/webp;base64,{base64.b64encode(image).decode()}"
@@ -67,11 +62,12 @@ class Picture:
 
 def as_pictures(**drawn: tuple[CaptionedFigure | NoFigure, str]) -> dict[str, Picture]:
     """Figures and their alternative texts as pictures; figures that could not be are left out."""
-    return {
-        name: Picture.of_svg(alt, each.caption, _svg(each.figure), each.figure.get_figwidth())
-        for name, (each, alt) in drawn.items()
-        if isinstance(each, CaptionedFigure)
-    }
+    pictures = {}
+    for name, (each, alt) in drawn.items():
+        if isinstance(each, CaptionedFigure):  # as text, which is shorter than base64
+            source = f"data:image/svg+xml,{quote(_svg(each.figure), safe=_UNQUOTED)}"
+            pictures[name] = Picture(alt, each.caption, source, each.figure.get_figwidth())
+    return pictures
 
 
 def _svg(figure: Any) -> bytes:
@@ -126,7 +122,9 @@ def raw_frames(data: Dataset, name: str) -> CaptionedFigure:
         axes.plot(change[rows].T, color=COLOURS[state.name.lower()], **look)
         axes.axhline(0.0, color=DARK, linewidth=0.8, zorder=0)
         axes.set_ylabel(f"{state.name.lower()} [ohm]")
-    _name_channels(panels[-1], data.protocol.labels if data.protocol else ())
+    labels = data.protocol.labels if data.protocol else ()
+    panels[-1].set_xticks(range(len(labels)), labels, rotation=90, fontsize=8)
+    panels[-1].set_xlabel("pair of electrodes")
     flat = np.abs(data.reference[0])
     return CaptionedFigure(
         figure,
@@ -134,8 +132,3 @@ def raw_frames(data: Dataset, name: str) -> CaptionedFigure:
         "noise included: change of every resistance from that of the flat, untouched sensor, which "
         f"is {flat.min():.0f} to {flat.max():.0f} ohm. The three scales differ.",
     )
-
-
-def _name_channels(axes: Any, labels: Sequence[str]) -> None:
-    axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=8)
-    axes.set_xlabel("pair of electrodes")

@@ -40,15 +40,7 @@ STEPS = (  # the paper's real-time episode: touches at four bends
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Bend [deg] and force [N] at one end of the page's range."""
-
-    bend_deg: float
-    force: float
-
-
-LEAST, LARGEST = Limits(-30.0, 1.0), Limits(60.0, 12.0)
+BEND_RANGE, FORCE_RANGE = (-30.0, 60.0), (1.0, 12.0)  # deg, N
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +53,7 @@ class PageTouch:
 
     def __post_init__(self) -> None:
         """Check the force; the position is checked with the sensor."""
-        _require_within("force", self.force, LEAST.force, LARGEST.force, "N")
+        _require_within("force", self.force, FORCE_RANGE, "N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +65,7 @@ class SceneCommand:
 
     def __post_init__(self) -> None:
         """Check angle and number."""
-        _require_within("bend_deg", self.bend_deg, LEAST.bend_deg, LARGEST.bend_deg, "deg")
+        _require_within("bend_deg", self.bend_deg, BEND_RANGE, "deg")
         if len(self.touches) > MOST_TOUCHES:
             raise ConfigurationError(
                 f"at most {MOST_TOUCHES} touches at once, got {len(self.touches)}"
@@ -178,20 +170,17 @@ def stage_commands(board: "Board", sheet: SensorDesign | Region) -> Commands:
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:
     region = sheet if isinstance(sheet, Region) else Region.around(sheet)
-    if isinstance(sheet, Region):
-        inside = region.contains(press.x, press.y)
-    elif isinstance(sheet.outline, Surface):
-        require_above(sheet.outline, Touch(press.x, press.y, press.force))
-        return
-    else:
-        inside = bool(sheet.outline.contains(np.array([press.x, press.y])))
-    if not inside:
+    area = sheet if isinstance(sheet, Region) else sheet.outline
+    if isinstance(area, Surface):
+        require_above(area, Touch(press.x, press.y, press.force))
+    elif not area.contains(np.array([press.x, press.y])):
         raise ConfigurationError(
             f"touches are on the sensor, {region.length:g} x {region.width:g} m, got one at "
             f"({press.x:g}, {press.y:g}) m"
         )
 
 
-def _require_within(name: str, value: float, least: float, most: float, unit: str) -> None:
+def _require_within(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
+    least, most = limits
     if not least <= value <= most:
         raise ConfigurationError(f"{name} must be from {least:g} to {most:g} {unit}, got {value:g}")

@@ -316,9 +316,9 @@ class GelDrawing:
         return {
             "unit": self.unit,
             "points": self._steps(body.points),
-            "vertices": _encoded(body.vertices, "<u2"),
-            "kinds": _encoded(body.kinds, "u1"),
-            "faces": _encoded(body.faces, "<u2"),
+            "vertices": encoded(body.vertices, "<u2"),
+            "kinds": encoded(body.kinds, "u1"),
+            "faces": encoded(body.faces, "<u2"),
             "opaque": body.opaque,
             "electrodes": body.electrodes.tolist(),
         }
@@ -333,10 +333,10 @@ class GelDrawing:
         return self._points
 
     def _steps(self, points: Array) -> str:
-        return _encoded(np.rint((points - self.shape.origin) / self.unit), "<i2")
+        return encoded(np.rint((points - self.shape.origin) / self.unit), "<i2")
 
 
-def _encoded(numbers: NDArray[Any], kind: str) -> str:
+def encoded(numbers: NDArray[Any], kind: str) -> str:
     """Numbers of one kind of integers in base64."""
     return base64.b64encode(numbers.astype(kind).tobytes()).decode()
 

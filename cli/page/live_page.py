@@ -13,13 +13,12 @@ from eitskin.cli.page.plan import Region
 from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.closeable import Closeable
 from eitskin.extras import require_all
-from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.live import AcquisitionClock
 
 if TYPE_CHECKING:
     from eitskin.cli.page.server import ClientLimits
-    from eitskin.hardware.boards.board import Connection, Counts
+    from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import Reading
 
 log = logging.getLogger(__name__)
@@ -71,8 +70,7 @@ class LivePage(Closeable):
         self._connection, self._clock = connection, clock
         self._content = PageContent.of(board, sheet)
         self._acquired = AcquisitionClock()
-        self._published: tuple[Reading, Counts, float, float] | None = None
-        self._reference: Frame | None = None
+        self._newest: Snapshot | None = None
         self._arrived = self._told = self._closed = False
         self._changed = threading.Condition()
         hello = b"retry: 1000\n" + event(
@@ -94,15 +92,16 @@ class LivePage(Closeable):
 
     def publish(self, reading: "Reading") -> None:
         """Make this reading the next one that the page shows; returns at once."""
-        counts = self._connection.board.counts
-        now = self._clock()
-        begun = self._acquired.begun(reading.frame, now - reading.latency)
+        counts, now, frame = self._connection.board.counts, self._clock(), reading.frame
+        begun = self._acquired.begun(frame, now - reading.latency)
         with self._changed:
-            if self._reference is None or self._reference.session != reading.frame.session:
-                self._reference = reading.frame
-            elif self._reference.status.any():
-                self._reference = filled(self._reference, reading.frame)
-            self._published, self._arrived = (reading, counts, now, begun), True
+            before = self._newest
+            reference = frame
+            if before is not None and before.reference.session == frame.session:
+                reference = before.reference
+                if reference.status.any():
+                    reference = filled(reference, frame)
+            self._newest, self._arrived = Snapshot(reading, counts, reference, begun, now), True
             self._changed.notify()
 
     def tell(self) -> None:
@@ -159,16 +158,14 @@ class LivePage(Closeable):
 
     def _age(self) -> float | None:
         """Age of the newest reading [s]; None without a reading."""
-        return None if self._published is None else self._clock() - self._published[2]
+        return None if self._newest is None else self._clock() - self._newest.published
 
     def _take(self) -> Snapshot | None:
         """The newest reading; None where that was taken before."""
         with self._changed:
-            if not self._arrived or self._published is None or self._reference is None:
-                return None
+            newest = self._newest if self._arrived else None
             self._arrived = False
-            reading, counts, _, begun = self._published
-            return Snapshot(reading, counts, self._reference, begun)
+            return newest
 
     def _message(self, snapshot: Snapshot | None) -> bytes:
         age = self._age()

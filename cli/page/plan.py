@@ -62,9 +62,9 @@ class Region:
         (x0, y0), (x1, y1) = self.low, self.high
         return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
-    def contains(self, x: float, y: float) -> bool:
-        """Whether a position [m] lies inside or on the edge."""
-        return self.low[0] <= x <= self.high[0] and self.low[1] <= y <= self.high[1]
+    def contains(self, position: Array) -> bool:
+        """Whether a position (2,) [m] lies inside or on the edge."""
+        return bool((position >= self.low).all() and (position <= self.high).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

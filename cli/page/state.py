@@ -1,6 +1,5 @@
 """Contents of the live page as plain data for JSON: the sensor once, then each frame."""
 
-import base64
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -9,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
-from eitskin.cli.page.drawing import DrawnPress, GelDrawing
+from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MOST_TOUCHES
+from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encoded
 from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
@@ -32,12 +31,14 @@ class Snapshot:
         counts: of the board at that moment.
         reference: first frame of the session, from which changes of channels count.
         begun: when the frame's measurement began, by the page's clock [s]; NaN where unknown.
+        published: when the reading came, by the page's clock [s].
     """
 
     reading: "Reading"
     counts: "Counts"
     reference: Frame
     begun: float = math.nan
+    published: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +96,8 @@ class PageContent:
         from eitskin.hardware.virtual.fault_table import FAULTS
 
         return {
-            "bend": [LEAST.bend_deg, LARGEST.bend_deg],
-            "force": [LEAST.force, LARGEST.force],
+            "bend": list(BEND_RANGE),
+            "force": list(FORCE_RANGE),
             "touches": MOST_TOUCHES,
             "faults": list(FAULTS),
         }
@@ -193,9 +194,7 @@ def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:
     values = np.nan_to_num(np.asarray(touch_map, dtype=float))
     if not values.any():
         return None
-    levels = np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
-    rows, columns = levels.shape
-    return {"rows": rows, "columns": columns, "data": base64.b64encode(levels.tobytes()).decode()}
+    return _image(255.0 * np.clip(values, 0.0, 1.0))
 
 
 def signed_pixels(picture: "Picture | None") -> dict[str, Any] | None:
@@ -203,10 +202,13 @@ def signed_pixels(picture: "Picture | None") -> dict[str, Any] | None:
     if picture is None:
         return None
     share = np.nan_to_num(picture.values) / picture.limit
-    levels = np.rint(128.0 + 127.0 * np.clip(share, -1.0, 1.0)).astype(np.uint8)
+    image = _image(128.0 + 127.0 * np.clip(share, -1.0, 1.0))
+    return image | {"limit": _known(picture.limit, 8)}
+
+
+def _image(levels: NDArray[np.float64]) -> dict[str, Any]:
     rows, columns = levels.shape
-    data = base64.b64encode(levels.tobytes()).decode()
-    return {"rows": rows, "columns": columns, "data": data, "limit": _known(picture.limit, 8)}
+    return {"rows": rows, "columns": columns, "data": encoded(np.rint(levels), "u1")}
 
 
 def _scene(scene: "Scene") -> dict[str, Any]:

@@ -33,47 +33,6 @@ if TYPE_CHECKING:
     from eitskin.hardware.live import FramePipeline
     from eitskin.training.pipeline.pipeline import Pipeline
 
-Ros2 = Annotated[
-    bool, typer.Option("--ros2", help="Also publish frames and estimates as ROS 2 topics.")
-]
-Ros2Domain = Annotated[
-    int, typer.Option(envvar="ROS_DOMAIN_ID", help="Number of the DDS domain, 0 to 232.")
-]
-Ros2Namespace = Annotated[
-    str, typer.Option(help="Name of this skin, which its topics and its frame have.")
-]
-
-
-FrameCount = Annotated[
-    int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
-]
-Record = Annotated[
-    Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
-]
-Mcap = Annotated[
-    Path | None,
-    typer.Option(help="Also write frames and estimates, as ROS 2 messages, into this .mcap file."),
-]
-EveryFrame = Annotated[
-    bool,
-    typer.Option("--every-frame", help="Process all frames, not only the newest."),
-]
-UdpAddress = Annotated[
-    str | None,
-    typer.Option("--udp", metavar="[HOST:]PORT", help="Also send every reading by UDP."),
-]
-WebSocketAddress = Annotated[
-    str | None,
-    typer.Option(
-        "--websocket",
-        metavar="[HOST:]PORT",
-        help="Also serve readings by WebSocket; 0 for a free port.",
-    ),
-]
-PictureMethod = Annotated[
-    str | None,
-    typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
-]
 
 MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 
@@ -83,22 +42,53 @@ def command(
     model: Model,
     *,
     board: BoardOption = None,
-    frames: FrameCount = None,
-    record: Record = None,
-    mcap: Mcap = None,
-    every_frame: EveryFrame = False,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
+    ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write frames and estimates, as ROS 2 messages, into this .mcap file."
+        ),
+    ] = None,
+    every_frame: Annotated[
+        bool,
+        typer.Option("--every-frame", help="Process all frames, not only the newest."),
+    ] = False,
     page: PageOptions,
     page_folder: Annotated[
         Path, typer.Option(help="Folder of recordings and pipelines that are made from the page.")
     ] = Path("page-files"),
-    udp: UdpAddress = None,
-    websocket: WebSocketAddress = None,
+    udp: Annotated[
+        str | None,
+        typer.Option("--udp", metavar="[HOST:]PORT", help="Also send every reading by UDP."),
+    ] = None,
+    websocket: Annotated[
+        str | None,
+        typer.Option(
+            "--websocket",
+            metavar="[HOST:]PORT",
+            help="Also serve readings by WebSocket; 0 for a free port.",
+        ),
+    ] = None,
     reference: ReferenceFile = None,
     method: MethodCode = None,
-    picture: PictureMethod = None,
-    ros2: Ros2 = False,
-    ros2_domain: Ros2Domain = 0,
-    ros2_namespace: Ros2Namespace = "eitskin",
+    picture: Annotated[
+        str | None,
+        typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
+    ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Also publish frames and estimates as ROS 2 topics.")
+    ] = False,
+    ros2_domain: Annotated[
+        int, typer.Option(envvar="ROS_DOMAIN_ID", help="Number of the DDS domain, 0 to 232.")
+    ] = 0,
+    ros2_namespace: Annotated[
+        str, typer.Option(help="Name of this skin, which its topics and its frame have.")
+    ] = "eitskin",
     seed: int = 0,
     output: Output,
 ) -> None:

@@ -237,15 +237,6 @@ Angles = Annotated[
         help="Known angles in degrees, separated by commas; the flat sensor always comes first."
     ),
 ]
-PerAngle = Annotated[int, typer.Option("--frames", min=1, help="Number of frames at each angle.")]
-NoPrompt = Annotated[
-    bool,
-    typer.Option(
-        "--no-prompt",
-        help="Do not wait: a virtual: board bends its sensor; a script or a recording goes through "
-        "the angles by itself, in turn.",
-    ),
-]
 
 
 @with_output
@@ -256,8 +247,17 @@ def calibrate(
     board: BoardUri,
     reference: ReferenceFile = None,
     angles: Angles = ANGLES,
-    frames: PerAngle = 8,
-    no_prompt: NoPrompt = False,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, help="Number of frames at each angle.")
+    ] = 8,
+    no_prompt: Annotated[
+        bool,
+        typer.Option(
+            "--no-prompt",
+            help="Do not wait: a virtual: board bends its sensor; a script or a recording goes "
+            "through the angles by itself, in turn.",
+        ),
+    ] = False,
     method: MethodCode = None,
     replace: Replace = False,
     seed: int = 0,
