@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.accuracy.models import PEERS, PointElectrodeModel, drops, has_pyeit
+from eitskin.benchmarks.forward_models import PEERS, PointElectrodeModel, drops, has_pyeit
 from eitskin.benchmarks.plots import plot_errors
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
 from eitskin.datasets.generation.generate import generate

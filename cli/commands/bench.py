@@ -67,8 +67,7 @@ def _seeded(name: str) -> Callable[..., None]:
     """Command of one of `_SEEDED`."""
 
     def command(out: Out = _OUT, *, quick: Quick = False, seed: int = 0, output: Output) -> None:
-        from eitskin.benchmarks import speed, world
-        from eitskin.benchmarks.accuracy import run as accuracy
+        from eitskin.benchmarks import accuracy, speed, world
         from eitskin.benchmarks.stability import run as stability
 
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
@@ -120,7 +119,7 @@ def transfer(
 
     Each as it is, and adapted by 1 to 100 labelled frames, angles and presses. Frames are kept.
     """
-    from eitskin.benchmarks.transfer.run import run
+    from eitskin.benchmarks.transfer import run
     from eitskin.training.pipeline.saved_form import SHIPPED
 
     require_all(training=TRAINING)

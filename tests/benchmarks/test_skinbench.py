@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from command_line import run
 
+from eitskin.benchmarks import transfer
+from eitskin.benchmarks import transfer_worlds as worlds
 from eitskin.benchmarks.page_figures import PUBLISHED
 from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
@@ -29,9 +31,7 @@ from eitskin.benchmarks.skinbench.leaderboard import (
     write_leaderboard,
 )
 from eitskin.benchmarks.skinbench.methods import FRAMES, SPECIMENS, small_recipe
-from eitskin.benchmarks.transfer import run as transfer
-from eitskin.benchmarks.transfer import worlds
-from eitskin.benchmarks.transfer.worlds import WORLDS
+from eitskin.benchmarks.transfer_worlds import WORLDS
 from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from command_line import printed_json
 
+from eitskin.benchmarks import transfer as run
+from eitskin.benchmarks import transfer_worlds as worlds
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.transfer import run, worlds
-from eitskin.benchmarks.transfer.run import Labelled, judge
+from eitskin.benchmarks.transfer import Labelled, judge
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.schema import State

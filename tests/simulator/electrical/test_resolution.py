@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.accuracy.run import sheared
+from eitskin.benchmarks.accuracy import sheared
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid, uniform

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.paper.scores import scene_of
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
-from eitskin.benchmarks.transfer.worlds import FEW, World, make, recipes
+from eitskin.benchmarks.transfer_worlds import FEW, World, make, recipes
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset

@@ -16,8 +16,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.accuracy import models
-from eitskin.benchmarks.accuracy.models import ModelCase, Truth, judge, model_frame
+from eitskin.benchmarks import forward_models as models
+from eitskin.benchmarks.forward_models import ModelCase, Truth, judge, model_frame
 from eitskin.benchmarks.plots import plot_errors
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
@@ -104,16 +104,6 @@ class Deformed:
     frame_seconds: float
     signal_errors: dict[str, float]
 
-    @property
-    def press_error(self) -> float:
-        """Largest error of a press."""
-        return max(error for name, error in self.signal_errors.items() if name in PRESSES)
-
-    @property
-    def shear_error(self) -> float | None:
-        """Largest error of a sheared layer; None where none was measured."""
-        return max((e for name, e in self.signal_errors.items() if name in SHEARS), default=None)
-
 
 def signals(
     sim: Simulator, scenes: Mapping[str, Scene | Displaced]
@@ -173,7 +163,7 @@ class ModelResult:
         nodes, unknowns: of the mesh, and of the matrix.
         setup_seconds: for a new geometry; of pyEIT without the mesh.
         frame_seconds: per frame of 28, all but the mesh done anew.
-        resistance_error, signal_error: as in `Judgement`.
+        resistance_error, signal_error: as in `judge`.
         published_error: largest relative error against the published flat resistances at
             z = 1e-4 ohm m2; None for pyEIT, whose electrodes have no contact impedance.
     """
@@ -192,25 +182,11 @@ class ModelResult:
     published_error: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Duel:
-    """Results of pyEIT and of eitskin on one mesh."""
-
-    own: ModelResult
-    other: ModelResult
-
-    @property
-    def ratio(self) -> float:
-        """Ratio of pyEIT's time per frame to eitskin's."""
-        return self.other.frame_seconds / self.own.frame_seconds
-
-
 def measure(case: ModelCase, truth: Truth) -> ModelResult:
     """Errors and times of one forward model."""
     start = time.process_time()
     model = case.model(truth.design)
     setup = time.process_time() - start
-    found = judge(model_frame(model), truth)
     order, _ = discretisation(case.resolution, truth.design, case.cells)
     return ModelResult(
         family=case.family,
@@ -221,10 +197,8 @@ def measure(case: ModelCase, truth: Truth) -> ModelResult:
         nodes=len(model.mesh.points),
         unknowns=model.unknowns,
         setup_seconds=setup,
-        frame_seconds=found.seconds,
-        resistance_error=found.resistance_error,
-        signal_error=found.signal_error,
         published_error=published_error(case),
+        **judge(model_frame(model), truth),
     )
 
 
@@ -238,13 +212,12 @@ def published_error(case: ModelCase) -> float:
     return float(np.abs(errors).max())
 
 
-def compare(case: ModelCase, truth: Truth) -> Duel:
-    """Compare both models on the mesh of one case, a plane one where the case has one order."""
+def compare(case: ModelCase, truth: Truth) -> tuple[ModelResult, ModelResult]:
+    """Results of eitskin and of pyEIT on the mesh of one case, plane where it has one order."""
     order, _ = discretisation(case.resolution, truth.design, case.cells)
     plane = len(order) == 1
     mesh = ForwardModel(truth.design, case.resolution).mesh
     model = models.PointElectrodeModel(truth.design, mesh, plane)
-    found = judge(model.frame(truth.design.conductivity), truth)
     cells = "triangles" if plane else "tetrahedra"
     other = ModelResult(
         family=f"pyEIT, {cells}",
@@ -255,13 +228,11 @@ def compare(case: ModelCase, truth: Truth) -> Duel:
         nodes=model.nodes,
         unknowns=model.nodes,
         setup_seconds=model.setup_seconds,
-        frame_seconds=found.seconds,
-        resistance_error=found.resistance_error,
-        signal_error=found.signal_error,
         published_error=None,
+        **judge(model.frame(truth.design.conductivity), truth),
     )
     own = measure(case, truth)
-    return Duel(dataclasses.replace(own, nodes=model.nodes), other)
+    return dataclasses.replace(own, nodes=model.nodes), other
 
 
 def _deformed(quick: bool) -> tuple[Deformed, ...]:
@@ -287,14 +258,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         results = [measure(case, truth) for case in own]
         duels = [compare(case, truth) for case in watch("pyEIT", peers)]
         (deformed,) = (f(quick) for f in watch("bent and pressed", [_deformed]))
-    points = [*results, *(d.own for d in duels), *(d.other for d in duels)]
+    points = [*results, *(own for own, _ in duels), *(other for _, other in duels)]
     sentences = [
         f"two references differ by {truth.resistance_error:.1e} in R and "
         f"{truth.signal_error:.1e} in the signal",
         *(
-            f"{each.other.family}, {each.other.nodes} nodes: ours on the same nodes is "
-            f"{each.ratio:.0f} times faster"
-            for each in duels
+            f"{other.family}, {other.nodes} nodes: ours on the same nodes is "
+            f"{other.frame_seconds / own.frame_seconds:.0f} times faster"
+            for own, other in duels
         ),
     ]
     if not duels:
@@ -348,7 +319,7 @@ def _plotted(points: Sequence[ModelResult]) -> dict[str, Any]:
 def _figures(
     truth: Truth,
     results: Sequence[ModelResult],
-    duels: Sequence[Duel],
+    duels: Sequence[tuple[ModelResult, ModelResult]],
     deformed: Sequence[Deformed],
 ) -> Iterator[tuple[str, float]]:
     """All figures by name: points by family and name, duels by the peer's family."""
@@ -356,26 +327,24 @@ def _figures(
     yield "references.signal_error", truth.signal_error
     for point in results:
         yield from _figures_of(f"{point.family}, {point.name}", point)
-    for duel in duels:
-        peer = f"{duel.other.family}, {duel.other.name}"
-        yield from _figures_of(peer, duel.other)
-        yield from _figures_of(f"ours on the nodes of {peer}", duel.own)
-        yield f"{peer}.times_longer", duel.ratio
+    for own, other in duels:
+        peer = f"{other.family}, {other.name}"
+        yield from _figures_of(peer, other)
+        yield from _figures_of(f"ours on the nodes of {peer}", own)
+        yield f"{peer}.times_longer", other.frame_seconds / own.frame_seconds
     for row in deformed:
         yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
-        yield f"bent and pressed, {row.name}.largest of presses", row.press_error
-        if row.shear_error is not None:
-            yield f"bent and pressed, {row.name}.largest of shears", row.shear_error
+        for kind, scenes in {"presses": PRESSES, "shears": SHEARS}.items():
+            errors = [error for scene, error in row.signal_errors.items() if scene in scenes]
+            if errors:
+                yield f"bent and pressed, {row.name}.largest of {kind}", max(errors)
         for scene, error in row.signal_errors.items():
             yield f"bent and pressed, {row.name}.{scene}", error
 
 
 def _figures_of(label: str, point: ModelResult) -> Iterator[tuple[str, float]]:
-    yield f"{label}.nodes", point.nodes
-    yield f"{label}.unknowns", point.unknowns
     yield f"{label}.frame_ms", 1e3 * point.frame_seconds
-    yield f"{label}.setup_seconds", point.setup_seconds
-    yield f"{label}.resistance_error", point.resistance_error
-    yield f"{label}.signal_error", point.signal_error
-    if point.published_error is not None:
-        yield f"{label}.published_error", point.published_error
+    names = ("nodes", "unknowns", "setup_seconds", "resistance_error", "signal_error")
+    for name in (*names, "published_error"):
+        if (value := getattr(point, name)) is not None:
+            yield f"{label}.{name}", value

@@ -1,1 +1,0 @@
-"""Pipelines on sensors of worlds that they were not trained in: `eitskin bench transfer`."""
