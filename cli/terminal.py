@@ -32,6 +32,14 @@ class Terminal(Console):
         return super().render_str(visible(text), **options)
 
 
+def table_of(headings: Iterable[str], rows: Iterable[Sequence[str]], **look: Any) -> Table:
+    """Table of rows of cells, with options of Rich's `Table`."""
+    table = Table(*headings, **look)
+    for cells in rows:
+        table.add_row(*cells)
+    return table
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FigureTable:
     """Table of figures, which goes on below where the terminal is too narrow for all columns.

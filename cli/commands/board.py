@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from eitskin.cli.options import (
     FixtureFile,
@@ -17,6 +16,7 @@ from eitskin.cli.options import (
     ended_by_signals,
     with_output,
 )
+from eitskin.cli.terminal import table_of
 
 Faults = Annotated[
     str,
@@ -63,7 +63,10 @@ def command(
     from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
     if list_faults:
-        output.result(_meanings(), _fault_table())
+        from eitskin.hardware.virtual.fault_table import FAULTS
+
+        meanings = {name: kind.meaning for name, kind in FAULTS.items()}
+        output.result(meanings, table_of(("fault", "what it does"), meanings.items()))
         return
     output.detail(f"meshing at resolution {resolution}, computing the scenes")
     terminal = virtual_terminal(
@@ -87,17 +90,3 @@ def command(
     terminal.firmware.boots_from(int(time.time()))
     with ended_by_signals(), closing(terminal):
         terminal.serve()
-
-
-def _meanings() -> dict[str, str]:
-    """Name and description of each fault."""
-    from eitskin.hardware.virtual.fault_table import FAULTS
-
-    return {name: kind.meaning for name, kind in FAULTS.items()}
-
-
-def _fault_table() -> Table:
-    table = Table("fault", "what it does")
-    for name, meaning in _meanings().items():
-        table.add_row(name, meaning)
-    return table

@@ -102,13 +102,7 @@ def compaction(
     from eitskin.datasets.store.rewriting import compact
 
     with output.counting("shards") as show:
-        manifest = compact(
-            dataset,
-            out,
-            frames_per_shard or None,
-            show,
-            workers,
-        )
+        manifest = compact(dataset, out, frames_per_shard or None, show, workers)
     size = sum((out / entry.name).stat().st_size for entry in manifest.shards)
     found = {
         "out": str(out),
@@ -141,12 +135,7 @@ def combination(
     from eitskin.datasets.store.rewriting import combine
 
     with output.counting("shards") as show:
-        manifest = combine(
-            datasets,
-            out,
-            magnitudes,
-            show,
-        )
+        manifest = combine(datasets, out, magnitudes, show)
     output.result(
         {"out": str(out), "frames": manifest.frames, "source": manifest.source},
         f"{manifest.frames} frames of {len(datasets)} datasets in {out}",
@@ -174,13 +163,7 @@ def export(
     from eitskin.datasets.export.export import export_dataset
 
     with output.counting("shards") as show:
-        done = export_dataset(
-            dataset,
-            out,
-            form,
-            license_name,
-            show,
-        )
+        done = export_dataset(dataset, out, form, license_name, show)
     found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
     splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
     output.result(

@@ -12,6 +12,7 @@ from eitskin.cli.options import (
     own_method,
     with_output,
 )
+from eitskin.cli.terminal import table_of
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
@@ -97,16 +98,15 @@ def paper_table(report: "Report") -> Table:
     from eitskin.training.evaluation.report import HEADINGS, table_rows
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
-    table = Table(*HEADINGS, title=f"{report.frames} frames", caption=SSIM_DEFINITION)
-    for row in table_rows(report):
-        table.add_row(*row)
-    return table
+    title = f"{report.frames} frames"
+    return table_of(HEADINGS, table_rows(report), title=title, caption=SSIM_DEFINITION)
 
 
 def position_table(score: "PositionScore") -> Table:
     """Table of position errors learned without geometry."""
-    table = Table("touch position", "here", title=f"{score.frames} frames")
-    table.add_row("mean error", f"{score.mean_error_mm:.2f} mm")
-    table.add_row("median error", f"{score.median_error_mm:.2f} mm")
-    table.add_row("mean error of always the middle", f"{score.guess_error_mm:.1f} mm")
-    return table
+    rows = (
+        ("mean error", f"{score.mean_error_mm:.2f} mm"),
+        ("median error", f"{score.median_error_mm:.2f} mm"),
+        ("mean error of always the middle", f"{score.guess_error_mm:.1f} mm"),
+    )
+    return table_of(("touch position", "here"), rows, title=f"{score.frames} frames")

@@ -21,6 +21,7 @@ from eitskin.cli.options import (
     read_design,
     with_output,
 )
+from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -153,8 +154,9 @@ def _require_empty(folder: Path) -> None:
 
 
 def _field_table(folder: Path, fields: dict[str, list[str]]) -> Table:
-    table = Table("file", "field", box=box.SIMPLE)
-    for name, names in fields.items():
-        for i, field in enumerate(names):
-            table.add_row("" if i else str(folder / name), field)
-    return table
+    rows = [
+        ("" if i else str(folder / name), field)
+        for name, names in fields.items()
+        for i, field in enumerate(names)
+    ]
+    return table_of(("file", "field"), rows, box=box.SIMPLE)

@@ -217,13 +217,8 @@ def read_options(texts: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def train_pipeline(data: "Dataset", choice: Choice, output: Output) -> "Pipeline":
-    """Trained pipeline with its metrics on held-out frames; shows a bar per network."""
-    return train_and_measure(data, choice, output).pipeline
-
-
 def train_and_measure(data: "Dataset", choice: Choice, output: Output) -> "Evaluation":
-    """Evaluation of a newly trained pipeline on its held-out frames."""
+    """Evaluation of a newly trained pipeline on its held-out frames; shows a bar per network."""
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
     from eitskin.training.pipeline.pipeline import Pipeline

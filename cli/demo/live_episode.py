@@ -10,6 +10,7 @@ from rich.table import Table
 from eitskin.cli.page.commands import STEPS
 from eitskin.cli.page.drawing import INSIDE, METAL, GelShape
 from eitskin.cli.page.plan import outline_of
+from eitskin.cli.terminal import table_of
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.scene import Scene
@@ -65,10 +66,7 @@ def episode_cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
     """Table of all steps."""
-    table = Table(*COLUMNS)
-    for row in rows:
-        table.add_row(*episode_cells(row))
-    return table
+    return table_of(COLUMNS, map(episode_cells, rows))
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:

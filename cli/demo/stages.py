@@ -14,7 +14,7 @@ from rich.console import RenderableType
 
 from eitskin.cli.commands.evaluate import paper_table
 from eitskin.cli.commands.generate import make_dataset
-from eitskin.cli.commands.train import choose, train_pipeline, train_positions
+from eitskin.cli.commands.train import choose, train_and_measure, train_positions
 from eitskin.cli.demo.live_episode import FRAMES, episode_film, episode_table, run_episode
 from eitskin.cli.demo.pictures import (
     Picture,
@@ -135,7 +135,7 @@ class Demo:
         if which == TRAINED and not self.is_trained():
             start = time.perf_counter()
             choice = choose("quick", epochs=self.plan.epochs, seed=self.plan.seed)
-            trained = train_pipeline(self.sets["quick"], choice, self.output)
+            trained = train_and_measure(self.sets["quick"], choice, self.output).pipeline
             seconds = round(time.perf_counter() - start, 1)
             trained.metrics["training"] = {"made_from": self._made_from, "seconds": seconds}
             self.output.show(f"saved pipeline: {trained.save(self.model)}")

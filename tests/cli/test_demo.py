@@ -196,7 +196,7 @@ def test_a_demo_that_was_interrupted_goes_on_to_the_same_report(finished, tmp_pa
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path, at=stage)
         assert not (tmp_path / "report.html").exists()
-    monkeypatch.setattr(stages, "train_pipeline", None)  # nothing is made twice
+    monkeypatch.setattr(stages, "train_and_measure", None)  # nothing is made twice
     run(tmp_path)
     assert numbers(tmp_path) == numbers(finished)
     assert not list(tmp_path.rglob(".*"))

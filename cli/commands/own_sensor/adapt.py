@@ -29,6 +29,7 @@ from eitskin.cli.options import (
     own_method,
     with_output,
 )
+from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
@@ -115,7 +116,6 @@ def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) 
     Raises the errors of `Pipeline.adapt`, `InputSpec.described`, `Pipeline.fit` and
     `PressedTwin.read`, and ConfigurationError for a twin beside touch positions.
     """
-    from eitskin.errors import ConfigurationError
     from eitskin.training.method.settings import POSITIONS, TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -218,17 +218,14 @@ def twin_in_words(trial: "Mapping[str, Any]") -> str:
 
 def calibration_table(calibration: "Calibration") -> Table:
     """Table of the standard errors of the angle before and after known angles were seen."""
-    table = Table("angle, deg", "standard error before, deg", "after, deg")
-    rows = zip(
-        calibration.angles_deg,
-        calibration.error_before_deg,
-        calibration.error_after_deg,
-        strict=True,
-    )
-    for angle, before, after in rows:
-        table.add_row(f"{angle:.1f}", f"{before:.2f}", f"{after:.2f}")
-    table.caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
-    return table
+    before, after = calibration.error_before_deg, calibration.error_after_deg
+    rows = [
+        (f"{angle:.1f}", f"{b:.2f}", f"{a:.2f}")
+        for angle, b, a in zip(calibration.angles_deg, before, after, strict=True)
+    ]
+    caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
+    headings = ("angle, deg", "standard error before, deg", "after, deg")
+    return table_of(headings, rows, caption=caption)
 
 
 Angles = Annotated[
