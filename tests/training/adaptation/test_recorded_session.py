@@ -121,8 +121,8 @@ def test_the_page_shows_the_region_of_the_positions(learned):
     sheet = live.sheet_of(learned)
     assert sheet.low[0] < -0.03
     assert sheet.high[1] > 0.03
-    assert sheet.contains(0.0, 0.0)
-    assert not sheet.contains(0.2, 0.0)
+    assert sheet.contains(np.array([0.0, 0.0]))
+    assert not sheet.contains(np.array([0.2, 0.0]))
     design = SensorDesign.reference()
     assert live.sheet_of(knowing(learned, known_design=design)) is design
     with pytest.raises(Exception, match="leave out --page"):
