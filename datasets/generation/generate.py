@@ -16,7 +16,6 @@ from eitskin.datasets.store.folder import make_folder, new_folder
 from eitskin.datasets.store.manifest import (
     MANIFEST,
     Manifest,
-    Names,
     ShardEntry,
     read_manifest,
     write_manifest,
@@ -108,8 +107,7 @@ def generate(
         kept = _all_finished(recipe, folder)
     if len(kept) < recipe.shards:
         return None
-    text = recipe.to_toml()
-    manifest = Manifest.of_shards("simulated", text, recipe.seed, kept.values(), Names())
+    manifest = Manifest.of_shards("simulated", kept.values(), recipe.to_toml(), recipe.seed)
     write_manifest(folder, manifest)
     return manifest
 

@@ -12,7 +12,7 @@ import numpy as np
 from eitskin.config import Location, read, read_toml, to_toml
 from eitskin.datasets.recipe import SHIPPED, shipped_names
 from eitskin.datasets.recipe.episode import Episodes
-from eitskin.datasets.recipe.scene_group import SceneGroup, count_problems
+from eitskin.datasets.recipe.scene_group import SceneGroup, count_problems, refusal
 from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Mounts, Specimen, Specimens
 from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
@@ -225,12 +225,8 @@ class Recipe:
     def _support_problems(self, support: Support | None, bent: bool) -> Iterator[str]:
         """Reason why a support, or the sensor's, does not allow the bends of a group."""
         support = support or self.sensor.support
-        try:
-            if bent:
-                require_bendable(support, self.fixture)
-            require_fit(support, self.sensor.outline)
-        except ConfigurationError as error:
-            yield str(error)
+        bend = list(refusal(lambda: require_bendable(support, self.fixture))) if bent else []
+        yield from bend or refusal(lambda: require_fit(support, self.sensor.outline))
 
     def _size_problems(self) -> Iterator[str]:
         if self.frames > MOST_FRAMES:
@@ -267,10 +263,8 @@ class Recipe:
                 f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
                 f"{electrodes}"
             )
-        try:
-            self.instrument.session(self.measured_protocol, 1.0, np.random.default_rng(0))
-        except ConfigurationError as error:
-            yield f"instrument: {error}"
+        given = self.measured_protocol, 1.0, np.random.default_rng(0)
+        yield from refusal(lambda: self.instrument.session(*given), "instrument: ")
 
     def _bend_problem(self, angle_deg: float) -> str:
         """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
@@ -285,11 +279,8 @@ class Recipe:
                 f"a bend of {angle_deg:g} deg is beyond the clamp, which is solved from {least:g} "
                 f"to {most:g} deg; bend less, or choose a kinematic fixture"
             )
-        try:
-            bend_table.check_clamp(self.sensor, fixture, self.mechanics)
-        except ConfigurationError as error:
-            return str(error)
-        return ""
+        clamped = self.sensor, fixture, self.mechanics
+        return "".join(refusal(lambda: bend_table.check_clamp(*clamped)))
 
     def _skew_problems(self, period: float) -> Iterator[str]:
         last = float(self.instrument.offsets(self.measured_protocol).max())
@@ -305,14 +296,14 @@ def _kinematic_problem(
     sensor: SensorDesign, fixture: Hinge | FreeArc, specimens: Specimens, angle_deg: float
 ) -> str:
     """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
-    try:
+
+    def check() -> None:
         fixture.flexure(sensor, Bend(angle_deg))
         if not list(specimens.problems(sensor, fixture)):
             for design, own in specimens.extremes(sensor, fixture):
                 own.flexure(design, Bend(angle_deg))
-    except ConfigurationError as error:
-        return str(error)
-    return ""
+
+    return "".join(refusal(check))
 
 
 @lru_cache(maxsize=16)

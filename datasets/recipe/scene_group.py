@@ -1,7 +1,7 @@
 """Groups of scenes in a recipe: number, bend angles, touches, and their random draws and checks."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -180,6 +180,14 @@ def draw_positions(
     )
 
 
+def refusal(check: Callable[[], object], subject: str = "") -> Iterator[str]:
+    """Sentence, after its subject, with which a check refuses what it is given; none else."""
+    try:
+        check()
+    except ConfigurationError as error:
+        yield f"{subject}{error}"
+
+
 def count_problems(name: str, value: int, least: int = 1, most: int | None = None) -> Iterator[str]:
     """Sentence on a number that is below `least`, or above `most` where that is given."""
     if value < least or (most is not None and value > most):
@@ -218,6 +226,7 @@ def touch_problems(
 ) -> Iterator[str]:
     """Reasons why touches in these ranges cannot be drawn, a sentence each; see `SceneGroup`."""
     few, many = touches
+    rng = np.random.default_rng(0)
     across = 2.0 * indenter.rims[1]
     if problem := range_problem("force", force, above=0.0):
         yield problem
@@ -230,16 +239,8 @@ def touch_problems(
         )
     elif not spacing >= across:
         yield f"spacing must be at least the indenter's {across:g} m, got {spacing:g}"
-    elif not _has_room(many, outline, margin, spacing):
+    elif any(refusal(lambda: draw_positions(many, outline, margin, spacing, rng))):
         yield (
             f"{many} touches {spacing:g} m apart and {margin:g} m from the rim do "
             "not fit, or almost never; ask for fewer, or less spacing or margin"
         )
-
-
-def _has_room(amount: int, outline: PlaneOutline, margin: float, spacing: float) -> bool:
-    try:
-        draw_positions(amount, outline, margin, spacing, np.random.default_rng(0))
-    except ConfigurationError:
-        return False
-    return True

@@ -10,9 +10,8 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recipe.scene_group import count_problems, range_problem
+from eitskin.datasets.recipe.scene_group import count_problems, range_problem, refusal
 from eitskin.datasets.store.schema import LIMITS
-from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
@@ -171,14 +170,13 @@ class Mounts:
             yield 'mounts: faces must name "both" or "bottom", got none'
 
     def unclampable(self, design: SensorDesign, mechanics: Mechanics) -> Iterator[str]:
-        """Reason why sensors like `design` cannot be clamped so, a sentence each."""
-        try:
-            for number in range(self.count):
-                bend_table.check_clamp(
-                    design, self.clamp(number), self.mechanics(number, mechanics)
-                )
-        except ConfigurationError as error:
-            yield f"mounts: {error}"
+        """First reason why sensors like `design` cannot be clamped so."""
+
+        def check() -> None:
+            for n in range(self.count):
+                bend_table.check_clamp(design, self.clamp(n), self.mechanics(n, mechanics))
+
+        return refusal(check, "mounts: ")
 
     def _shares(self, number: int) -> tuple[float, ...]:
         """Place of mount `number` in each range, between 0 and 1."""

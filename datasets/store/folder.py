@@ -134,7 +134,7 @@ def save_parts(
         first += len(part)
         if progress:
             progress(len(entries))
-    manifest = Manifest.of_shards(part.source, part.recipe, part.seed, entries, names)
+    manifest = Manifest.of_shards(part.source, entries, part.recipe, part.seed, names)
     write_manifest(folder, manifest)
     return manifest
 

@@ -96,12 +96,18 @@ class Manifest:
 
     @classmethod
     def of_shards(
-        cls, source: str, recipe: str, seed: int, shards: Iterable[ShardEntry], names: Names
+        cls,
+        source: str,
+        shards: Iterable[ShardEntry],
+        recipe: str = "",
+        seed: int = 0,
+        names: Names | None = None,
     ) -> "Manifest":
         """Manifest of a recipe's shards, or of shards without a recipe."""
         ordered = tuple(sorted(shards, key=lambda entry: entry.first_index))
         digest = hashlib.sha256(recipe.encode()).hexdigest()
-        return cls(source, digest, seed, sum(each.count for each in ordered), ordered, names=names)
+        frames = sum(entry.count for entry in ordered)
+        return cls(source, digest, seed, frames, ordered, names=names or Names())
 
 
 def read_manifest(folder: Path) -> Manifest:

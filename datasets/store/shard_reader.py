@@ -50,17 +50,10 @@ _NAMES = [field.name for field in FIELDS]
 _TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in FIELDS}
 
 
-def read_shard(path: str | Path, first_index: int | None = None) -> Dataset:
-    """Dataset of one shard, checked.
-
-    Args:
-        path: of the file.
-        first_index: expected number of the first frame within the whole dataset, where known.
-
-    Raises DataError for any violation of the format.
-    """
+def read_shard(path: str | Path) -> Dataset:
+    """Dataset of one shard, checked; raises DataError for any violation of the format."""
     path = Path(path)
-    return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path, first_index)
+    return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path)
 
 
 def shard_of(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import new_folder
-from eitskin.datasets.store.manifest import Manifest, Names, ShardEntry, write_manifest
+from eitskin.datasets.store.manifest import Manifest, ShardEntry, write_manifest
 from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE
 from eitskin.datasets.store.shard import write_entry
 from eitskin.errors import ConfigurationError
@@ -128,8 +128,8 @@ class ShardWriter(Closeable):
         return sum(entry.count for entry in self._entries)
 
     def _list_shards(self) -> None:
-        source = self._shared["source"]
-        write_manifest(self.folder, Manifest.of_shards(source, "", 0, self._entries, Names()))
+        manifest = Manifest.of_shards(self._shared["source"], self._entries)
+        write_manifest(self.folder, manifest)
         self.readable = self._count
 
 
