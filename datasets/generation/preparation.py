@@ -40,13 +40,11 @@ def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) 
 
 def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
     """Paths of the press tables that `prepare` would solve."""
-    found: set[Path] = set()
-    pairs = _touches_together(recipe)
+    pairs, found = _touches_together(recipe), set[Path]()
     for indenter in _indenters(recipe):
-        for design, mechanics, grid in _pressed(recipe, indenter, specimens):
-            sensor = design, mechanics, indenter, grid
-            found |= missing(press_problems(*sensor)).keys()
-            found |= missing(correction_problems(*sensor, pairs)).keys()
+        for sensor in _pressed(recipe, indenter, specimens):
+            problems = (*press_problems(*sensor), *correction_problems(*sensor, pairs))
+            found |= missing(problems).keys()
     return found
 
 
@@ -92,8 +90,7 @@ def prepare(
                 bend_table(*bent).check(angle)
     pairs = _touches_together(recipe)
     for indenter, force in _indenters(recipe).items():
-        pressed = list(_pressed(recipe, indenter, specimens))
-        sensors = [(design, mechanics, indenter, grid) for design, mechanics, grid in pressed]
+        sensors = list(_pressed(recipe, indenter, specimens))
         problems = [each for sensor in sensors for each in press_problems(*sensor)]
         solve_missing(problems, progress, workers)
         for sensor in sensors:
@@ -155,28 +152,31 @@ def _clamped(
     recipe: Recipe, specimens: Sequence[int] | None
 ) -> Iterator[tuple[SensorDesign, Clamp, Mechanics, SensorGrid]]:
     """Designs, clamps, materials and grids of specimens on all supports on which clamps bend."""
-    given = [group.support for group in recipe.scenes if any(group.angle_deg)]
-    given += [None for each in recipe.episodes if any(each.angles_deg)]
-    for made in _specimens(recipe, specimens) if given else ():
-        for support in dict.fromkeys(each or made.design.support for each in given):
-            if isinstance(made.fixture, Clamp):
-                design = dataclasses.replace(made.design, support=support)
-                yield design, made.fixture, made.mechanics, made.grid
+    supports = [group.support for group in recipe.scenes if any(group.angle_deg)]
+    supports += [None for each in recipe.episodes if any(each.angles_deg)]
+    for made in _on_supports(recipe, specimens, supports):
+        if isinstance(made.fixture, Clamp):
+            yield made.design, made.fixture, made.mechanics, made.grid
 
 
 def _pressed(
     recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
-) -> Iterator[tuple[SensorDesign, Mechanics, SensorGrid]]:
+) -> Iterator[tuple[SensorDesign, Mechanics, AnyIndenter, SensorGrid]]:
     """Designs, materials and grids of specimens on all supports on which the indenter presses."""
     touched = [group for group in recipe.scenes if group.state == "touch"]
-    groups = [group.support for group in touched if group.pressed_by == indenter]
-    given = [None] * (bool(recipe.episodes) and indenter == Cylinder()) + groups
-    for made in _specimens(recipe, specimens):
-        for support in dict.fromkeys(each or made.design.support for each in given):
-            design = dataclasses.replace(made.design, support=support)
-            yield design, made.mechanics, made.grid
+    supports = [None] * (bool(recipe.episodes) and indenter == Cylinder())
+    supports += [group.support for group in touched if group.pressed_by == indenter]
+    for made in _on_supports(recipe, specimens, supports):
+        yield made.design, made.mechanics, indenter, made.grid
 
 
-def _specimens(recipe: Recipe, specimens: Sequence[int] | None) -> Iterator[Specimen]:
-    for number in deciding_specimens(recipe) if specimens is None else specimens:
-        yield specimen(recipe, number)
+def _on_supports(
+    recipe: Recipe, specimens: Sequence[int] | None, supports: Sequence[Support | None]
+) -> Iterator[Specimen]:
+    """Specimens on each of the supports, where None is their own."""
+    if supports:
+        for number in deciding_specimens(recipe) if specimens is None else specimens:
+            made = specimen(recipe, number)
+            for support in dict.fromkeys(each or made.design.support for each in supports):
+                design = dataclasses.replace(made.design, support=support)
+                yield dataclasses.replace(made, design=design)

@@ -8,6 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,72 +106,53 @@ def instrument(recipe: Recipe, number: int) -> Instrument:
 
 def specimen_numbers(recipe: Recipe, frames: range) -> list[int]:
     """Numbers of the specimens that occur in `frames`, consecutive ones, rising."""
-    first, stop = frames.start, frames.stop
     found: set[int] = set()
-    if first < recipe.snapshots:
-        order = _block_order(recipe)
-        last = min(stop, recipe.snapshots) - 1
-        edges = np.searchsorted(order.starts, (first, last), side="right")
-        found.update(_dealt(recipe, np.arange(edges[0] - 1, edges[1]), len(order.starts)).tolist())
-    if stop > recipe.snapshots:
-        episodes = _episode_order(recipe)
-        ends = (max(first, recipe.snapshots), stop - 1)
-        edges = np.searchsorted(episodes.starts, ends, side="right")
-        found.update(episodes.specimens[edges[0] - 1 : edges[1]].tolist())
+    spans = (_blocks, 0, recipe.snapshots), (_episodes, recipe.snapshots, recipe.frames)
+    for pieces, start, stop in spans:
+        inside = range(max(frames.start, start), min(frames.stop, stop))
+        if inside:
+            first, last = (pieces(recipe).number(frame) for frame in (inside[0], inside[-1]))
+            found.update(pieces(recipe).specimens[first : last + 1].tolist())
     return sorted(found)
 
 
-def _dealt(recipe: Recipe, pieces: Integers, count: int) -> Integers:
-    """Specimens of blocks or episodes `pieces` of `count`: equal shares, one after the other."""
-    return pieces * recipe.specimens.count // count
-
-
-def _snapshot(recipe: Recipe, index: int) -> Sample:
-    order = _block_order(recipe)
-    block = int(np.searchsorted(order.starts, index, side="right")) - 1
-    group = recipe.scenes[order.groups[block]]
-    number = int(order.numbers[block]) * group.per_bend + index - int(order.starts[block])
-    untouched = group.draw_untouched(generator(recipe, Stream.BEND, block))
-    rng = generator(recipe, Stream.SCENE, index)
-    scene = group.draw(number, untouched, recipe.outline, rng)
-    count, blocks = recipe.specimens.count, len(order.groups)
-    made = int(_dealt(recipe, np.array(block), blocks))
-    first = int(order.starts[-(-made * blocks // count)])
-    if scene.support is not None:
-        nominal = recipe.nominal(made).fixture
-        widened = free_length(specimen(recipe, made).fixture) - free_length(nominal)
-        scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
-    return Sample(
-        index=index,
-        specimen=made,
-        state=group.label,
-        scene=scene,
-        after=None,
-        episode=index,
-        time=0.0,
-        period=PERIOD,
-        session_time=(index - first) * PERIOD,
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _BlockOrder:
-    """Blocks of frames with one specimen and one bend, in the order of the dataset, (blocks,).
+class _Pieces:
+    """Blocks of frames with one bend, or episodes, in the order of the dataset, (pieces,).
 
     Attributes:
-        groups: number of each block's group of scenes.
-        numbers: of the blocks within their groups.
-        starts: number of each block's first frame.
+        kinds: number of each piece's group of scenes, or entry of episodes, in the recipe.
+        numbers: of the pieces within their kinds.
+        starts: number of each piece's first frame.
+        specimens: number of each piece's specimen: equal shares, one after the other.
+        begun: duration of the specimen's pieces before, which follow each other.
     """
 
-    groups: Integers
+    kinds: Integers
     numbers: Integers
     starts: Integers
+    specimens: Integers
+    begun: NDArray[Any]
+
+    @classmethod
+    def dealt(
+        cls, recipe: Recipe, first: int, lengths: Integers, lasts: NDArray[Any], *which: Integers
+    ) -> "_Pieces":
+        """Pieces of some frames each from frame `first` on; `which` are `kinds` and `numbers`."""
+        count = len(lengths)
+        specimens = np.arange(count) * recipe.specimens.count // count
+        before = np.cumsum(lasts) - lasts
+        begun = before - before[np.searchsorted(specimens, specimens)]
+        return cls(*which, first + np.cumsum(lengths) - lengths, specimens, begun)
+
+    def number(self, frame: int) -> int:
+        """Number of the piece that holds a frame."""
+        return int(np.searchsorted(self.starts, frame, side="right")) - 1
 
 
 @lru_cache(maxsize=4)
-def _block_order(recipe: Recipe) -> _BlockOrder:
-    """Random order of the blocks of all groups.
+def _blocks(recipe: Recipe) -> _Pieces:
+    """Blocks of all groups in a random order; they last as many periods as they have frames.
 
     Block j of a group of n gets a random position in ((j, j + 1) / n): each group is spread over
     the whole dataset at its own density, so that any part of the dataset, and so each specimen, has
@@ -186,60 +168,66 @@ def _block_order(recipe: Recipe) -> _BlockOrder:
     full = np.array([group.per_bend for group in recipe.scenes])[groups]
     frames = np.array([group.frames for group in recipe.scenes])[groups]
     lengths = np.minimum(full, frames - numbers * full)
-    return _BlockOrder(groups, numbers, np.cumsum(lengths) - lengths)
+    return _Pieces.dealt(recipe, 0, lengths, lengths, groups, numbers)
+
+
+@lru_cache(maxsize=4)
+def _episodes(recipe: Recipe) -> _Pieces:
+    """Episodes, entry after entry of the recipe; they last as many seconds."""
+    kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
+    frames = np.array([each.frames for each in recipe.episodes])[kinds]
+    lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
+    return _Pieces.dealt(recipe, recipe.snapshots, frames, lasts, kinds, np.arange(len(kinds)))
+
+
+def _snapshot(recipe: Recipe, index: int) -> Sample:
+    blocks = _blocks(recipe)
+    block = blocks.number(index)
+    group, made = recipe.scenes[blocks.kinds[block]], int(blocks.specimens[block])
+    frame = index - int(blocks.starts[block])
+    untouched = group.draw_untouched(generator(recipe, Stream.BEND, block))
+    rng = generator(recipe, Stream.SCENE, index)
+    number = int(blocks.numbers[block]) * group.per_bend + frame
+    scene = group.draw(number, untouched, recipe.outline, rng)
+    if scene.support is not None:
+        nominal = recipe.nominal(made).fixture
+        widened = free_length(specimen(recipe, made).fixture) - free_length(nominal)
+        scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
+    return Sample(
+        index=index,
+        specimen=made,
+        state=group.label,
+        scene=scene,
+        after=None,
+        episode=index,
+        time=0.0,
+        period=PERIOD,
+        session_time=(int(blocks.begun[block]) + frame) * PERIOD,
+    )
 
 
 def _episode_frame(recipe: Recipe, index: int) -> Sample:
-    order = _episode_order(recipe)
-    episode = int(np.searchsorted(order.starts, index, side="right")) - 1
-    kind = recipe.episodes[order.kinds[episode]]
+    episodes = _episodes(recipe)
+    episode = episodes.number(index)
+    kind = recipe.episodes[episodes.kinds[episode]]
     timeline = _timeline(recipe, kind, episode)
     relaxation = _relaxation(recipe.mechanics) if kind.relaxation else None
-    frame = index - int(order.starts[episode])
+    frame = index - int(episodes.starts[episode])
     time = frame * kind.period
     scene, after = (timeline.scene(t, relaxation) for t in (time, (frame + 1) * kind.period))
     touched = any(not touch.released for touch in scene.touches)
     untouched = State.BEND if scene.bend.angle_deg else State.IDLE
     return Sample(
         index=index,
-        specimen=int(order.specimens[episode]),
+        specimen=int(episodes.specimens[episode]),
         state=State.TOUCH if touched else untouched,
         scene=scene,
         after=None if after == scene else after,
         episode=recipe.snapshots + episode,
         time=time,
         period=kind.period,
-        session_time=float(order.session_starts[episode]) + time,
+        session_time=float(episodes.begun[episode]) + time,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _EpisodeOrder:
-    """Episodes in the order of the dataset, (episodes,).
-
-    Attributes:
-        kinds: number of each episode's entry in the recipe.
-        starts: number of each episode's first frame.
-        specimens: number of each episode's specimen.
-        session_starts: time of each episode's start in the specimen's session, back to back [s].
-    """
-
-    kinds: Integers
-    starts: Integers
-    specimens: Integers
-    session_starts: NDArray[np.float64]
-
-
-@lru_cache(maxsize=4)
-def _episode_order(recipe: Recipe) -> _EpisodeOrder:
-    kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
-    frames = np.array([each.frames for each in recipe.episodes])[kinds]
-    lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
-    specimens = _dealt(recipe, np.arange(len(kinds)), len(kinds))
-    begun = np.cumsum(lasts) - lasts
-    first = np.searchsorted(specimens, specimens)
-    starts = recipe.snapshots + np.cumsum(frames) - frames
-    return _EpisodeOrder(kinds, starts, specimens, begun - begun[first])
 
 
 @lru_cache(maxsize=16)
