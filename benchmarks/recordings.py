@@ -24,7 +24,7 @@ from scipy.io import loadmat
 
 from eitskin.benchmarks.plots import plot_errors
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
-from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
+from eitskin.datasets.recordings.recorded_file import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import DataError, FrameError
 from eitskin.extras import require

@@ -4,10 +4,10 @@ from eitskin.datasets.export.export import export_dataset as export_dataset
 from eitskin.datasets.generation.generate import generate as generate
 from eitskin.datasets.generation.verification import verify as verify
 from eitskin.datasets.recipe.recipe import Recipe as Recipe
-from eitskin.datasets.recordings.form import (
+from eitskin.datasets.recordings.recorded_file import (
     RecordingForm as RecordingForm,
 )
-from eitskin.datasets.recordings.form import (
+from eitskin.datasets.recordings.recorded_file import (
     RecordingNames as RecordingNames,
 )
 from eitskin.datasets.recordings.recording import (

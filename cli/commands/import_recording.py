@@ -80,7 +80,7 @@ def command(
     output: Output,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
-    from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
+    from eitskin.datasets.recordings.recorded_file import RecordingForm, RecordingNames
     from eitskin.datasets.recordings.recording import Recording
     from eitskin.datasets.store.folder import save_parts
     from eitskin.datasets.store.summary import DatasetSummary

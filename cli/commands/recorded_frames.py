@@ -34,7 +34,7 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
         DataError: where the recording cannot be used.
         FrameError: for another protocol than the dataset's.
     """
-    from eitskin.datasets.recordings.form import RecordingNames
+    from eitskin.datasets.recordings.recorded_file import RecordingNames
     from eitskin.datasets.recordings.recording import read_recording
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.protocol import Protocol

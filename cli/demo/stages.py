@@ -25,7 +25,7 @@ from eitskin.cli.demo.pictures import (
 )
 from eitskin.cli.options import Output
 from eitskin.datasets.recipe.recipe import Recipe, with_seed
-from eitskin.datasets.recordings.form import RecordingNames
+from eitskin.datasets.recordings.recorded_file import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import make_folder, open_dataset

@@ -15,15 +15,16 @@ import numpy as np
 
 from eitskin.datasets.export.frame_table import (
     FILE_BYTES,
+    SPLITS,
     TOUCH_FIELDS,
     Column,
     ParquetFiles,
     columns,
     frame_table,
     origin,
+    specimen_splits,
 )
 from eitskin.datasets.export.lerobot import write_lerobot
-from eitskin.datasets.export.splits import SPLITS, specimen_splits
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, new_folder, open_dataset, read_shards
 from eitskin.datasets.store.schema import State

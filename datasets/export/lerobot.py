@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.export.frame_table import TOUCH_FIELDS
-from eitskin.datasets.export.splits import SPLITS
+from eitskin.datasets.export.frame_table import SPLITS, TOUCH_FIELDS
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, read_shards
 from eitskin.datasets.store.schema import MAX_TOUCHES

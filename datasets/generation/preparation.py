@@ -164,7 +164,9 @@ def _pressed(
 ) -> Iterator[tuple[SensorDesign, Mechanics, AnyIndenter, SensorGrid]]:
     """Designs, materials and grids of specimens on all supports on which the indenter presses."""
     touched = [group for group in recipe.scenes if group.state == "touch"]
-    supports = [None] * (bool(recipe.episodes) and indenter == Cylinder())
+    supports: list[Support | None] = []
+    if recipe.episodes and indenter == Cylinder():
+        supports.append(None)
     supports += [group.support for group in touched if group.pressed_by == indenter]
     for made in _on_supports(recipe, specimens, supports):
         yield made.design, made.mechanics, indenter, made.grid

@@ -136,14 +136,18 @@ class _Pieces:
 
     @classmethod
     def dealt(
-        cls, recipe: Recipe, first: int, lengths: Integers, lasts: NDArray[Any], *which: Integers
+        cls,
+        recipe: Recipe,
+        which: tuple[Integers, Integers],
+        lengths: Integers,
+        lasts: NDArray[Any],
     ) -> "_Pieces":
-        """Pieces of some frames each from frame `first` on; `which` are `kinds` and `numbers`."""
+        """Pieces of given lengths [frames] from frame 0 on; `which` are `kinds` and `numbers`."""
         count = len(lengths)
         specimens = np.arange(count) * recipe.specimens.count // count
         before = np.cumsum(lasts) - lasts
         begun = before - before[np.searchsorted(specimens, specimens)]
-        return cls(*which, first + np.cumsum(lengths) - lengths, specimens, begun)
+        return cls(*which, np.cumsum(lengths) - lengths, specimens, begun)
 
     def number(self, frame: int) -> int:
         """Number of the piece that holds a frame."""
@@ -168,7 +172,7 @@ def _blocks(recipe: Recipe) -> _Pieces:
     full = np.array([group.per_bend for group in recipe.scenes])[groups]
     frames = np.array([group.frames for group in recipe.scenes])[groups]
     lengths = np.minimum(full, frames - numbers * full)
-    return _Pieces.dealt(recipe, 0, lengths, lengths, groups, numbers)
+    return _Pieces.dealt(recipe, (groups, numbers), lengths, lengths)
 
 
 @lru_cache(maxsize=4)
@@ -177,7 +181,8 @@ def _episodes(recipe: Recipe) -> _Pieces:
     kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
     frames = np.array([each.frames for each in recipe.episodes])[kinds]
     lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
-    return _Pieces.dealt(recipe, recipe.snapshots, frames, lasts, kinds, np.arange(len(kinds)))
+    dealt = _Pieces.dealt(recipe, (kinds, np.arange(len(kinds))), frames, lasts)
+    return dataclasses.replace(dealt, starts=recipe.snapshots + dealt.starts)
 
 
 def _snapshot(recipe: Recipe, index: int) -> Sample:

@@ -8,8 +8,7 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
-from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
-from eitskin.datasets.recordings.recorded_file import RecordedFile
+from eitskin.datasets.recordings.recorded_file import RecordedFile, RecordingForm, RecordingNames
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import LIMITS

@@ -13,8 +13,8 @@ import yaml
 from command_line import printed_json, run
 
 from eitskin.datasets import State, StoredDataset, export_dataset, open_dataset, save_dataset
+from eitskin.datasets.export.frame_table import SPLITS, specimen_splits, split_of
 from eitskin.datasets.export.lerobot import RunningStatistics
-from eitskin.datasets.export.splits import SPLITS, specimen_splits, split_of
 from eitskin.datasets.store.manifest import Names
 from eitskin.errors import ConfigurationError, DataError, PartialError
 

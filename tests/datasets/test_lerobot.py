@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.datasets import export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export import lerobot
-from eitskin.datasets.export.splits import SPLITS, specimen_splits
+from eitskin.datasets.export.frame_table import SPLITS, specimen_splits
 from eitskin.errors import DataError
 
 from on_demand import OnDemand

@@ -49,6 +49,21 @@ def test_shards_without_a_seal_open_and_changes_by_other_programs_take_it_off(sh
     assert read_shard(shard).touch_force[0, 0] == 3.0
 
 
+@pytest.mark.slow
+def test_a_flipped_bit_without_a_seal_is_refused_or_lies_where_nothing_reads(shard):
+    image, rng = bytearray(unsealed(shard.read_bytes())[0]), np.random.default_rng(1)
+    refused = 0
+    for place in rng.integers(len(image), size=60):
+        image[place] ^= 1
+        shard.write_bytes(image)
+        try:
+            assert_same(read_shard(shard), make())
+        except DataError:
+            refused += 1
+        image[place] ^= 1
+    assert 0 < refused < 60
+
+
 def looping(image):
     """Shard with zeros among its texts, of which HDF5 takes one of no length after the other."""
     start = image.index(b"GCOL") + 1024
