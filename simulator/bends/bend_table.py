@@ -335,5 +335,5 @@ def _solve(scaled: _Case, report: Report) -> Arrays:
 
 def _loaded(case: _Case) -> SolutionTable:
     length, modulus = case.scales
-    table = SolutionTable.from_arrays(load_or_solve(_problem(case)))
+    table = SolutionTable.from_arrays(load_or_solve(_problem(case)), np.float64)
     return table.scaled(length, modulus * length**3, length)

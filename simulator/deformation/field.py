@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 _DEGREE = 3
 _UPRIGHT = 4  # polynomials over the height that the kernel takes
 _SAME = 1e-9
+_VALUE = (0, 0)  # orders of derivatives by x and y
 
 
 class CubicSplines:
@@ -111,25 +112,15 @@ class Polynomials:
 
     def dense(self, x: Array) -> Array:
         """All polynomials at points (m,), (m, count)."""
-        return self.with_slopes(x)[0]
-
-    def with_slopes(self, x: Array) -> tuple[Array, Array]:
-        """All polynomials at points (m,), and their slopes, (m, count) each."""
         s = (2.0 * x - self.low - self.high) / (self.high - self.low)
-        rate = np.full(s.shape, 2.0 / (self.high - self.low))
         outside = np.abs(s) > 1.0 + _SAME
         s = np.clip(s, -1.0, 1.0)
         if self.stretch:
-            scale = math.sinh(self.stretch)
-            rate *= scale / (self.stretch * np.sqrt(1.0 + (s * scale) ** 2))
-            s = np.arcsinh(s * scale) / self.stretch
+            s = np.arcsinh(s * math.sinh(self.stretch)) / self.stretch
         values = np.asarray(chebyshev.chebvander(s, self.count - 1), dtype=np.float64)
-        slope = chebyshev.chebder(np.eye(self.count))
-        slopes = values[:, : len(slope)] @ slope * rate[:, None]
-        slopes[outside] = 0.0
         if self.vanish:
             values[outside] = 0.0
-        return values, np.asarray(slopes)
+        return values
 
     def shifted(self, by: float) -> "Polynomials":
         """Polynomials on the interval that is moved."""
@@ -263,7 +254,7 @@ class Field:
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
         x, y, within = self._in_frame(columns)
-        sums = self._in_plane(x, y, self.coefficients)
+        sums = self._in_plane(x, y, self.coefficients, _VALUE)
         heights, _ = self._over_height(columns[..., 2])
         values = np.einsum("nzk,nhz->khn", sums[:, 0], heights) * within
         if self.frame is not None:
@@ -276,7 +267,7 @@ class Field:
     def moved(self, columns: Array) -> Array:
         """Displacements [m] and their derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
         kernels = compiled("eitskin.simulator.deformation.kernels")
-        if kernels is None or self.coefficients.shape[2] > _UPRIGHT or not self._is_spline:
+        if kernels is None or self.coefficients.shape[2] > _UPRIGHT:
             moved = self._moved_plainly(columns)
         else:
             moved = self._moved_by_kernel(kernels.add_field, columns)
@@ -291,17 +282,9 @@ class Field:
             moved[:3] *= weight
         return moved
 
-    @property
-    def _is_spline(self) -> bool:
-        return all(isinstance(basis, CubicSplines) for basis in self.bases)
-
     def _moved_by_kernel(self, add_field: Callable[..., None], columns: Array) -> Array:
         nx, ny, nz, _ = self.coefficients.shape
-        to_powers = np.zeros((_UPRIGHT, nz))
-        for k in range(nz):
-            power = legendre.leg2poly(np.eye(nz)[k])
-            to_powers[: len(power), k] = power
-        powers = np.einsum("pz,xyzk->xypk", to_powers, self.coefficients[..., :3])
+        powers = np.matmul(_powers(nz), self.coefficients[..., :3])
         frame, half = self.frame, (math.inf, math.inf)
         x, y = columns[:, 0, 0], columns[:, 0, 1]
         if frame is None:
@@ -325,7 +308,8 @@ class Field:
 
     def _moved_plainly(self, columns: Array) -> Array:
         x, y, within = self._in_frame(columns)
-        sums = self._in_plane(x[within], y[within], self.coefficients[..., :3])
+        places, orders = (x[within], y[within]), (_VALUE, (1, 0), (0, 1))
+        sums = self._in_plane(*places, self.coefficients[..., :3], *orders)
         heights, rates = self._over_height(columns[within, :, 2])
         parts = ((0, heights), (1, heights), (2, heights), (0, rates))
         found = [np.einsum("nzk,nhz->khn", sums[:, part], height) for part, height in parts]
@@ -354,21 +338,18 @@ class Field:
         length, width = (basis.ends[1] for basis in self.bases)
         return x, y, (np.abs(x) < length) & (np.abs(y) < width)
 
-    def _in_plane(self, x: Array, y: Array, coefficients: Array) -> Array:
-        """Polynomials over the height, and their slopes by x and y, (n, 3, nz, k)."""
+    def _in_plane(self, x: Array, y: Array, coefficients: Array, *orders: tuple[int, int]) -> Array:
+        """Polynomials over the height, or their slopes by x and y, (n, orders, nz, k)."""
         along, across = self.bases
         if isinstance(along, CubicSplines) and isinstance(across, CubicSplines):
             knots, points = (along.knots, across.knots), np.stack([x, y], axis=-1)
             sums = NdBSpline(knots, np.ascontiguousarray(coefficients), _DEGREE)
-            return np.stack([sums(points, nu=nu) for nu in ((0, 0), (1, 0), (0, 1))], axis=1)
-        if isinstance(along, CubicSplines) or isinstance(across, CubicSplines):
-            raise TypeError("expected splines along both axes or along none")
-        (a, da), (b, db) = along.with_slopes(x), across.with_slopes(y)
-        parts = [
-            np.einsum("ni,nj,ijzk->nzk", *each, coefficients, optimize=True)
-            for each in ((a, b), (da, b), (a, db))
-        ]
-        return np.stack(parts, axis=1)
+            return np.stack([sums(points, nu=nu) for nu in orders], axis=1)
+        if orders != (_VALUE,):
+            raise TypeError("only splines have slopes; `resampled_sum` makes them of polynomials")
+        lines = along.dense(x), across.dense(y)
+        found = np.einsum("ni,nj,ijzk->nzk", *lines, coefficients, optimize=True)
+        return np.asarray(found[:, None])
 
     def _over_height(self, z: Array) -> tuple[Array, Array]:
         """Legendre polynomials (..., nz) at heights z (...), and their derivatives [1/m]."""
@@ -378,6 +359,13 @@ class Field:
         slope = legendre.legder(np.eye(degree + 1))
         rates: Array = values[..., : len(slope)] @ slope * (2.0 / self.height)
         return values, rates
+
+
+@lru_cache(maxsize=8)
+def _powers(count: int) -> Array:
+    """Coefficients of the powers 0 to 3 of Legendre polynomials, (4, count)."""
+    powers = [legendre.leg2poly(row) for row in np.eye(count)]
+    return np.stack([np.pad(each, (0, _UPRIGHT - len(each))) for each in powers], axis=1)
 
 
 def resampled_sum(fields: Iterable[Field], nodes: tuple[Array, Array]) -> Field:

@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ _VERSION = 1
 _MAX_LOADED = 32  # files in memory
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """Something that is solved once.
 
@@ -58,7 +58,7 @@ class Problem:
     def __hash__(self) -> int:
         return hash(self.name)
 
-    @property
+    @cached_property
     def name(self) -> str:
         """Name of the file: the kind, and a hash of the description to nine digits."""
         described = {"format": _VERSION, **self.description}

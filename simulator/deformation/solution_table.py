@@ -46,8 +46,8 @@ class SolutionTable:
     Attributes:
         axes: of the parameters.
         amplitudes: of the modes at all solved values, (n1, n2, ..., rank).
-        modes: coefficients of fields relative to `scales`, (rank, nx, ny, nz, k); stored in single
-            precision.
+        modes: coefficients of fields relative to `scales`, (rank, nx, ny, nz, k), stored in
+            single precision.
         scales: of the components, (k,).
         numbers: solved with the fields, (n1, n2, ...) each; "extra_depth" is by how much presses
             sink deeper than in an unbounded stack [m].
@@ -56,7 +56,7 @@ class SolutionTable:
 
     axes: tuple[Axis, ...]
     amplitudes: Array
-    modes: Array
+    modes: NDArray[np.floating]
     scales: Array
     numbers: Mapping[str, Array]
     sizes: Mapping[str, Array]
@@ -103,13 +103,13 @@ class SolutionTable:
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Arrays) -> "SolutionTable":
-        """Table of stored arrays."""
+    def from_arrays(cls, arrays: Arrays, precision: type = np.float32) -> "SolutionTable":
+        """Table of stored arrays, which sums modes in a precision."""
         axes = sorted(name.split() for name in arrays if name.startswith("axis "))
         return cls(
             tuple(Axis(name, kind, arrays[f"axis {n} {name} {kind}"]) for _, n, name, kind in axes),
             arrays["amplitudes"].astype(np.float64),
-            arrays["modes"].astype(np.float64),
+            arrays["modes"].astype(precision),
             arrays["scales"],
             {k.removeprefix("number "): a for k, a in arrays.items() if k.startswith("number ")},
             {k.removeprefix("size "): a for k, a in arrays.items() if k.startswith("size ")},
@@ -132,18 +132,15 @@ class SolutionTable:
         at = np.broadcast_arrays(*(np.atleast_1d(parameters[axis.name]) for axis in self.axes))
         weights = [axis.weights(values) for axis, values in zip(self.axes, at, strict=True)]
         images = tuple(len(each) for each in weights if len(each) > 1)
-        solved, image = "abcd"[: len(weights)], "wxyz"[: len(weights)]
-        terms = ",".join(f"{i}t{n}" for i, n in zip(image, solved, strict=True))
-        amounts = np.einsum(
-            f"{terms},{solved}r->{image}tr", *weights, self.amplitudes, optimize=True
-        )
-        numbers = {
-            name: np.einsum(f"{terms},{solved}->t", *weights, values, optimize=True)
-            for name, values in self.numbers.items()
-        }
         rank, *shape = self.modes.shape
-        rows = amounts.reshape(-1, rank) @ self.modes.reshape(rank, -1)
+        columns = [self.amplitudes, *(values[..., None] for values in self.numbers.values())]
+        found = _interpolated(np.concatenate(columns, axis=-1), weights)
+        # In the precision of the modes, since reading them takes all the time.
+        modes = self.modes.reshape(rank, -1)
+        amounts = found[..., :rank].reshape(-1, rank).astype(modes.dtype)
+        rows = np.stack([row @ modes for row in amounts])
         coefficients = rows.reshape(*images, len(at[0]), *shape) * self.scales
+        numbers = dict(zip(self.numbers, found[..., rank:].sum(axis=0).T, strict=True))
         return coefficients, numbers
 
     def restricted(self, nodes: Array) -> "SolutionTable":
@@ -166,6 +163,18 @@ class SolutionTable:
             numbers={name: numbers * values for name, values in self.numbers.items()},
             sizes={name: sizes * value for name, value in self.sizes.items()},
         )
+
+
+def _interpolated(values: Array, weights: Sequence[Array]) -> Array:
+    """Values (n1, n2, ..., r) by weights (images, t, n) of each axis, (all images, t, r)."""
+    first, *others = weights
+    found = np.tensordot(first, values, 1)
+    for each in others:  # sums so short that planning them would take longer
+        images = len(found)
+        parts = found.reshape(images, *each.shape[1:], -1)
+        found = np.einsum("atnm,itn->aitm", parts, each)
+        found = found.reshape(images * len(each), each.shape[1], -1)
+    return np.asarray(found)
 
 
 def _spline(nodes: Array, at: Array) -> Array:
