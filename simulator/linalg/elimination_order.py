@@ -115,8 +115,7 @@ def level_structure(numbers: Indices, first: Indices) -> Indices:
 def strips(rows: Indices, columns: Indices, strip: Indices) -> list[Block]:
     """Blocks of strips, which matrix entries at (rows, columns) couple to the next one at most.
 
-    The unknowns of a strip that are coupled to the next one are a block of their own, the second:
-    no others then reach into the next strip.
+    The unknowns of a strip that are coupled to the next one come last in its block.
     """
     crossing = strip[rows] != strip[columns]
     if np.any(np.abs(strip[rows] - strip[columns]) > 1):
@@ -125,8 +124,7 @@ def strips(rows: Indices, columns: Indices, strip: Indices) -> list[Block]:
     coupled = np.zeros(len(strip), dtype=bool)
     coupled[lower_end] = True
     order = np.lexsort((coupled, strip))
-    part = 2 * strip[order] + coupled[order]
-    parts = np.split(order, np.flatnonzero(np.diff(part)) + 1)
+    parts = np.split(order, np.flatnonzero(np.diff(strip[order])) + 1)
     return [Block(own, (number - 1,) if number else ()) for number, own in enumerate(parts)]
 
 

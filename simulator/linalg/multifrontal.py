@@ -7,6 +7,7 @@ matrices have Cholesky factors. Others, complex ones among them, have factors L 
 of order 1 and 2 within blocks (Bunch and Kaufman 1977).
 """
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -52,19 +53,24 @@ class Front:
         own: the unknowns eliminated.
         border: unknowns eliminated later, rising; a slice where they follow each other.
         size, outer: number of own unknowns, and of those in the border.
+        coupled: number of the last own unknowns, which alone are coupled to the border before any
+            of the own ones are eliminated.
         within: fronts whose Schur complements are added, each with the runs of its border here.
         entries: the front's part of the matrix entries, which are sorted by column.
         positions: of these entries in the matrix (own, own), column by column, then in the matrix
-            (border, own) below.
+            (border, coupled) below.
+        inherits: whether the matrix (own, own) is the Schur complement of the one front within.
     """
 
     own: slice
     border: Places
     size: int
     outer: int
+    coupled: int
     within: tuple[tuple[int, tuple[Run, ...]], ...]
     entries: slice
     positions: Indices
+    inherits: bool
 
 
 class _Factor(NamedTuple):
@@ -74,7 +80,7 @@ class _Factor(NamedTuple):
         own: unknowns in the order P of the pivots.
         lower: L, in the lower triangle.
         inverse: diagonal and sub-diagonal of D^-1; None for a Cholesky factor, where D is one.
-        below: Y^T, (border, own).
+        below: Y^T, (border, coupled): its columns of the last own unknowns, others being zero.
     """
 
     own: Places
@@ -156,7 +162,10 @@ class Factors:
         for front, factor in zip(self._fronts, self._factors, strict=True):
             _, x[front.own] = _forward(front, factor, x)
         for front, f in zip(reversed(self._fronts), reversed(self._factors), strict=True):
-            right = x[front.own] - _scaled(f.inverse, f.below.T @ x[front.border])
+            right = x[front.own]
+            right[front.size - f.below.shape[1] :] -= _scaled(
+                f.inverse, f.below.T @ x[front.border]
+            )
             x[f.own] = _triangular(f, right, transposed=True)
         solution = np.empty_like(x)
         solution[self._order] = x
@@ -173,11 +182,25 @@ class SingleFactors:
     def __init__(self, order: Indices, fronts: Sequence[Front], factors: Sequence[_Factor]) -> None:
         """Invert the diagonal block of L of each front, and round to single precision."""
         self._order = order
-        self._fronts = []
-        for front, factor in zip(fronts, factors, strict=True):
-            inverse = lapack.dtrtri(np.tril(factor.lower), lower=1)[0]
-            block = np.concatenate([inverse, -factor.below @ inverse]).astype(np.float32)
-            self._fronts.append((front.own, front.border, block))
+        self._fronts: list[tuple[slice, Places, Numbers]] = []
+        for front, (_, lower, _, below) in zip(fronts, factors, strict=True):
+            start, stop = front.own.start, front.own.stop
+            # The first own unknowns are coupled to the last ones alone, as a front within.
+            first = front.size - below.shape[1]
+            middle = start + first
+            for own, border, diagonal, beside in (
+                (
+                    slice(start, middle),
+                    slice(middle, stop),
+                    lower[:first, :first],
+                    lower[first:, :first],
+                ),
+                (slice(middle, stop), front.border, lower[first:, first:], below),
+            ):
+                if own.stop > own.start:
+                    inverse = lapack.dtrtri(np.tril(diagonal), lower=1)[0]
+                    block = np.concatenate([inverse, -beside @ inverse]).astype(np.float32)
+                    self._fronts.append((own, border, block))
 
     def solve(self, B: Numbers) -> Numbers:
         """A^-1 B, (n, k), to single precision."""
@@ -228,15 +251,20 @@ def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[F
         local[start:stop], local[border] = np.arange(size), size + np.arange(outer)
         columns = np.repeat(np.arange(size), np.diff(ends[start : stop + 1]))
         row = local[rows[entries]]
-        below = size * (size - 1) + columns * outer + row
+        within = tuple((child, tuple(_runs(local[rim], size))) for child, rim in inner)
+        lowest = [_lowest_beside_border(runs) for _, runs in within]
+        first = min([size, *columns[row >= size].tolist(), *lowest])
+        below = size * size + (columns - first) * outer + row - size
         yield Front(
             own=slice(start, stop),
             border=_as_slice(border),
             size=size,
             outer=outer,
-            within=tuple((child, tuple(_runs(local[rim], size))) for child, rim in inner),
+            coupled=size - first,
+            within=within,
             entries=entries,
             positions=np.where(row < size, columns * size + row, below),
+            inherits=len(inner) == 1 and np.array_equal(inner[0][1], np.arange(start, stop)),
         )
         borders[number] = border
         start = stop
@@ -256,6 +284,14 @@ def _runs(rows: Indices, size: int) -> Iterator[Run]:
         yield Run(slice(first, last), _as_slice(rows[first:last] - (0 if own else size)), own)
 
 
+def _lowest_beside_border(runs: tuple[Run, ...]) -> int:
+    """First own unknown that a Schur complement couples to the border; a large number for none."""
+    if not runs or not runs[0].own or runs[-1].own:
+        return sys.maxsize
+    there = runs[0].there
+    return int(there.start if isinstance(there, slice) else there[0])
+
+
 def _as_slice(numbers: Indices) -> Places:
     if len(numbers) and numbers[-1] - numbers[0] == len(numbers) - 1:
         return slice(int(numbers[0]), int(numbers[-1]) + 1)
@@ -266,13 +302,19 @@ def _eliminated(fronts: Iterable[Front], entries: Numbers, definite: bool) -> It
     """Factor of each front, in the order of elimination."""
     complements: dict[int, Numbers] = {}
     for number, front in enumerate(fronts):
-        size, outer = front.size, front.outer
-        flat = np.zeros(size * (size + outer), dtype=entries.dtype)
-        flat[front.positions] = entries[front.entries]
-        own = flat[: size * size].reshape(size, size).T
-        below = flat[size * size :].reshape(size, outer).T
+        size, outer, coupled = front.size, front.outer, front.coupled
+        values, positions, inside = entries[front.entries], front.positions, size * size
+        if front.inherits:
+            first = complements.pop(front.within[0][0]).ravel(order="K")
+        else:
+            first = np.zeros(inside, dtype=entries.dtype)
+        last = np.zeros(outer * coupled, dtype=entries.dtype)
+        is_own = positions < inside
+        first[positions[is_own]] += values[is_own]
+        last[positions[~is_own] - inside] = values[~is_own]
+        own, below = first.reshape(size, size).T, last.reshape(coupled, outer).T
         corner = np.zeros((outer, outer), dtype=entries.dtype, order="F")
-        for inner, runs in front.within:
+        for inner, runs in () if front.inherits else front.within:
             _add_lower((own, below, corner), runs, complements.pop(inner))
         if definite:
             factor, complements[number] = _cholesky_front(front, own, below, corner)
@@ -286,10 +328,18 @@ def _add_lower(
 ) -> None:
     """Add the lower triangle of a Schur complement to a front's own, lower and last block."""
     own, below, corner = front
+    first = len(own) - below.shape[1]
     for number, row in enumerate(runs):
         for column in runs[: number + 1]:
             target = corner if not column.own else own if row.own else below
-            at = row.there, column.there
+            there = column.there
+            if column.own and not row.own:
+                there = (
+                    slice(there.start - first, there.stop - first)
+                    if isinstance(there, slice)
+                    else there - first
+                )
+            at = row.there, there
             if isinstance(at[0], np.ndarray) and isinstance(at[1], np.ndarray):
                 target[at[0][:, None], at[1]] += complement[row.here, column.here]
             else:
@@ -307,8 +357,10 @@ def _cholesky_front(
             f"{len(own)}); conductivities or contact impedances differ by more orders of "
             "magnitude than double precision holds: bring them closer"
         )
-    if front.outer:
-        below = blas.dtrsm(1.0, lower, below, side=1, lower=1, trans_a=1, overwrite_b=1)
+    if front.coupled:
+        # Rows of L^-1 K above the last own unknowns are zero.
+        last = np.asfortranarray(lower[-front.coupled :, -front.coupled :])
+        below = blas.dtrsm(1.0, last, below, side=1, lower=1, trans_a=1, overwrite_b=1)
         corner = blas.dsyrk(-1.0, below, 1.0, corner, lower=1, overwrite_c=1)
     return _Factor(front.own, lower, None, below), corner
 
@@ -319,6 +371,8 @@ def _ldl_front(
     """Factor L D L^T of a front, and the lower triangle of its Schur complement."""
     lower, D, order = ldl(own, hermitian=False, check_finite=False)
     lower = lower[order]
+    uncoupled = np.zeros((front.outer, front.size - front.coupled), dtype=below.dtype)
+    below = np.concatenate([uncoupled, below], axis=1)  # pivots mix all own unknowns
     inverse = _inverse(np.diagonal(D).copy(), np.append(np.diagonal(D, -1), 0.0))
     rows = solve_triangular(
         lower, below[:, order].T, lower=True, unit_diagonal=True, check_finite=False
@@ -334,7 +388,7 @@ def _forward(front: Front, factor: _Factor, x: Numbers) -> tuple[Numbers, Number
     """L^-1 and D^-1 L^-1 times the rows of a front's own unknowns; its border's are updated."""
     y = _triangular(factor, x[factor.own])
     scaled = _scaled(factor.inverse, y)
-    x[front.border] -= factor.below @ scaled
+    x[front.border] -= factor.below @ scaled[len(scaled) - factor.below.shape[1] :]
     return y, scaled
 
 
