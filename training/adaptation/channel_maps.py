@@ -6,6 +6,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import interpn
 from scipy.linalg import eigh, solve_triangular
 
 Array = NDArray[np.float64]
@@ -38,17 +39,10 @@ class DesignSpan:
     def features(self, places: ArrayLike) -> Array:
         """Maps at places (n, 2) [m], linear between the pixels, (n, pairs)."""
         _, rows, columns = self.maps.shape
-        flat = self.maps.reshape(len(self.maps), -1)
         at = np.asarray(places, dtype=float) / self.size * [columns, rows] - 0.5
-        at = np.clip(at, 0.0, [columns - 1.0, rows - 1.0])
-        corner = np.minimum(np.floor(at).astype(int), [columns - 2, rows - 2])
-        (u, v), first = (at - corner).T, corner[:, 1] * columns + corner[:, 0]
-        features: Array = (
-            flat[:, first] * (1.0 - u) * (1.0 - v)
-            + flat[:, first + 1] * u * (1.0 - v)
-            + flat[:, first + columns] * (1.0 - u) * v
-            + flat[:, first + columns + 1] * u * v
-        ).T
+        at = np.clip(at, 0.0, [columns - 1.0, rows - 1.0])[:, ::-1]
+        axes = np.arange(rows), np.arange(columns)
+        features: Array = interpn(axes, np.moveaxis(self.maps, 0, -1), at)
         return features
 
 
@@ -279,11 +273,8 @@ class ChannelMaps:
         shrunk = gain / (gain * self.values[:, None] + 1.0)
         own = np.flatnonzero(presses.weight == 1.0)
         mean, variance = np.empty((2, len(own), len(gain)))
-        order = np.argsort(presses.owner, kind="stable")
-        first = np.searchsorted(presses.owner[order], presses.owner[own], "left")
-        last = np.searchsorted(presses.owner[order], presses.owner[own], "right")
         for row, press in enumerate(own):
-            group = order[first[row] : last[row]]
+            group = np.flatnonzero(presses.owner == presses.owner[press])
             part = phi[group]
             leverage = np.einsum("am,mc,bm->cab", part, shrunk, part, optimize=True)
             inverse = np.linalg.inv(np.eye(len(group)) - leverage)

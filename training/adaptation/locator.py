@@ -1,5 +1,6 @@
 """Locators of a touch: from maps of all channels, and as version 0.1 learned it."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
@@ -239,7 +240,7 @@ def _lagrange(t: Array, size: int) -> Array:
     return weights
 
 
-class Locator(StoredFields):
+class Locator(StoredFields, ABC):
     """Base of locators: how strong a touch is, relative to those learned from.
 
     Attributes:
@@ -258,6 +259,20 @@ class Locator(StoredFields):
         """
         strength: Array = np.sqrt(np.mean((log_ratio(ratio) / self.channel_scale) ** 2, axis=-1))
         return strength
+
+    @abstractmethod
+    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
+        """Place and strength of one touch in each frame, and the channels left out (n, C).
+
+        Args:
+            ratio: |V / ref| (n, C).
+
+        Raises DataError for another number of channels.
+        """
+
+    def apply(self, ratio: ArrayLike) -> Array:
+        """Positions (n, 2) [m] of `locate`."""
+        return self.locate(ratio)[0].place
 
     def require_channels(self, channels: int) -> None:
         """Refuse another number of channels than the trained one; raises DataError."""
@@ -294,25 +309,16 @@ class PositionRegressor(Locator):
     length: float
     variance: float
 
-    def apply(self, ratio: ArrayLike) -> Array:
-        """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
-
-        Raises DataError for another number of channels.
-        """
+    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
+        """Places without standard errors, and no channel left out (n, C)."""
         logs = log_ratio(ratio)
         self.require_channels(logs.shape[-1])
         vectors = logs / self.channel_scale
         norm = np.linalg.norm(vectors, axis=1, keepdims=True)
         directions = vectors / np.where(norm > 0, norm, 1.0)
         covariance = self.variance * PlaceKernel(self.length)(directions, self.directions)
-        places: Array = covariance @ self.weights + self.centre
-        return places
-
-    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
-        """Places of `apply`, without standard errors, and no channel left out (n, C)."""
-        place, strength = self.apply(ratio), self.strength(ratio)
-        none = np.zeros(np.shape(ratio))
-        return Places(place, np.full(len(place), np.nan), strength, none), none > 0
+        place, none = covariance @ self.weights + self.centre, np.zeros(logs.shape)
+        return Places(place, np.full(len(place), np.nan), self.strength(ratio), none), none > 0
 
 
 def log_ratio(ratio: ArrayLike) -> Array:
@@ -374,28 +380,10 @@ class PressLocator(Locator):
                 better = size < smallest
                 smallest[better] = size[better]
                 bad[again[better]] = less[better]
-                found = _replaced(found, again[better], other, better)
+                for each in fields(Places):
+                    getattr(found, each.name)[again[better]] = getattr(other, each.name)[better]
         return replace(found, deviation=found.deviation * self.error_factor), bad
 
     def _located(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
         """Places by all models from answers (n, C) without the bad ones (n, C)."""
         return mixture_places([grid.locate(answers, bad) for grid in (self.grid, *self.others)])
-
-    def apply(self, ratio: ArrayLike) -> Array:
-        """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
-
-        Raises DataError for another number of channels.
-        """
-        return self.locate(ratio)[0].place
-
-
-def _replaced(
-    found: Places, rows: NDArray[np.int64], other: Places, which: NDArray[np.bool_]
-) -> Places:
-    """Places with some rows taken from others."""
-    changed = {}
-    for each in fields(Places):
-        values = getattr(found, each.name).copy()
-        values[rows] = getattr(other, each.name)[which]
-        changed[each.name] = values
-    return Places(**changed)

@@ -67,10 +67,18 @@ class LabelledPresses:
 
     @classmethod
     def of(cls, dataset: Dataset, frames: Rows | None = None) -> "LabelledPresses":
-        """Presses of a dataset: all of them, or those of `frames` (n,), of one touch each."""
+        """Presses of a dataset: all of them, or those of `frames` (n,), of one touch each.
+
+        The reference is flat where the untouched sensor was not recorded.
+        """
         rows = single_touches(dataset) if frames is None else frames
+        free = dataset.touch_reference[rows]
+        known = np.isfinite(free).all(axis=1, keepdims=True)
+        reference = np.where(known, free, dataset.reference[dataset.specimen[rows]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.abs(dataset.impedance[rows] / reference).astype(float)
         return cls(
-            _ratios(dataset, rows),
+            ratios,
             touch_places(dataset, rows),
             _label(dataset, rows),
             dataset.design,
@@ -107,15 +115,6 @@ def _label(dataset: Dataset, frames: Rows) -> Array | None:
         if len(label) and np.isfinite(label).all() and (label > 0).all():
             return label
     return None
-
-
-def _ratios(dataset: Dataset, frames: Rows) -> Array:
-    """|V / ref| (k, C) of `frames`; ref is flat where the untouched sensor was not recorded."""
-    free = dataset.touch_reference[frames]
-    known = np.isfinite(free).all(axis=1, keepdims=True)
-    reference = np.where(known, free, dataset.reference[dataset.specimen[frames]])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.abs(dataset.impedance[frames] / reference).astype(float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +238,13 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
         )
     known = SheetKnowledge.of(extent, design, labelled.protocol, logs.shape[1])
     recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
-    presses, law = _with_strength(known, recorded, labelled.label)
+    law, label = None, labelled.label
+    if label is None:
+        strength = learned_strength(known.kernel(MapChoice()), recorded)
+    else:
+        law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), recorded, label)
+        strength = law.strength(label)
+    presses = replace(recorded, strength=strength)
     choices = known.choices(presses)
     region = _Region.of(xy[first], design)
     grids, gains = _map_grids(known, choices, presses, region)
@@ -312,36 +317,16 @@ def _map_grids(
     known: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
 ) -> tuple[list[MapGrid], Array]:
     """Grids of the maps by each choice, for answers in units of the gains (C,) of the first."""
-    s, units = presses.strength, np.ones(0)
-    grids: list[MapGrid] = []
-    for choice in choices:
-        maps, gains, _ = known.fit(choice, presses)
-        units = units if grids else gains
-        shape = (*region.log_prior.shape, len(gains))
-        mean, variance = (values.reshape(shape) for values in maps.at(region.points))
-        grids.append(
-            MapGrid(
-                region.low,
-                region.step,
-                mean,
-                variance,
-                region.log_prior,
-                (units / gains)[:, None] * maps.whitening,
-                np.array([s.mean(), s.std() + 0.15 * s.mean()]),
-            )
-        )
+    s, (low, step, prior) = presses.strength, (region.low, region.step, region.log_prior)
+    strength = np.array([s.mean(), s.std() + 0.15 * s.mean()])
+    fits = [known.fit(choice, presses)[:2] for choice in choices]
+    units = fits[0][1]
+    grids = []
+    for maps, gains in fits:
+        mean, variance = (v.reshape(*prior.shape, -1) for v in maps.at(region.points))
+        whitening = (units / gains)[:, None] * maps.whitening
+        grids.append(MapGrid(low, step, mean, variance, prior, whitening, strength))
     return grids, units
-
-
-def _with_strength(
-    known: SheetKnowledge, presses: Presses, label: Array | None
-) -> tuple[Presses, StrengthLaw | None]:
-    """Presses with their strengths, by a law of depth or force where these are known."""
-    if label is None:
-        strength = learned_strength(known.kernel(MapChoice()), presses)
-        return replace(presses, strength=strength), None
-    law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), presses, label)
-    return replace(presses, strength=law.strength(label)), law
 
 
 def _cross_validated(

@@ -43,37 +43,25 @@ FOLDS = 5
 
 
 def design_span(design: SensorDesign) -> DesignSpan:
-    """Sensitivity maps of all pairs of electrodes, solved at coarse resolution."""
+    """Sensitivity maps of all pairs of electrodes, solved at coarse resolution.
+
+    They are solved for currents e_j - e_0 between electrodes, and combined to those for
+    e_j - mean(e), so that all electrodes count alike.
+    """
     grid = PixelGrid.of(design.outline, SPAN_PIXELS)
     n = len(design.electrodes)
-    rows = [(j, 0, k, 0) for j in range(1, n) for k in range(j, n)]
+    j, k = np.triu_indices(n - 1) + np.ones((2, 1), int)
+    rows = [(drive, 0, sense, 0) for drive, sense in zip(j.tolist(), k.tolist(), strict=True)]
     model = linear_model(design, Protocol.from_rows(rows, n), grid.shape, resolution="coarse")
-    potentials = _centred(np.real(model.sensitivity).astype(float), n)
-    inside = grid.outline.contains(_centres(grid))
-    maps = potentials / np.sqrt(np.sum(potentials[:, inside] ** 2) / inside.sum())
-    size = np.array([design.outline.length, design.outline.width])
-    return DesignSpan(maps.reshape(-1, *grid.shape), size)
-
-
-def _centred(maps: Array, n: int) -> Array:
-    """Maps of pairs (j, k), electrode 0 grounded, weighted so that all electrodes count alike.
-
-    The patterns e_j - e_0 are replaced by e_j - mean(e), of which n - 1 are independent.
-    """
-    gram = np.zeros((n, n, maps.shape[1]))
-    pairs = [(j, k) for j in range(1, n) for k in range(j, n)]
-    for (j, k), values in zip(pairs, maps, strict=True):
-        gram[j, k] = gram[k, j] = values
+    gram = np.zeros((n, n, len(grid.inside.ravel())))
+    gram[j, k] = gram[k, j] = np.real(model.sensitivity)
     centre = np.eye(n) - 1.0 / n
     gram = np.einsum("ab,cd,bdp->acp", centre, centre, gram, optimize=True)
-    upper = [(j, k) for j in range(n) for k in range(j, n)]
-    return np.array([gram[j, k] * (1.0 if j == k else np.sqrt(2.0)) for j, k in upper])
-
-
-def _centres(grid: PixelGrid) -> Array:
-    """Centres of all pixels of the bounding box, row by row (pixels, 2) [m]."""
-    x, y = np.meshgrid(grid.x, grid.y)
-    return np.stack([x.ravel(), y.ravel()], axis=1)
+    j, k = np.triu_indices(n)
+    maps = gram[j, k] * np.where(j == k, 1.0, np.sqrt(2.0))[:, None]
+    maps /= np.sqrt(np.sum(maps[:, grid.inside.ravel()] ** 2) / grid.inside.sum())
+    size = np.array([design.outline.length, design.outline.width])
+    return DesignSpan(maps.reshape(-1, *grid.shape), size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,9 +103,8 @@ class Sectors:
 
     def rotated(self, places: Array, steps: int) -> Array:
         """Places (n, 2) [m] after some rotations."""
-        angle = 2.0 * np.pi * steps / len(self.turned)
-        c, s = math.cos(angle), math.sin(angle)
-        rotated: Array = (places - self.centre) @ np.array([[c, s], [-s, c]]) + self.centre
+        turn = _rotation(steps / len(self.turned))
+        rotated: Array = (places - self.centre) @ turn + self.centre
         return rotated
 
     def shared(self, presses: Presses, weight: float) -> Presses:
@@ -164,11 +151,15 @@ class Sectors:
         return gains
 
 
+def _rotation(turns: float) -> Array:
+    """Matrix (2, 2) that rows of coordinates are multiplied by to rotate them."""
+    c, s = math.cos(2.0 * np.pi * turns), math.sin(2.0 * np.pi * turns)
+    return np.array([[c, s], [-s, c]])
+
+
 def _permutation(places: Array, n: int) -> NDArray[np.int64] | None:
     """Electrode at the place of each after a rotation by 1/n; None where there is none."""
-    angle = 2.0 * np.pi / n
-    c, s = math.cos(angle), math.sin(angle)
-    away = np.linalg.norm((places @ np.array([[c, s], [-s, c]]))[:, None] - places, axis=2)
+    away = np.linalg.norm((places @ _rotation(1.0 / n))[:, None] - places, axis=2)
     found = away.argmin(axis=1)
     alike = away.min(axis=1).max() < TOLERANCE and len(set(found.tolist())) == len(places)
     return found if alike else None
@@ -180,11 +171,10 @@ def _moved(protocol: Protocol, step: NDArray[np.int64]) -> list[int]:
     With source and sink, and both sense leads, swapped at once, a measurement is the same.
     """
     rows = {row: at for at, row in enumerate(protocol.table)}
-    found = []
-    for row in protocol.table:
-        a, b, c, d = (int(step[electrode]) for electrode in row)
-        found.append(rows.get((a, b, c, d), rows.get((b, a, d, c), -1)))
-    return found
+    return [
+        rows.get((a, b, c, d), rows.get((b, a, d, c), -1))
+        for a, b, c, d in step[np.array(protocol.table)].tolist()
+    ]
 
 
 def _gains(quadratic: Array, presses: int) -> Array:
@@ -336,21 +326,17 @@ class SheetKnowledge:
 
         It is the mean of those of its frames, which share the errors of the maps.
         """
-        found = self._density_of_frames(choice, presses)
-        _, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
-        density: Array = np.bincount(number, found) / frames
-        return density
-
-    def _density_of_frames(self, choice: MapChoice, presses: Presses) -> Array:
-        owners = presses.owners
+        owners, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
+        found = np.zeros(len(number))
         if len(owners) > MAX_LEFT_OUT:
             maps, gains, scaled = self.fit(choice, presses)
-            return maps.left_out_density(scaled) - float(np.sum(np.log(np.abs(gains))))
-        found, folds = np.zeros(len(presses.owner)), min(FOLDS, len(owners))
-        for fold in range(folds):
-            tested = np.isin(presses.owner, owners[fold::folds])
-            other = presses.select(tested)
-            maps, gains, _ = self.fit(choice, presses.select(~tested))
-            density = maps.density_of(replace(other, answers=other.answers / gains))
-            found[tested] = density - float(np.sum(np.log(np.abs(gains))))
-        return found
+            found[:] = maps.left_out_density(scaled) - np.sum(np.log(np.abs(gains)))
+        else:
+            for fold in range(folds := min(FOLDS, len(owners))):
+                tested = np.isin(presses.owner, owners[fold::folds])
+                other = presses.select(tested)
+                maps, gains, _ = self.fit(choice, presses.select(~tested))
+                density = maps.density_of(replace(other, answers=other.answers / gains))
+                found[tested] = density - np.sum(np.log(np.abs(gains)))
+        mean: Array = np.bincount(number, found) / frames
+        return mean

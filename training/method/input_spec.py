@@ -302,7 +302,7 @@ class InputSpec:
         common = np.median(flat[known] / self.reference[known])
         return replace(self, reference=np.where(known, flat, common * self.reference))
 
-    def require_same_sensor(self, voltages: NDArray[np.complex128]) -> None:
+    def require_same_sensor(self, voltages: NDArray[np.complex128], adapting: bool = False) -> None:
         """Refuse a first frame (measurements,) [ohm] of another sensor; raises FrameError.
 
         The median of the log ratios to the trained reference is a common factor, the gel's
@@ -310,27 +310,24 @@ class InputSpec:
         contacts and geometry; `spread` limits its root mean square. (A median would
         overlook two swapped electrodes, which leave most channels unchanged.) Where another order
         of the electrodes leaves far less, that is the reason.
+
+        Args:
+            voltages: of the flat sensor.
+            adapting: whether known frames are to make the pipeline that of this sensor, whose
+                contacts may differ by up to `WIDEST_SPREAD`.
         """
-        self._require_like(
-            voltages,
+        limit, remedy = (
             self.spread,
-            "make the pipeline its own by known angles (eitskin calibrate, eitskin adapt)",
+            ("make the pipeline its own by known angles (eitskin calibrate, eitskin adapt)"),
         )
-
-    def require_adaptable(self, voltages: NDArray[np.complex128]) -> None:
-        """Refuse a flat frame (measurements,) [ohm] that is not of this design; raises FrameError.
-
-        Known frames make a pipeline that of a sensor whose contacts and electrodes differ by more
-        than those trained with, so `WIDEST_SPREAD` is the limit here.
-        """
-        self._require_like(
-            voltages,
-            WIDEST_SPREAD,
-            "train a pipeline for it (own frames go together with simulated ones: eitskin dataset "
-            "combine)",
-        )
-
-    def _require_like(self, voltages: NDArray[np.complex128], limit: float, remedy: str) -> None:
+        if adapting:
+            limit, remedy = (
+                WIDEST_SPREAD,
+                (
+                    "train a pipeline for it (own frames go together with simulated ones: eitskin "
+                    "dataset combine)"
+                ),
+            )
         known = np.flatnonzero(np.isfinite(voltages) & np.isfinite(self.reference))
         if not known.size:
             return

@@ -166,10 +166,10 @@ class KnownFrames:
                 "expected at least one frame of the flat, untouched sensor among the known frames, "
                 f"got none of {len(frames)}; record the flat sensor first"
             )
-        _require_on_sensor(labels, spec)
+        touches = _touches(labels, spec)
         logs = np.log(np.abs([spec.voltages(frame)[0] for frame in frames]))
         reference = _mean(logs[flat])
-        spec.require_adaptable(np.exp(reference).astype(np.complex128))
+        spec.require_same_sensor(np.exp(reference).astype(np.complex128), adapting=True)
         time = np.array([frame.time for frame in frames])
         befores = [_reference_rows(angles, free, row) for row in range(len(labels))]
         before = np.array([_mean(logs[rows]) if rows else reference for rows in befores])
@@ -187,7 +187,7 @@ class KnownFrames:
         )
         referred = [angles[rows[0]] if rows else 0.0 for rows in befores]
         told = np.array([label.touches is not None for label in labels])
-        return cls(observations, angles, np.array(referred), _touches(labels), told)
+        return cls(observations, angles, np.array(referred), touches, told)
 
     @classmethod
     def _of_dataset(cls, data: Dataset, spec: InputSpec) -> "KnownFrames":
@@ -199,7 +199,7 @@ class KnownFrames:
                 f"{len(specimens)} specimens and the protocol {data.protocol}; select those of one"
             )
         spec.require_same_measurements(data.protocol, data.frequency)
-        spec.require_adaptable(data.reference[specimens[0]].astype(np.complex128))
+        spec.require_same_sensor(data.reference[specimens[0]].astype(np.complex128), adapting=True)
         idle = data.state == State.IDLE
         angle = np.where(idle, 0.0, data.bend_angle_deg.astype(float))
         touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1).astype(float)
@@ -265,26 +265,22 @@ def _reference_rows(angles: Array, free: Mask, row: int) -> list[int]:
     return run(range(row - 1, -1, -1)) or run(range(row + 1, len(angles)))
 
 
-def _touches(labels: Sequence[FrameLabel]) -> Array:
-    """Table (n, k, 3) of x [m], y [m] and force [N] of all touches, NaN where there is none."""
+def _touches(labels: Sequence[FrameLabel], spec: InputSpec) -> Array:
+    """Table (n, k, 3) of x [m], y [m] and force [N] of all touches, NaN where there is none.
+
+    Raises DataError for a touch beside the sensor.
+    """
     rows = [label.touches or () for label in labels]
     table = np.full((len(rows), max(1, *map(len, rows)), 3), np.nan)
     for row, touches in enumerate(rows):
         for k, touch in enumerate(touches):
             table[row, k] = touch.x, touch.y, math.nan if touch.force is None else touch.force
+    if not isinstance(spec.design.outline, Surface):
+        size = np.array(spec.outline)
+        beside = (table[..., :2] < -BESIDE) | (table[..., :2] > size + BESIDE)
+        for x, y, _ in table[beside.any(axis=2)]:
+            raise DataError(
+                f"expected touches on the sensor of {size[0]:g} x {size[1]:g} m, got one at "
+                f"({x:g}, {y:g}) m; places are in metres from the corner"
+            )
     return table
-
-
-def _require_on_sensor(labels: Sequence[FrameLabel], spec: InputSpec) -> None:
-    """Raise DataError for a touch beside the sensor."""
-    outline = spec.design.outline
-    if isinstance(outline, Surface):
-        return
-    length, width = spec.outline
-    for label in labels:
-        for touch in label.touches or ():
-            if not (-BESIDE <= touch.x <= length + BESIDE and -BESIDE <= touch.y <= width + BESIDE):
-                raise DataError(
-                    f"expected touches on the sensor of {length:g} x {width:g} m, got one at "
-                    f"({touch.x:g}, {touch.y:g}) m; places are in metres from the corner"
-                )

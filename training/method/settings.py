@@ -22,6 +22,7 @@ METHODS = ("joint", "paper", *BASELINES, POSITIONS)
 """Names of the methods that come with eitskin; those of others have a colon in their name."""
 
 PRESETS = ("joint", "quick", "paper", *BASELINES)
+_OPEN_CHOICES = ("bend_free_map", "compressed_maps", "bend_squares", "weighted", "mirrored")
 POSITION_SHARE = 0.8  # neighbours in time are too similar to test on
 
 Progress = Callable[[str, int, int], None]
@@ -213,24 +214,13 @@ class TrainingSettings:
         also sees a map insensitive to bending, both compressed, the angle may be quadratic in dV,
         and touches are also learned from mirror images of a symmetric sensor.
         """
-        if name == "joint":
-            return cls(method="joint", seed=seed)
-        if name == "quick":
-            return cls(seed=seed)
+        if name not in PRESETS:
+            raise ConfigurationError(f"preset must be one of {', '.join(PRESETS)}, got '{name}'")
         if name == "paper":
             classifier = NetworkSettings(1e-5, epochs=150, batch=64, one_cycle=False)
-            return cls(
-                classifier=classifier,
-                bend_free_map=False,
-                compressed_maps=False,
-                bend_squares=False,
-                weighted=False,
-                mirrored=False,
-                seed=seed,
-            )
-        if name in BASELINES:
-            return cls(method=name, seed=seed)
-        raise ConfigurationError(f"preset must be one of {', '.join(PRESETS)}, got '{name}'")
+            closed: dict[str, Any] = dict.fromkeys(_OPEN_CHOICES, False)
+            return cls(classifier=classifier, seed=seed, **closed)
+        return cls("paper" if name == "quick" else name, seed=seed)
 
     def with_epochs(self, epochs: int) -> "TrainingSettings":
         """Settings with another number of epochs for all networks but the proposals.
@@ -239,28 +229,26 @@ class TrainingSettings:
         """
         if self.method not in ("joint", "paper"):
             return replace(self, options={**self.options, "epochs": epochs})
-        response, classifier, postprocessor = (
-            replace(network, epochs=epochs, fewest_steps=0)
-            for network in (self.joint.response, self.classifier, self.postprocessor)
-        )
-        return replace(
-            self,
-            joint=replace(self.joint, response=response),
-            classifier=classifier,
-            postprocessor=postprocessor,
+        return self._with_networks(
+            lambda network: replace(network, epochs=epochs, fewest_steps=0), "response"
         )
 
     def shortened(self, share: float) -> "TrainingSettings":
         """Settings with a share of the epochs of all networks, at least one."""
+        return self._with_networks(
+            lambda network: network.shortened(share), "response", "proposals"
+        )
+
+    def _with_networks(
+        self, change: Callable[[NetworkSettings], NetworkSettings], *joint: str
+    ) -> "TrainingSettings":
+        """Settings with other networks of the paper's method, and of the joint one by name."""
+        own: dict[str, Any] = {name: change(getattr(self.joint, name)) for name in joint}
         return replace(
             self,
-            joint=replace(
-                self.joint,
-                response=self.joint.response.shortened(share),
-                proposals=self.joint.proposals.shortened(share),
-            ),
-            classifier=self.classifier.shortened(share),
-            postprocessor=self.postprocessor.shortened(share),
+            joint=replace(self.joint, **own),
+            classifier=change(self.classifier),
+            postprocessor=change(self.postprocessor),
         )
 
 

@@ -41,7 +41,6 @@ from eitskin.training.pipeline.references import StoredReference
 from eitskin.training.pipeline.saved_form import (
     DAMAGE,
     SavedPipeline,
-    number,
     read_pipeline,
     require_possible,
     write_pipeline,
@@ -423,7 +422,7 @@ class Pipeline:
         saved = read_pipeline(path)
         try:
             document, weights = saved.document, saved.weights
-            require_possible(weights, saved.golden, noise := number(document, "noise"))
+            noise = require_possible(weights, saved.golden, document.get("noise"))
             settings = TrainingSettings.from_document(document["settings"])
             examples = Observations.from_arrays(arrays_under("input", saved.golden))
             positions = document["method"] == POSITIONS

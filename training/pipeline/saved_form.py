@@ -9,7 +9,6 @@ SHA256SUMS             of the four, as sha256sum -c reads it
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -295,10 +294,8 @@ def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def require_possible(
-    weights: Mapping[str, NDArray[Any]], golden: Mapping[str, NDArray[Any]], noise: float
-) -> None:
-    """Raise DataError for numbers that no training gives.
+def require_possible(weights: Arrays, golden: Arrays, noise: Any) -> float:
+    """Noise of a pipeline; raises DataError for numbers that no training gives.
 
     Args:
         weights: arrays of the pipeline by name: no NaN and nothing immense, angles within a turn;
@@ -325,16 +322,9 @@ def require_possible(
                 f"expected at most {_MAX_EXAMPLES} golden frames in '{name}', got {len(array)}; "
                 "save the pipeline again"
             )
-    if not 0 <= noise <= _MAX_NOISE:
-        raise DataError(f"expected a noise from 0 to {_MAX_NOISE:g}, got {noise:g}")
-
-
-def number(document: Mapping[str, Any], name: str) -> float:
-    """Finite number of a document; raises DataError for anything else."""
-    value = document.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(f"expected a finite number as '{name}', got {quoted(value)}")
-    return float(value)
+    if type(noise) not in (int, float) or not 0 <= noise <= _MAX_NOISE:
+        raise DataError(f"expected a noise from 0 to {_MAX_NOISE:g}, got {quoted(noise)}")
+    return float(noise)
 
 
 def _plausible(array: NDArray[Any]) -> bool:

@@ -325,5 +325,5 @@ def _from_board(
         )
         for frame, label in taken:
             if label.flat:  # refused now, not after the work of all angles
-                layout.require_adaptable(layout.voltages(frame)[0])
+                layout.require_same_sensor(layout.voltages(frame)[0], adapting=True)
             yield frame

@@ -1,5 +1,7 @@
 """Sensors that a pipeline takes for its own, by how its training specimens scatter."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -59,7 +61,7 @@ def test_another_order_of_the_electrodes_is_named_however_sensors_scatter():
     spec = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, flat, spread=0.5)
     exchanged = [0, 6, 2, 3, 4, 5, 1, 7]
     backwards = [(3 - e) % 8 for e in range(8)]
-    for refuse in (spec.require_same_sensor, spec.require_adaptable):
+    for refuse in (spec.require_same_sensor, partial(spec.require_same_sensor, adapting=True)):
         with pytest.raises(FrameError, match=r"electrodes 1 and 6 exchanged: .* another order"):
             refuse(plugged(exchanged).astype(complex))
         with pytest.raises(FrameError, match="counted backwards from 3 on"):
@@ -71,11 +73,13 @@ def test_a_sensor_that_scatters_more_is_taken_once_its_flat_values_are_known():
     strange = 1.5 * FLAT * np.exp(0.2 * rng.normal(size=28))
     with pytest.raises(FrameError, match=r"expected up to 10\.0%"):
         spec.require_same_sensor(strange.astype(complex))
-    spec.require_adaptable(strange.astype(complex))
+    spec.require_same_sensor(strange.astype(complex), adapting=True)
     partly = np.where(np.arange(28) == 5, np.nan, strange)
     for own in (spec.of_sensor(strange), spec.of_sensor(partly)):
         own.require_same_sensor((0.8 * strange).astype(complex))
         with pytest.raises(FrameError, match="scatter by"):
             own.require_same_sensor(FLAT.astype(complex))
     with pytest.raises(FrameError, match="scatter by"):
-        spec.require_adaptable((FLAT * np.exp(0.8 * rng.normal(size=28))).astype(complex))
+        spec.require_same_sensor(
+            (FLAT * np.exp(0.8 * rng.normal(size=28))).astype(complex), adapting=True
+        )
