@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -301,6 +302,11 @@ class InputSpec:
         known = np.isfinite(flat) & (flat > 0)
         common = np.median(flat[known] / self.reference[known])
         return replace(self, reference=np.where(known, flat, common * self.reference))
+
+    def require_adaptable(self, voltages: NDArray[np.complex128]) -> None:
+        """Alias of `require_same_sensor` with `adapting`; deprecated."""
+        warn("use require_same_sensor(voltages, adapting=True)", DeprecationWarning, stacklevel=2)
+        self.require_same_sensor(voltages, adapting=True)
 
     def require_same_sensor(self, voltages: NDArray[np.complex128], adapting: bool = False) -> None:
         """Refuse a first frame (measurements,) [ohm] of another sensor; raises FrameError.
