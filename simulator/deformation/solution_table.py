@@ -168,7 +168,8 @@ class SolutionTable:
 def _interpolated(values: Array, weights: Sequence[Array]) -> Array:
     """Values (n1, n2, ..., r) by weights (images, t, n) of each axis, (all images, t, r)."""
     first, *others = weights
-    found = np.tensordot(first, values, 1)
+    lines = first.reshape(-1, len(values)) @ values.reshape(len(values), -1)
+    found = lines.reshape(*first.shape[:2], *values.shape[1:])
     for each in others:  # sums so short that planning them would take longer
         images = len(found)
         parts = found.reshape(images, *each.shape[1:], -1)
