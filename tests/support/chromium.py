@@ -97,14 +97,16 @@ class Tab:
         return found.get("value")
 
     def until(self, condition: str, seconds: float = 30.0) -> None:
-        """Wait until a JavaScript expression is true; raises BrowserError."""
+        """Wait until a JavaScript expression is true; raises BrowserError.
+
+        While the page loads the expression may throw, which counts as false.
+        """
         from selenium.common.exceptions import TimeoutException
         from selenium.webdriver.support.wait import WebDriverWait
 
+        true = f"(() => {{ try {{ return !!({condition}) }} catch {{ return false }} }})()"
         try:
-            WebDriverWait(self.driver, seconds, poll_frequency=0.02).until(
-                lambda _: self.run(f"Boolean({condition})")
-            )
+            WebDriverWait(self.driver, seconds, poll_frequency=0.02).until(lambda _: self.run(true))
         except TimeoutException as error:
             raise BrowserError(f"{condition} did not become true in {seconds:g} s") from error
 
