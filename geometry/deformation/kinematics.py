@@ -65,8 +65,9 @@ class Composed:
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3), by the chain rule."""
         places, inner = mapped(self.first, points)
-        F: Gradients = np.einsum("...ij,...jk->...ik", self.second.gradient(places), inner)
-        return F
+        outer, inner = _entries(self.second.gradient(places)), _entries(inner)
+        F = np.asarray(sum(outer[:, j, None] * inner[j] for j in range(3)))
+        return np.moveaxis(F, (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +132,10 @@ def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
             "and from each other"
         )
     # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
-    S, inverse = np.empty((*J.shape, 6)), 1.0 / J
+    S, inverse = np.empty((6, *J.shape)), 1.0 / J
     for entry, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        S[..., entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) * inverse
-    return S
+        S[entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) * inverse
+    return np.moveaxis(S, 0, -1)
 
 
 def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -143,8 +144,7 @@ def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np
     Source: Nanson's formula.
     """
     turned = np.einsum("ij...,...j->i...", _cofactors(gradients), normals)
-    ratio: NDArray[np.float64] = np.sqrt(np.einsum("i...,i...->...", turned, turned))
-    return ratio
+    return np.asarray(np.sqrt(np.einsum("i...,i...->...", turned, turned)))
 
 
 def _entries(gradients: Gradients) -> Gradients:

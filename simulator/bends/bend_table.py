@@ -85,9 +85,7 @@ class BendTable:
         for table, weight in self.tables:
             coefficients, _ = table.evaluate(angle=angle_deg)
             values = values + weight * coefficients[0]
-            # Moments are the slopes of the energy.
-            numbers = table.numbers["energy"], np.radians(table.numbers["moment"])
-            spline = CubicHermiteSpline(self.angles_deg, *numbers)
+            spline = _energy_over_angle(table)
             energy += weight * float(spline(angle_deg))
             moment += weight * float(np.degrees(spline(angle_deg, 1)))
         x, y, z, centre, thickness = (
@@ -95,6 +93,13 @@ class BendTable:
             for name in ("x", "y", "z", "centre", "thickness")
         )
         return BentLayer((x, y, z), values, centre, float(thickness), angle_deg, energy, moment)
+
+
+@lru_cache(maxsize=32)
+def _energy_over_angle(table: SolutionTable) -> CubicHermiteSpline:
+    """Energy [J] over the angle [deg], whose slope is the moment."""
+    numbers = table.numbers["energy"], np.radians(table.numbers["moment"])
+    return CubicHermiteSpline(table.nodes("angle"), *numbers)
 
 
 def tabulate_bends(

@@ -51,8 +51,8 @@ class BentLayer:
         self._ends = np.array([each[-1] for each in nodes])
         # u_x is odd and the others are even along x; likewise u_y along y.
         for axis in range(2):
-            values = np.concatenate([np.flip(values, axis), np.delete(values, 0, axis)], axis)
             half = len(nodes[axis]) - 1
+            values = np.take(values, np.abs(np.arange(-half, half + 1)), axis)
             odd = np.moveaxis(values, axis, 0)[..., axis]
             odd[:half] *= -1.0
             odd[half] = 0.0
@@ -65,22 +65,23 @@ class BentLayer:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         x, inside = self._within(points)
         moved = self._moved(inside)
-        u, slope = moved[..., :3], moved[..., 3:].reshape(*points.shape, 3)
-        deformed: Points = self._centre + x + u
+        deformed: Points = self._centre + x + np.moveaxis(moved[:3], 0, -1)
         beyond = x - inside
         if np.any(beyond):
-            deformed = deformed + np.einsum("...ij,...j->...i", slope, beyond)
+            slope = moved[3:].reshape(3, 3, *beyond.shape[:-1])
+            deformed = deformed + np.einsum("ij...,...j->...i", slope, beyond)
         return deformed
 
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3), continuous everywhere."""
-        slopes = self._moved(self._within(points)[1])[..., 3:]
-        return np.eye(3) + slopes.reshape(*points.shape, 3)
+        F = self._moved(self._within(points)[1])[3:]
+        F[::4] += 1.0  # the diagonal
+        return np.moveaxis(F.reshape(3, 3, *points.shape[:-1]), (0, 1), (-2, -1))
 
     def _moved(self, x: Points) -> Array:
-        """Displacements and their derivatives, (..., 12), at points of the layer."""
+        """Displacements and their derivatives, (12, ...), at points of the layer."""
         columns = x.reshape(-1, 1, 3) + np.array([0.0, 0.0, self._ends[2]])
-        return self._field.moved(columns)[:, 0].T.reshape(*x.shape[:-1], 12)
+        return self._field.moved(columns).reshape(12, *x.shape[:-1])
 
     def _within(self, points: Points) -> tuple[Points, Points]:
         """Points from the middle of the layer, and the nearest points of the layer."""

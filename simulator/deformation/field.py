@@ -63,7 +63,7 @@ class CubicSplines:
 
     def flipped(self, coefficients: Array, axis: int) -> Array:
         """Coefficients of the mirror image on the mirrored splines, along an axis."""
-        return np.flip(coefficients, axis)
+        return np.flip(coefficients, axis).copy()
 
 
 @lru_cache(maxsize=64)
@@ -132,8 +132,9 @@ class Polynomials:
 
     def flipped(self, coefficients: Array, axis: int) -> Array:
         """Coefficients of the mirror image on the mirrored polynomials, along an axis."""
-        signs = ((-1.0) ** np.arange(self.count)).astype(coefficients.dtype)
-        return np.moveaxis(np.moveaxis(coefficients, axis, -1) * signs, -1, axis)
+        signs = np.ones((self.count, *(1,) * (coefficients.ndim - 1 - axis)), coefficients.dtype)
+        signs[1::2] = -1.0
+        return coefficients * signs
 
 
 Basis: TypeAlias = CubicSplines | Polynomials
@@ -199,8 +200,9 @@ class Field:
         """Interpolate values (nx, ny, nz, k) at the nodes of the bases and at levels in [-1, 1]."""
         upright = np.linalg.inv(legendre.legvander(levels, len(levels) - 1))
         fits = [basis.fit for basis in bases]
-        fitted = np.einsum("ai,bj,cl,ijlk->abck", *fits, upright, values, optimize=True)
-        return cls(bases, height, np.ascontiguousarray(fitted))
+        nx, ny, nz, k = values.shape
+        fitted = (fits[0] @ values.reshape(nx, -1)).reshape(nx, ny, -1)
+        return cls(bases, height, upright @ (fits[1] @ fitted).reshape(nx, ny, nz, k))
 
     def on_grid(self, x: Array, y: Array, z: Array) -> Array:
         """All components (nx, ny, nz, k) on a grid of the sensor's own frame [m]."""
@@ -218,13 +220,15 @@ class Field:
 
     def raised(self, factor: float) -> "Field":
         """The displacement field of a box `factor` times as high."""
+        if factor == 1.0:
+            return self
         upward = np.ones(self.coefficients.shape[-1])
         upward[2] = factor
         return replace(self, height=factor * self.height, coefficients=self.coefficients * upward)
 
     def mirrored(self, axis: int, at: float) -> "Field":
         """Mirror image in the plane x or y = `at` [m] of the sensor's own frame."""
-        coefficients = self.bases[axis].flipped(self.coefficients, axis).copy()
+        coefficients = self.bases[axis].flipped(self.coefficients, axis)
         coefficients[..., axis] *= -1.0
         bases = list(self.bases)
         bases[axis] = bases[axis].mirrored().shifted(2.0 * at)
@@ -380,12 +384,16 @@ def resampled_sum(fields: Iterable[Field], nodes: tuple[Array, Array]) -> Field:
     fields = list(fields)
     x, y = nodes
     nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (2, 3))
-    values = np.zeros((len(x), nz, k, len(y)))
+    lines: dict[tuple[Basis, int], Array] = {}  # sums of fields that are alike along y
     for field in fields:
-        nx, ny, height, _ = field.coefficients.shape
-        along, across = (basis.dense(at) for basis, at in zip(field.bases, nodes, strict=True))
-        lines = (along @ field.coefficients.reshape(nx, -1)).reshape(len(x), ny, height, k)
-        values[:, :height] += np.tensordot(lines, across, (1, 1))
+        (along, across), coefficients = field.bases, field.coefficients
+        on_lines = along.dense(x) @ coefficients.reshape(len(coefficients), -1)
+        alike = across, coefficients.shape[2]
+        lines[alike] = lines[alike] + on_lines if alike in lines else on_lines
+    values = np.zeros((len(x), nz, k, len(y)))
+    for (across, height), on_lines in lines.items():
+        every = on_lines.reshape(len(x), -1, height, k)
+        values[:, :height] += np.tensordot(every, across.dense(y), (1, 1))
     splines = CubicSplines(x), CubicSplines(y)
     fitted = (splines[0].fit @ values.reshape(len(x), -1)).reshape(values.shape)
     coefficients = np.ascontiguousarray(np.moveaxis(fitted @ splines[1].fit.T, -1, 1))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +39,7 @@ class Axis(NamedTuple):
         return INTERPOLATIONS[self.kind](self.nodes, at)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SolutionTable:
     """Solved fields over axes, stored by proper orthogonal decomposition, and numbers with them.
 
@@ -129,19 +129,25 @@ class SolutionTable:
         Returns coefficients (images of each axis that has them, t, nx, ny, nz, k) and numbers (t,),
         summed over images.
         """
-        at = np.broadcast_arrays(*(np.atleast_1d(parameters[axis.name]) for axis in self.axes))
-        weights = [axis.weights(values) for axis, values in zip(self.axes, at, strict=True)]
+        weights = [axis.weights(np.atleast_1d(parameters[axis.name])) for axis in self.axes]
         images = tuple(len(each) for each in weights if len(each) > 1)
-        rank, *shape = self.modes.shape
-        columns = [self.amplitudes, *(values[..., None] for values in self.numbers.values())]
-        found = _interpolated(np.concatenate(columns, axis=-1), weights)
+        product = weights[0]  # of the weights, (all images, t, solved)
+        for each in weights[1:]:
+            both = product[:, None, :, :, None] * each[:, :, None]
+            product = both.reshape(-1, both.shape[2], both.shape[3] * both.shape[4])
+        summed = product.sum(axis=0)
+        numbers = {name: summed @ values.ravel() for name, values in self.numbers.items()}
         # In the precision of the modes, since reading them takes all the time.
-        modes = self.modes.reshape(rank, -1)
-        amounts = found[..., :rank].reshape(-1, rank).astype(modes.dtype)
-        rows = np.stack([row @ modes for row in amounts])
-        coefficients = rows.reshape(*images, len(at[0]), *shape) * self.scales
-        numbers = dict(zip(self.numbers, found[..., rank:].sum(axis=0).T, strict=True))
-        return coefficients, numbers
+        rank, *shape = self.modes.shape
+        amounts = product.reshape(-1, product.shape[-1]) @ self.amplitudes.reshape(-1, rank)
+        rows = amounts.astype(self._fields.dtype) @ self._fields
+        return rows.reshape(*images, len(summed), *shape), numbers
+
+    @cached_property
+    def _fields(self) -> NDArray[np.floating]:
+        """Modes with their scales, (rank, nx * ny * nz * k)."""
+        scaled = (self.modes * self.scales).astype(self.modes.dtype)
+        return scaled.reshape(len(scaled), -1)
 
     def restricted(self, nodes: Array) -> "SolutionTable":
         """Table of some of the solved values of the first parameter."""
@@ -165,19 +171,6 @@ class SolutionTable:
         )
 
 
-def _interpolated(values: Array, weights: Sequence[Array]) -> Array:
-    """Values (n1, n2, ..., r) by weights (images, t, n) of each axis, (all images, t, r)."""
-    first, *others = weights
-    lines = first.reshape(-1, len(values)) @ values.reshape(len(values), -1)
-    found = lines.reshape(*first.shape[:2], *values.shape[1:])
-    for each in others:  # sums so short that planning them would take longer
-        images = len(found)
-        parts = found.reshape(images, *each.shape[1:], -1)
-        found = np.einsum("atnm,itn->aitm", parts, each)
-        found = found.reshape(images * len(each), each.shape[1], -1)
-    return np.asarray(found)
-
-
 def _spline(nodes: Array, at: Array) -> Array:
     """Cubic spline through all solved values."""
     return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))[None]
@@ -195,10 +188,7 @@ def _vanishing_logarithmic(nodes: Array, at: Array) -> Array:
 
 def _from_zero(nodes: Array, at: Array) -> Array:
     """Polynomial through the solved values and 0 at 0."""
-    every = np.append(0.0, nodes)
-    return np.stack(
-        [np.prod([(at - q) / (p - q) for q in every if q != p], axis=0) for p in nodes], axis=-1
-    )[None]
+    return _lagrange(nodes, np.append(0.0, nodes), at)[None]
 
 
 def _bilinear(nodes: Array, at: Array) -> Array:
@@ -207,13 +197,15 @@ def _bilinear(nodes: Array, at: Array) -> Array:
     Over the product the change is constant up to the least solved depth, and a polynomial beyond.
     """
     deep = np.maximum(np.sqrt(at), nodes[0])
-    return np.stack(
-        [
-            at / p**2 * np.prod([(deep - q) / (p - q) for q in nodes if q != p], axis=0)
-            for p in nodes
-        ],
-        axis=-1,
-    )[None]
+    return (at[:, None] / nodes**2 * _lagrange(nodes, nodes, deep))[None]
+
+
+def _lagrange(nodes: Array, every: Array, at: Array) -> Array:
+    """Polynomials, (t, n), that are 1 at one of the nodes and 0 at all others of `every`."""
+    is_other = every != nodes[:, None]
+    others = np.broadcast_to(every, is_other.shape)[is_other].reshape(len(nodes), -1)
+    shares = (at[:, None, None] - others) / (nodes[:, None] - others)
+    return np.asarray(np.prod(shares, axis=-1))
 
 
 def _mirrored(nodes: Array, at: Array) -> Array:

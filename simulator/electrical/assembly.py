@@ -17,6 +17,7 @@ Unknowns inside an element are coupled to no other element and are eliminated in
 condensation, Guyan 1965).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,34 +203,45 @@ class Assembly:
         found: Array = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
 
-    def condensed_matrices(self, matrices: Array) -> tuple[Array, Array]:
+    def condensed_matrices(self, matrices: Array) -> Array:
         """Static condensation of element matrices (elements, entries).
 
-        Gives the symmetric matrices of the outer functions, (elements, outer, outer), and the
-        matrices from an element's outer to its inner unknowns, (elements, inner, outer).
+        Gives the symmetric matrices of the outer functions, (elements, outer, outer).
         """
-        inner, outer = self.space.element.inner, self.space.numbers.shape[1]
-        ends = np.cumsum([len(self._pairs[0]), inner * outer])
-        whole = np.empty((len(matrices), outer, outer))
-        solved = np.empty((len(matrices), inner, outer))
-        for start in range(0, len(matrices), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
-            _, joining, within = np.split(matrices[part], ends, axis=1)
-            flat = whole[part].reshape(-1, outer * outer)
-            np.take(matrices[part], self._whole.ravel(), axis=1, out=flat, mode="clip")
-            if inner:
-                joining = joining.reshape(-1, inner, outer)
-                # Blocks are well-conditioned, and many inverses are found faster than solutions.
-                inverse = np.linalg.inv(within.reshape(-1, inner, inner))
-                np.negative(inverse @ joining, out=solved[part])
-                whole[part] += solved[part].swapaxes(1, 2) @ joining
-        return whole, solved
+        outer = self.space.numbers.shape[1]
+        whole = np.empty((len(matrices), outer * outer))
+        for part, own, change, _ in self._condensations(matrices):
+            np.take(own, self._whole.ravel(), axis=1, out=whole[part], mode="clip")
+            whole[part] += change
+        return whole.reshape(-1, outer, outer)
 
     def condensed(self, matrices: Array) -> Stiffness:
         """Condensed stiffness of element matrices (elements, entries)."""
-        whole, solved = self.condensed_matrices(matrices)
-        i, j = self._pairs
-        return Stiffness(whole[:, i, j].ravel(), solved)
+        (i, j), outer = self._pairs, self.space.numbers.shape[1]
+        lower = np.empty((len(matrices), len(i)))
+        solved = np.empty((len(matrices), self.space.element.inner, outer))
+        for part, own, change, inner in self._condensations(matrices):
+            np.take(change, i * outer + j, axis=1, out=lower[part], mode="clip")
+            lower[part] += own
+            solved[part] = inner
+        return Stiffness(lower.ravel(), solved)
+
+    def _condensations(self, matrices: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
+        """Some elements at a time: lower triangles, changes by condensation, and inner unknowns.
+
+        Lower triangles (elements, entries) and changes (elements, outer * outer) are of the outer
+        functions; the last are matrices from outer to inner unknowns, (elements, inner, outer).
+        """
+        inner, outer = self.space.element.inner, self.space.numbers.shape[1]
+        ends = np.cumsum([len(self._pairs[0]), inner * outer])
+        for start in range(0, len(matrices), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            own, joining, within = np.split(matrices[part], ends, axis=1)
+            joining = joining.reshape(len(own), inner, outer)
+            # Blocks are well-conditioned, and many inverses are found faster than solutions.
+            solved: Array = -np.linalg.inv(within.reshape(len(own), inner, inner)) @ joining
+            change = solved.swapaxes(1, 2) @ joining
+            yield part, own, change.reshape(len(own), -1), solved
 
     def electrode_terms(
         self, impedance: Numbers, area_ratio: Array | float = 1.0

@@ -9,8 +9,9 @@ correction takes one solution with given factors and one product with element ma
 elimination would take as many operations as the assembled blocks have, cubed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -107,7 +108,7 @@ class Reanalysis:
                 model.contact_gram(layer.conductivity, layer.area_ratio, layer.contact_impedance)
             )
         U = np.linalg.solve(found.admittance - found.response, zero_sums(np.eye(len(z))))
-        drops = model.contact_drops(found.potentials @ U, U, self._lift)
+        drops = model.contact_drops(found.potentials() @ U, U, self._lift)
         return np.real(assembly.contact_gram(drops, z, ratio))
 
     def _accepted(self, layer: DeformedLayer, tolerance: Tolerance) -> "_Approximation | None":
@@ -137,7 +138,7 @@ class Reanalysis:
             Z = each.impedance
             if last is not None and np.linalg.norm(Z - last) < _BASE * np.linalg.norm(Z):
                 made = copy(self)
-                made.base, made._potentials, made.solutions = Z, each.potentials, 0
+                made.base, made._potentials, made.solutions = Z, each.potentials(), 0
                 return made
             last = Z
         return None
@@ -150,7 +151,7 @@ class Reanalysis:
         """Solutions after 0, 1, 2, ... corrections."""
         assembly = self._model.assembly
         matrices = assembly.matrices(layer.entries(assembly.points))
-        matrices, _ = assembly.condensed_matrices(matrices)
+        matrices = assembly.condensed_matrices(matrices)
         contact = self._contact(layer)
         B, D = np.asarray(contact.coupling, dtype=np.float64), np.diag(contact.admittance)
         lifted = self._lift.any(axis=0)
@@ -166,10 +167,14 @@ class Reanalysis:
         potentials = self._potentials
         for _ in range(_MOST + 1):
             space.extend(potentials, self._product(matrices, potentials))
-            found, T, residual = space.solve()
+            found, T = space.solve()
             yield _Approximation(
-                np.real(impedance_matrix(D, T)), found, np.real(D), 0.5 * (T + T.T)
+                np.real(impedance_matrix(D, T)),
+                partial(space.solution, found),
+                np.real(D),
+                0.5 * (T + T.T),
             )
+            residual = space.residual(found)
             potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
             self.solutions += 1
 
@@ -193,10 +198,13 @@ def is_possible(model: ForwardModel) -> bool:
 
 
 class _Approximation(NamedTuple):
-    """Solution of one scene: Z, potentials (unknowns, electrodes) per electrode potential, D, T."""
+    """Solution of one scene: Z, potentials (unknowns, electrodes) per electrode potential, D, T.
+
+    Potentials are summed where they are wanted, before the next correction.
+    """
 
     impedance: Array
-    potentials: Array
+    potentials: Callable[[], Array]
     admittance: Array
     response: Array
 
@@ -221,8 +229,8 @@ class _Subspace:
         self._gram = gram
         self._loads = np.concatenate([self._loads, V.T @ self._B])
 
-    def solve(self) -> tuple[Array, Array, Array]:
-        """Galerkin solution x, (n, k), B^T x, (k, k), and the residual B - A x.
+    def solve(self) -> tuple[Array, Array]:
+        """Coefficients of the vectors in the Galerkin solution x, (vectors, k), and B^T x, (k, k).
 
         Vectors may be linearly dependent: potentials of all electrodes add up to a constant.
         """
@@ -232,13 +240,19 @@ class _Subspace:
         kept = values > _DEPENDENT * values[-1]
         basis = scale[:, None] * vectors[:, kept]
         found = basis @ ((basis.T @ self._loads) / values[kept, None])
-        x, residual, start = np.zeros_like(self._B), self._B.copy(), 0
-        for V, AV in self._blocks:
-            own = found[start : start + V.shape[1]]
-            x += V @ own
+        return found, self._loads.T @ found
+
+    def solution(self, found: Array) -> Array:
+        """x, (n, k), by its coefficients."""
+        parts = np.split(found, len(self._blocks))
+        return sum((V @ own for (V, _), own in zip(self._blocks, parts, strict=True)), np.zeros(1))
+
+    def residual(self, found: Array) -> Array:
+        """B - A x, (n, k), by the coefficients of x."""
+        residual = self._B.copy()
+        for (_, AV), own in zip(self._blocks, np.split(found, len(self._blocks)), strict=True):
             residual -= AV @ own
-            start += V.shape[1]
-        return x, self._loads.T @ found, residual
+        return residual
 
 
 class ElementProducts:

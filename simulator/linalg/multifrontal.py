@@ -7,7 +7,6 @@ matrices have Cholesky factors. Others, complex ones among them, have factors L 
 of order 1 and 2 within blocks (Bunch and Kaufman 1977).
 """
 
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -252,7 +251,8 @@ def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[F
         columns = np.repeat(np.arange(size), np.diff(ends[start : stop + 1]))
         row = local[rows[entries]]
         within = tuple((child, tuple(_runs(local[rim], size))) for child, rim in inner)
-        lowest = [_lowest_beside_border(runs) for _, runs in within]
+        rims = [local[rim] for _, rim in inner if len(rim)]
+        lowest = [int(rim[0]) for rim in rims if rim[-1] >= size]
         first = min([size, *columns[row >= size].tolist(), *lowest])
         below = size * size + (columns - first) * outer + row - size
         yield Front(
@@ -284,14 +284,6 @@ def _runs(rows: Indices, size: int) -> Iterator[Run]:
         yield Run(slice(first, last), _as_slice(rows[first:last] - (0 if own else size)), own)
 
 
-def _lowest_beside_border(runs: tuple[Run, ...]) -> int:
-    """First own unknown that a Schur complement couples to the border; a large number for none."""
-    if not runs or not runs[0].own or runs[-1].own:
-        return sys.maxsize
-    there = runs[0].there
-    return int(there.start if isinstance(there, slice) else there[0])
-
-
 def _as_slice(numbers: Indices) -> Places:
     if len(numbers) and numbers[-1] - numbers[0] == len(numbers) - 1:
         return slice(int(numbers[0]), int(numbers[-1]) + 1)
@@ -305,7 +297,7 @@ def _eliminated(fronts: Iterable[Front], entries: Numbers, definite: bool) -> It
         size, outer, coupled = front.size, front.outer, front.coupled
         values, positions, inside = entries[front.entries], front.positions, size * size
         if front.inherits:
-            first = complements.pop(front.within[0][0]).ravel(order="K")
+            first = complements.pop(front.within[0][0]).T.ravel()
         else:
             first = np.zeros(inside, dtype=entries.dtype)
         last = np.zeros(outer * coupled, dtype=entries.dtype)
