@@ -12,12 +12,16 @@ SCRIPTS = sorted(path for path in GALLERY.glob("*.py") if path.stem != "style")
 
 @pytest.fixture
 def run(monkeypatch):
-    """Runs a script as `python SCRIPT ARGUMENTS` would, in this process."""
+    """Runs a script as `python SCRIPT ARGUMENTS` would, in this process; its look ends with it."""
+    rc_context = pytest.importorskip("matplotlib").rc_context
     monkeypatch.syspath_prepend(str(GALLERY))
+    monkeypatch.delitem(sys.modules, "style", raising=False)
 
     def run(script, *arguments):
         monkeypatch.setattr(sys, "argv", [str(script), *map(str, arguments)])
-        runpy.run_path(str(script), run_name="__main__")
+        with rc_context():
+            runpy.run_path(str(script), run_name="__main__")
+        sys.modules.pop("style", None)  # sets the look as it is imported
 
     return run
 
