@@ -30,7 +30,6 @@ from eitskin.simulator.deformation.dents import BentPresses, Dents
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.touches import (
     PressedSensor,
-    PressedTouch,
     TouchModel,
     bent_dents,
     dents,
@@ -44,7 +43,7 @@ from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.scene import Scene, require_bendable
+from eitskin.simulator.scene.scene import PressedTouch, Scene, require_bendable
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]

@@ -24,8 +24,8 @@ from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, stack_mesh
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.mixed_solid import STIFFEST, Solid

@@ -24,9 +24,8 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
-    from eitskin.simulator.deformation.touches import PressedTouch
     from eitskin.simulator.instrument.instrument import Instrument
-    from eitskin.simulator.scene.scene import Scene
+    from eitskin.simulator.scene.scene import PressedTouch, Scene
     from eitskin.simulator.simulator import Simulator
     from eitskin.simulator.view.scene_pictures import Colour
 

@@ -1,7 +1,6 @@
 """Bending fixtures: flexure of a sensor about y, and its limits."""
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from dataclasses import InitVar, dataclass, replace
 from typing import Literal
@@ -11,19 +10,9 @@ import numpy as np
 from eitskin.bounds import LONGEST, require_positive, require_within
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import SensorDesign, warn_of_grid
 
 _SEARCH_STEP = 5  # deg, of the search for the last possible angle
-
-
-def warn_of_grid(call: str) -> None:
-    """Warn of arguments of version 0.2 that told about which values solutions are shared."""
-    warnings.warn(
-        f"{call}: these arguments have no effect any more; give "
-        "Simulator(..., grid=SensorGrid(...)) to share solutions between similar sensors",
-        DeprecationWarning,
-        stacklevel=4,
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -255,6 +255,37 @@ PlaneOutline = Rectangle | Disc | Polygon
 Outline = PlaneOutline | Surface
 
 
+def beyond(outline: PlaneOutline, corners: Array) -> float:
+    """Distance by which a convex polygon (k, 2) [m] reaches beyond an outline [m]; 0 inside."""
+    _, depth = outline.nearest(corners)
+    excess = -float(depth.min())
+    if not isinstance(outline, Disc):
+        # The rim of an outline that is not convex may enter the polygon between its corners.
+        start = outline.vertices
+        step = np.roll(start, -1, axis=0) - start
+        planes = half_planes(corners)
+        room = planes[:, 2] - start @ planes[:, :2].T
+        speed = step @ planes[:, :2].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            when = room / speed
+        enter = np.where(speed < 0.0, when, 0.0).max(axis=1)
+        leave = np.where(speed > 0.0, when, 1.0).min(axis=1)
+        middle = start + 0.5 * np.clip(enter + leave, 0.0, 2.0)[:, None] * step
+        inside = (planes[:, 2] - middle @ planes[:, :2].T).min(axis=1)
+        excess = max(excess, float(inside[enter < leave].max(initial=-np.inf)))
+    return excess if excess > _SAME * max(outline.length, outline.width) else 0.0
+
+
+def half_planes(corners: Array) -> Array:
+    """Half-planes (k, 3) of a counter-clockwise convex polygon (k, 2) [m].
+
+    The polygon is {x: planes[:, :2] @ x <= planes[:, 2]}.
+    """
+    step = np.roll(corners, -1, axis=0) - corners
+    outward = np.column_stack([step[:, 1], -step[:, 0]]) / np.hypot(*step.T)[:, None]
+    return np.column_stack([outward, (outward * corners).sum(axis=1)])
+
+
 def _require_simple(points: Array, same: float) -> None:
     """Raise ConfigurationError where the polygon through `points` (k, 2) meets itself."""
     count = len(points)

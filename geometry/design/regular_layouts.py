@@ -6,9 +6,8 @@ import numpy as np
 
 from eitskin.bounds import MOST_ELECTRODES, require_count
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.contact_areas import beyond
 from eitskin.geometry.design.electrode import Electrode, Shape
-from eitskin.geometry.design.outline import Outline, PlaneOutline
+from eitskin.geometry.design.outline import Outline, PlaneOutline, beyond
 from eitskin.geometry.design.surface import Surface
 
 _DIGITS = 12  # of positions in m, so that round numbers stay round

@@ -1,5 +1,6 @@
 """Design of a sensor: outline, thickness, electrodes, conductivity, support."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -23,6 +24,16 @@ Array = NDArray[np.float64]
 _SAME = 1e-9  # relative difference of thicknesses that count as equal
 _SAME_HEIGHT = 1e-6  # likewise for the height of a surface, which files give in few digits
 _POINTS_PER_EDGE = 8
+
+
+def warn_of_grid(call: str) -> None:
+    """Warn of arguments of version 0.2 that told about which values solutions are shared."""
+    warnings.warn(
+        f"{call}: these arguments have no effect any more; give "
+        "Simulator(..., grid=SensorGrid(...)) to share solutions between similar sensors",
+        DeprecationWarning,
+        stacklevel=4,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,14 +3,12 @@
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.sensor import SensorDesign
 
 Lines = NDArray[np.float64]
 
@@ -97,31 +95,3 @@ def graded_lines(
         lines[-1] = end
         pieces.append(lines[1:])
     return np.concatenate(pieces)
-
-
-def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
-    """Heights of the level edges of an electrode, where potentials are singular [m]."""
-    if electrode.on == "side":
-        if electrode.height is None:
-            return ()
-        z = 0.5 * thickness if electrode.z is None else electrode.z
-        ends = (z - 0.5 * electrode.height, z + 0.5 * electrode.height)
-        # At the rim of the layer the potential continues mirrored.
-        return tuple(end for end in ends if 1e-9 < end / thickness < 1.0 - 1e-9)
-    return (float({"top": thickness, "bottom": 0.0}.get(electrode.on, electrode.z or 0.0)),)
-
-
-def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
-    """Heights of the layers of points, through sheets and graded to electrode edges [m].
-
-    Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
-    """
-    thickness = design.thickness
-    edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
-    interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
-    if edges:
-        largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
-        return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))
-    sheets = np.array([0.0, *interfaces, thickness])
-    steps = [np.linspace(a, b, grading.layers + 1)[:-1] for a, b in itertools.pairwise(sheets)]
-    return np.concatenate([*steps, [thickness]])

@@ -1,6 +1,8 @@
 """Mesh of a design: graded hexahedra, triangular prisms, or tetrahedra."""
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -9,12 +11,13 @@ from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
+from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.patches import electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated
-from eitskin.geometry.meshing.grading import Grading, graded_lines, layer_heights, require_possible
+from eitskin.geometry.meshing.grading import Grading, graded_lines, require_possible
 from eitskin.geometry.meshing.mesh import Mesh, check_quality
 
 Array = NDArray[np.float64]
@@ -97,6 +100,34 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
     ]
     cells = np.stack(corners, axis=-1).reshape(-1, 8)
     return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), lines[2])
+
+
+def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
+    """Heights of the level edges of an electrode, where potentials are singular [m]."""
+    if electrode.on == "side":
+        if electrode.height is None:
+            return ()
+        z = 0.5 * thickness if electrode.z is None else electrode.z
+        ends = (z - 0.5 * electrode.height, z + 0.5 * electrode.height)
+        # At the rim of the layer the potential continues mirrored.
+        return tuple(end for end in ends if 1e-9 < end / thickness < 1.0 - 1e-9)
+    return (float({"top": thickness, "bottom": 0.0}.get(electrode.on, electrode.z or 0.0)),)
+
+
+def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
+    """Heights of the layers of points, through sheets and graded to electrode edges [m].
+
+    Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
+    """
+    thickness = design.thickness
+    edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
+    interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
+    if edges:
+        largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
+        return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))
+    sheets = np.array([0.0, *interfaces, thickness])
+    steps = [np.linspace(a, b, grading.layers + 1)[:-1] for a, b in itertools.pairwise(sheets)]
+    return np.concatenate([*steps, [thickness]])
 
 
 def electrode_lines(design: SensorDesign) -> tuple[set[float], set[float]]:

@@ -24,10 +24,9 @@ from eitskin.simulator.bodies.pressed_body import (
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField, surface_of
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
-from eitskin.simulator.deformation.touches import PressedTouch, neighbour_distance
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.scene import Touch
+from eitskin.simulator.scene.scene import PressedTouch, Touch, neighbour_distance
 
 # Version of the solutions: raise it whenever bodies are meshed or solved in another way.
 _VERSION = 1

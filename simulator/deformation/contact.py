@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_array
 
-from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.box_fields import shape_functions
+from eitskin.simulator.mechanics.layer_stack import Indentation
 from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter

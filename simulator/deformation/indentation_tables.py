@@ -18,8 +18,8 @@ from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
 from eitskin.simulator.deformation.solution_store import Report, processes
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

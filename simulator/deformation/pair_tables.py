@@ -25,7 +25,7 @@ from eitskin.simulator.deformation.indentation_tables import (
 from eitskin.simulator.deformation.solution_store import Report
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 from eitskin.simulator.deformation.stack_mesh import Fineness
-from eitskin.simulator.mechanics.axisymmetric_press import Indentation
+from eitskin.simulator.mechanics.layer_stack import Indentation
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.scene.indenters import Indenter
 

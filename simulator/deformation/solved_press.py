@@ -12,8 +12,8 @@ from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
 from eitskin.simulator.deformation.stack_mesh import Contact, stack_mesh
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.scene.scene import AnyIndenter
 
 Array = NDArray[np.float64]

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import require_positive
 from eitskin.geometry.meshing.grading import Grading, graded_lines
-from eitskin.simulator.mechanics.layer_stack import Stack
+from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
@@ -29,48 +28,6 @@ _FIRST_STEP = 0.008
 _LONGEST_STEP = 0.04
 _STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Indentation:
-    """Equilibrium of a stack under an indenter.
-
-    Attributes:
-        stack: the layers.
-        force: on the indenter [N].
-        depth: of the indenter's lowest point under the undeformed top [m].
-        contact_radius: of the contact area in the deformed body [m].
-        radii: of points of the deformed contact face, rising [m].
-        pressure: contact pressure at these radii [Pa].
-        r: undeformed radii of the displacement nodes, (nr,) [m].
-        z: undeformed heights of the displacement nodes over the base, (nz,) [m].
-        displacement: radial and upward, (nr, nz, 2) [m].
-        mean_stress: of each layer at the corners of cells, r[::2] and z[::2], (layers, nr', nz')
-            [Pa]; NaN outside the layer.
-        energies: isochoric strain energy of every layer [J].
-        volume_ratios: deformed over undeformed volume of every layer.
-    """
-
-    stack: Stack
-    force: float
-    depth: float
-    contact_radius: float
-    radii: Array
-    pressure: Array
-    r: Array
-    z: Array
-    displacement: Array
-    mean_stress: Array
-    energies: Array
-    volume_ratios: tuple[float, ...]
-
-    def thinning(self, layer: int) -> float:
-        """Thinning of a layer on the axis: 1 - thickness over undeformed thickness."""
-        below, above = np.searchsorted(
-            self.z, np.array(self.stack.levels[layer : layer + 2]) - 1e-9
-        )
-        shortened = self.displacement[0, below, 1] - self.displacement[0, above, 1]
-        return float(shortened / (self.z[above] - self.z[below]))
 
 
 class AxisymmetricPress:

@@ -1,4 +1,4 @@
-"""Mechanical properties of the sensor, and its stack of bonded layers."""
+"""Mechanical properties of the sensor, its stack of bonded layers, and that under an indenter."""
 
 import math
 from dataclasses import InitVar, dataclass, field
@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import LONGEST, require_positive
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import warn_of_grid
-from eitskin.geometry.design.sensor import SensorDesign, Substrate
+from eitskin.geometry.design.sensor import SensorDesign, Substrate, warn_of_grid
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
 
@@ -141,3 +140,45 @@ class Stack:
         inner = np.array(self.levels[1:-1])
         found: NDArray[np.int64] = np.searchsorted(inner, heights).astype(np.int64)
         return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Indentation:
+    """Equilibrium of a stack under an indenter.
+
+    Attributes:
+        stack: the layers.
+        force: on the indenter [N].
+        depth: of the indenter's lowest point under the undeformed top [m].
+        contact_radius: of the contact area in the deformed body [m].
+        radii: of points of the deformed contact face, rising [m].
+        pressure: contact pressure at these radii [Pa].
+        r: undeformed radii of the displacement nodes, (nr,) [m].
+        z: undeformed heights of the displacement nodes over the base, (nz,) [m].
+        displacement: radial and upward, (nr, nz, 2) [m].
+        mean_stress: of each layer at the corners of cells, r[::2] and z[::2], (layers, nr', nz')
+            [Pa]; NaN outside the layer.
+        energies: isochoric strain energy of every layer [J].
+        volume_ratios: deformed over undeformed volume of every layer.
+    """
+
+    stack: Stack
+    force: float
+    depth: float
+    contact_radius: float
+    radii: Array
+    pressure: Array
+    r: Array
+    z: Array
+    displacement: Array
+    mean_stress: Array
+    energies: Array
+    volume_ratios: tuple[float, ...]
+
+    def thinning(self, layer: int) -> float:
+        """Thinning of a layer on the axis: 1 - thickness over undeformed thickness."""
+        below, above = np.searchsorted(
+            self.z, np.array(self.stack.levels[layer : layer + 2]) - 1e-9
+        )
+        shortened = self.displacement[0, below, 1] - self.displacement[0, above, 1]
+        return float(shortened / (self.z[above] - self.z[below]))

@@ -62,6 +62,57 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True)
+class PressedTouch:
+    """Depth, contact, pressure and expected error of one touch of a scene.
+
+    Attributes:
+        touch: of the scene.
+        force: on the indenter now [N]; 0 after the release.
+        depth: of the dent: position of the indenter's lowest point, now or before its release,
+            below the undeformed top of the stack [m].
+        contact_radius: of the contact area in the deformed stack [m]; 0 without contact.
+        peak_pressure: largest contact pressure [Pa].
+        thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
+        edge_distance: from the axis to the nearest edge of the gel [m].
+        neighbour_distance: from the axis to that of the nearest other touch [m].
+        signal_error: largest error of the signal, relative, that comparisons with the full model
+            found at such distances (docs/deformation.md); None at smaller distances or larger
+            depths than any comparison, beside re-entrant corners, on other outlines than
+            rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
+            pressed.
+        caution: why the dent is less exact than a single one in the middle of the sensor; empty
+            otherwise.
+    """
+
+    touch: Touch
+    force: float
+    depth: float
+    contact_radius: float
+    peak_pressure: float
+    thinning: float
+    edge_distance: float
+    neighbour_distance: float
+    signal_error: float | None
+    caution: str = ""
+
+    @property
+    def contact_area(self) -> float:
+        """Area of the contact [m2]."""
+        return math.pi * self.contact_radius**2
+
+    @property
+    def mean_pressure(self) -> float:
+        """Force over contact area [Pa]."""
+        return self.force / self.contact_area if self.contact_radius else 0.0
+
+
+def neighbour_distance(touch: Touch, touches: tuple[Touch, ...]) -> float:
+    """Distance from a touch to the nearest other one [m]."""
+    others = (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch)
+    return min(others, default=math.inf)
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """Scene of one moment; `Scene()` is the flat, untouched sensor.
 

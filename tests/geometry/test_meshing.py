@@ -7,7 +7,8 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, SensorDesign, structured_mesh
-from eitskin.geometry.meshing.grading import Grading, layer_heights
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh_design import layer_heights
 
 GRADING = Grading(finest=1e-3, coarsest=4e-3, growth=0.5, layers=2)
 

@@ -10,8 +10,8 @@ from eitskin.geometry import Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.deformation.press_table import press_problems
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
 from eitskin.simulator.mechanics.materials import NeoHookean
 
 DESIGN = SensorDesign.reference()
