@@ -24,7 +24,7 @@ from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulle
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.deformation.closed_form_dent import closed_form_dents
+from eitskin.simulator.deformation.touches import sketched_dents
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
@@ -109,7 +109,7 @@ def compositions(quick: bool) -> Iterator[Case]:
     for name, scene in scenes.items():
         solve = partial(_scene, scene, FreeArc(L), quick)
         yield Case("compositions", name, solve, invariant_limit=5e-3)
-    if not quick:  # dents in closed form know no edge
+    if not quick:  # sketched dents know no edge
         rim = partial(_scene, Scene(Bend(90.0), (Touch(0.075, 0.0),)), FreeArc(L), quick)
         name = "press on the rim, arc of 90 deg"
         yield Case("compositions", name, rim, "refused", "from the edge")
@@ -153,11 +153,11 @@ def _scene(scene: Scene, fixture: Fixture | None = None, quick: bool = True) -> 
 
 
 def _quickly(sim: Simulator, scene: Scene) -> Deformation | None:
-    """Deformation by a scene, its dents in closed form."""
+    """Deformation by a scene, its dents as for drawings."""
     bent = sim.deformation(dataclasses.replace(scene, touches=()))
     if not scene.touches:
         return bent
-    dents = closed_form_dents(scene.touches)
+    dents = sketched_dents(scene.touches, sim.design)
     return Composed(dents, bent) if bent else dents
 
 

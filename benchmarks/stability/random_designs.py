@@ -17,7 +17,7 @@ from eitskin.geometry.design.electrode import Electrode, On, Shape
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
 from eitskin.geometry.design.sensor import Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.deformation.closed_form_dent import closed_form_dents
+from eitskin.simulator.deformation.touches import sketched_dents
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
@@ -142,9 +142,9 @@ def _measured(seed: tuple[int, int]) -> CaseValues:
     sizes = Grading(float(np.clip(0.5 * finest, 0.1 * size, size)), size, 3.0)
     sim = Simulator(design, ((1, 1), sizes), drawn.fixture)
     flat = imbalance(sim.model)
-    # Every stack would need presses of its own, which take a minute: dents in closed form.
+    # Every stack would need presses of its own, which take a minute: dents as for drawings.
     bare = dataclasses.replace(drawn.scene, touches=())
-    dents, bent = closed_form_dents(drawn.scene.touches), sim.deformation(bare)
+    dents, bent = sketched_dents(drawn.scene.touches, design), sim.deformation(bare)
     R = sim.deformed(Composed(dents, bent) if bent else dents).impedance.real
     if not np.all(R > 0.0):
         raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")

@@ -21,8 +21,8 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.delaunay import triangulated
 from eitskin.simulator.bends import bend_table
-from eitskin.simulator.deformation.closed_form_dent import LARGEST_FORCE, closed_form_dents
 from eitskin.simulator.deformation.solution_store import missing
+from eitskin.simulator.deformation.touches import sketched_dents
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Touch
 
@@ -276,16 +276,16 @@ class GelShape:
 
         The points are those of the body, unless others on the flat sensor are given.
 
-        Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
-        for the 15 mm cylinder; forces past its last are drawn as that, unknown ones as
-        `FORCE_UNKNOWN`, an unknown angle as flat. A body from a file has no dents.
+        Bends are drawn in steps of `_FINEST`. Dents are to scale, those of the 15 mm cylinder on
+        the reference sensor; unknown forces are drawn as `FORCE_UNKNOWN`, an unknown angle as
+        flat. A body from a file has no dents.
         """
         angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
         angle = min(max(angle, self.least), self.most)
         points = self.body.points if points is None else points
         if presses and not isinstance(self.design.outline, Surface):
             touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
-            points = closed_form_dents(touches).positions(points)
+            points = sketched_dents(touches, self.design).positions(points)
         return _bent(self.design, angle).positions(points) if angle else points
 
 
@@ -372,4 +372,4 @@ def _farthest(design: SensorDesign, sign: int) -> float:
 def _drawn_force(force: float) -> float:
     """Force rounded to 0.1 N, so that each dent is computed once."""
     known = force if math.isfinite(force) else FORCE_UNKNOWN
-    return round(min(max(known, 0.1), LARGEST_FORCE), 1)
+    return round(max(known, 0.1), 1)

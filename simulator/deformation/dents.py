@@ -16,26 +16,6 @@ Array = NDArray[np.float64]
 _HAIR = 1e-9  # [m]
 
 
-class Dent(Protocol):
-    """Axisymmetric displacement of the layer about a vertical axis."""
-
-    @property
-    def reach(self) -> float:
-        """Distance from the axis beyond which nothing moves [m]."""
-        ...
-
-    def motion(self, r: Array, z: Array) -> Array:
-        """u, w, du/dz, dw/dz, du/dr and dw/dr, (..., n, 6, h): u outwards and w upwards [m].
-
-        At distances r > 0 (..., n) from the axis and heights z (n, h) over the layer's bottom [m].
-        """
-        ...
-
-    def mean_stress(self, r: Array, z: Array) -> Array:
-        """Mean stress [Pa], positive in tension, (..., n, h) at r (..., n) and z (n, h)."""
-        ...
-
-
 class ColumnField(Protocol):
     """Field that is evaluated in vertical columns of points (n, h, 3) [m]."""
 
@@ -54,14 +34,14 @@ class PlacedDent:
 
     x: float
     y: float
-    dent: Dent
+    dent: TabulatedDent
 
     def moved(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
         moved, heights = np.zeros((12, columns.shape[1], len(columns))), columns[..., 2]
         kernels = compiled("eitskin.simulator.deformation.kernels")
         even = len(heights) > 0 and (heights == heights[:1]).all()
-        if kernels is not None and isinstance(self.dent, TabulatedDent) and even:
+        if kernels is not None and even:
             pieces = self.dent.at_heights(heights[0])
             by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
             axes = columns[:, 0, :2].T.copy()
@@ -145,7 +125,7 @@ class BentPresses(OnePass):
     """
 
     bend: Deformation
-    presses: tuple[tuple[ContactFrame, Dent], ...]
+    presses: tuple[tuple[ContactFrame, TabulatedDent], ...]
     correction: Dents
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:

@@ -74,8 +74,9 @@ class TabulatedDent:
         return float(self.profile.x[-1])
 
     def motion(self, r: Array, z: Array) -> Array:
-        """u, w, du/dz, dw/dz, du/dr and dw/dr [m], (..., n, 6, h), at r (..., n) and z (n, h).
+        """u, w, du/dz, dw/dz, du/dr and dw/dr, (n, 6, h): u outwards and w upwards [m].
 
+        At distances r > 0 (n,) from the axis and heights z (n, h) over the layer's bottom [m].
         Where the heights are equal for all n, as for quadrature points in upright cells, the
         polynomials over the height are summed before the splines.
         """
@@ -86,7 +87,7 @@ class TabulatedDent:
         P = self.over_height(z)
         c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
         pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
-        parts = [np.einsum("nhm,...nmf->...nfh", Q, v) for Q, v in pairs]
+        parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
         return np.concatenate(parts, axis=-2)
 
     def at_heights(self, z: Array) -> PPoly:
@@ -94,9 +95,9 @@ class TabulatedDent:
         return _at_heights(self, tuple(z.tolist()))
 
     def mean_stress(self, r: Array, z: Array) -> Array:
-        """Mean stress [Pa], positive in tension, (..., n, h) at r (..., n) and z (n, h)."""
+        """Mean stress [Pa], positive in tension, (n, h) at r (n,) and z (n, h)."""
         coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
-        return np.asarray(np.einsum("nhm,...nm->...nh", self.over_height(z), coefficients))
+        return np.asarray(np.einsum("nhm,nm->nh", self.over_height(z), coefficients))
 
     def derivatives(self, P: Array) -> Array:
         """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""

@@ -1,6 +1,7 @@
 """Touches of a scene: their dents, depth, contact and pressure."""
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
 from itertools import combinations
 from typing import Literal, NamedTuple
@@ -33,6 +34,7 @@ from eitskin.simulator.deformation.solved_press import (
 )
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
 
 Array = NDArray[np.float64]
@@ -103,6 +105,18 @@ def dents(touches: tuple[Touch, ...], sensor: PressedSensor) -> Dents:
         PlacedDent(touch.x, touch.y, dent) for touch, dent, _ in solved.dented if dent is not None
     )
     return Dents(placed, solved.corrections)
+
+
+def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
+    """Superposed dents of the 15 mm cylinder on the reference sensor, stretched to a design.
+
+    A sketch for drawings, of which nothing has to be solved; greater forces than those solved
+    count as the largest.
+    """
+    table = press_table(SensorDesign.reference(), Mechanics(), Cylinder())
+    table = table.stretched(design.thickness / float(table.thickness))
+    most = table.largest_force
+    return Dents(tuple(PlacedDent(t.x, t.y, table.at_force(min(t.force, most))) for t in touches))
 
 
 def bent_dents(
