@@ -109,6 +109,19 @@ class Displaced:
         return F
 
 
+def largest_strain(deformation: Deformation | None, points: Points) -> NDArray[np.float64]:
+    """Largest principal logarithmic strain at `points` (n, 3) [m] of the flat sensor, (n,).
+
+    The logarithm of the largest principal stretch (Hencky 1928) is positive wherever an
+    incompressible body deforms, because at least one fibre is stretched.
+    """
+    if deformation is None:
+        return np.zeros(len(points))
+    F = deformation.gradient(points)
+    squares = np.linalg.eigvalsh(np.swapaxes(F, -1, -2) @ F)
+    return np.asarray(0.5 * np.log(squares[:, -1]))
+
+
 def pulled_back(gradients: Gradients) -> Gradients:
     """Pull-back J F^-1 F^-T of a unit conductivity to the flat body, (..., 3, 3).
 

@@ -14,12 +14,13 @@ from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.view import shapes
-from eitskin.simulator.view.render import DIRECTION, TRUE, Panel, colour_scale, render
+from eitskin.simulator.view.render import DIRECTION, MATT, TRUE, Panel, colour_scale, render
 
 Array = NDArray[np.float64]
 
 _LINES = 60  # of current
 _CONTOURS = 29
+_KINDS = {8: "hexahedra", 6: "prisms", 4: "tetrahedra"}
 
 
 def model_for_pictures(design: SensorDesign, cells: CellKind | None = None) -> ForwardModel:
@@ -27,17 +28,18 @@ def model_for_pictures(design: SensorDesign, cells: CellKind | None = None) -> F
     kind = cells or natural_cells(design)
     shorter = min(design.outline.length, design.outline.width)
     smallest = min(min(e.width, e.height or e.width) for e in design.electrodes)
-    if kind == "tetrahedra":
-        coarsest = shorter / 16.0
-        grading = Grading(min(smallest / 6.0, coarsest), coarsest, 0.3)
-        return ForwardModel(design, ((1,), grading), cells=kind)
     # Edges of electrodes at some height ask for many layers of cells.
     flat = all(e.on == "side" and e.height is None for e in design.electrodes)
-    coarsest = shorter / (24.0 if not flat else 50.0 if kind == "hexahedra" else 32.0)
+    if kind == "tetrahedra":
+        parts, per_electrode, growth = 16.0, 6.0, 0.3
+    elif flat:
+        parts, per_electrode, growth = (50.0 if kind == "hexahedra" else 32.0), 16.0, 0.5
+    else:
+        parts, per_electrode, growth = 24.0, 8.0, 0.8
+    coarsest = shorter / parts
     layers = max(1, math.ceil(design.thickness / (4.0 * coarsest)))
-    finest, growth = (smallest / 16.0, 0.5) if flat else (smallest / 8.0, 0.8)
-    grading = Grading(min(finest, coarsest), coarsest, growth, layers)
-    return ForwardModel(design, ((1, 1), grading), cells=kind)
+    grading = Grading(min(smallest / per_electrode, coarsest), coarsest, growth, layers)
+    return ForwardModel(design, ((1,) if kind == "tetrahedra" else (1, 1), grading), cells=kind)
 
 
 def draw_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -62,22 +64,26 @@ def draw_drive(
     Raises ConfigurationError for electrodes that do not exist.
     """
     Protocol(((*drive, *drive),), len(model.design.electrodes))
-    cells = mesh or model.mesh
-    density = np.real(model.current_density(drive))
+    cells, (plus, minus) = mesh or model.mesh, drive
+    fields = model.fields()
+    potential, density = (
+        np.real(each[..., plus] - each[..., minus])
+        for each in (fields.potentials, fields.current_densities)
+    )
     panels = [
         _sensor(cells),
         _cells(cells),
-        _potential(model, drive),
+        _potential(model.mesh, potential, drive),
         _lines(model.mesh, density, drive),
-        _cells_at(cells, drive[0]),
-        _density_at(model.mesh, density, drive[0]),
+        _cells_at(cells, plus),
+        _density_at(model.mesh, density, plus),
     ]
     render(panels, path, columns=2)
 
 
 def _sensor(mesh: Mesh) -> Panel:
     def draw(plotter: Any) -> None:
-        shapes.add_body(plotter, mesh, opacity=0.5)
+        shapes.add_solid(plotter, shapes.outside(shapes.volume(mesh)), shapes.GEL, 0.5)
         shapes.add_electrodes(plotter, mesh)
         shapes.add_numbers(plotter, mesh, range(len(mesh.electrode_facets)))
 
@@ -85,32 +91,40 @@ def _sensor(mesh: Mesh) -> Panel:
 
 
 def _cells(mesh: Mesh) -> Panel:
-    kind = {8: "hexahedra", 6: "prisms", 4: "tetrahedra"}[mesh.cells.shape[1]]
-    title = f"{len(mesh.cells)} {kind}, {len(mesh.points)} points"
-    return Panel(title, mesh.points, lambda plotter: shapes.add_cells(plotter, mesh, 0.7))
+    title = f"{len(mesh.cells)} {_KINDS[mesh.cells.shape[1]]}, {len(mesh.points)} points"
+    return Panel(title, mesh.points, lambda plotter: _add_cells(plotter, mesh, 0.7))
 
 
 def _cells_at(mesh: Mesh, electrode: int) -> Panel:
     """Panel of the cells around an electrode; those above one inside are taken off."""
-    height = shapes.height_inside(mesh, electrode)
+    height = height_inside(mesh, electrode)
     title = f"cells at electrode {electrode}"
     return Panel(
         title if height is None else f"{title}, those above it taken off",
         _around(mesh, electrode),
-        lambda plotter: shapes.add_cells(plotter, mesh, 1.2, height),
+        lambda plotter: _add_cells(plotter, mesh, 1.2, height),
         direction=in_front(mesh, electrode),
     )
 
 
-def _potential(model: ForwardModel, drive: tuple[int, int]) -> Panel:
-    plus, minus = drive
-    each = np.real(model.potentials())
-    potential = each[:, plus] - each[:, minus]
-    potential -= 0.5 * (potential.min() + potential.max())
-    reach = float(np.abs(potential).max())
+def _add_cells(plotter: Any, mesh: Mesh, line: float, below: float | None = None) -> None:
+    """Add cells, all or those below a height [m], and electrodes, with edges `line` pixels wide."""
+    edges: dict[str, Any] = {"show_edges": True, "edge_color": shapes.EDGE, "line_width": line}
+    cells = shapes.volume(mesh)
+    if below is not None:
+        cells = cells.extract_cells(cells.cell_centers().points[:, 2] < below)
+    plotter.add_mesh(shapes.outside(cells), color=shapes.GEL, **edges, **MATT)
+    shapes.add_electrodes(plotter, mesh, **edges)
+
+
+def _potential(mesh: Mesh, potential: Array, drive: tuple[int, int]) -> Panel:
+    potential = potential - 0.5 * (potential.min() + potential.max())
+    reach = float(potential.max())
 
     def draw(plotter: Any) -> None:
-        surface = shapes.surface(model.mesh, potential=potential)
+        cells = shapes.volume(mesh)
+        cells["potential"] = potential
+        surface = shapes.outside(cells)
         plotter.add_mesh(
             surface,
             scalars="potential",
@@ -121,29 +135,21 @@ def _potential(model: ForwardModel, drive: tuple[int, int]) -> Panel:
         )
         levels = np.linspace(-reach, reach, _CONTOURS + 2)[1:-1]
         contours = surface.contour(levels, scalars="potential")
-        contours = shapes.towards(DIRECTION, contours, model.mesh)
-        plotter.add_mesh(contours, color="#333333", line_width=1.0, opacity=0.7)
-        shapes.add_electrodes(plotter, model.mesh, drive)
-        shapes.add_numbers(plotter, model.mesh, drive)
+        shapes.add_lines(plotter, contours, mesh, color="#333333", opacity=0.7)
+        shapes.add_electrodes(plotter, mesh, drive)
+        shapes.add_numbers(plotter, mesh, drive)
 
-    title = f"potential, driven from {plus} to {minus}"
-    return Panel(title, model.mesh.points, draw, legend=True)
+    title = f"potential, driven from {drive[0]} to {drive[1]}"
+    return Panel(title, mesh.points, draw, legend=True)
 
 
 def _lines(mesh: Mesh, density: Array, drive: tuple[int, int]) -> Panel:
     def draw(plotter: Any) -> None:
-        shapes.add_body(plotter, mesh, opacity=0.25)
+        shapes.add_solid(plotter, shapes.outside(shapes.volume(mesh)), shapes.GEL, 0.25)
         lines = shapes.lines_of_current(mesh, density, drive[0], _LINES)
         low, high = np.percentile(lines["magnitude"], [10.0, 98.0])
-        plotter.add_mesh(
-            lines,
-            line_width=2.5,
-            scalars="magnitude",
-            cmap="viridis_r",
-            log_scale=True,
-            clim=(max(float(low), 0.01 * float(high)), float(high)),
-            scalar_bar_args=colour_scale("current density [A/m2 per A]", fmt="%.2g"),
-        )
+        limits = max(float(low), 0.01 * float(high)), float(high)
+        _add_magnitude(plotter, lines, limits, "current density [A/m2 per A]", line_width=2.5)
         shapes.add_electrodes(plotter, mesh, drive)
         shapes.add_numbers(plotter, mesh, drive)
 
@@ -159,19 +165,24 @@ def _density_at(mesh: Mesh, density: Array, electrode: int) -> Panel:
         cells.cell_data["magnitude"] = np.linalg.norm(density, axis=1)
         away = np.linalg.norm(cells.cell_centers().points - around.mean(axis=0), axis=1)
         near = cells["magnitude"][away < 0.6 * np.linalg.norm(np.ptp(around, axis=0))]
-        plotter.add_mesh(
-            cells.extract_surface(algorithm="dataset_surface"),
-            scalars="magnitude",
-            cmap="viridis_r",
-            log_scale=True,
-            clim=(float(np.percentile(near, 5.0)), float(near.max())),
-            scalar_bar_args=colour_scale("mean current density in cells [A/m2 per A]", fmt="%.2g"),
-            **TRUE,
-        )
-        shapes.add_rim(plotter, mesh, electrode, eye)
+        limits = float(np.percentile(near, 5.0)), float(near.max())
+        title = "mean current density in cells [A/m2 per A]"
+        _add_magnitude(plotter, shapes.outside(cells), limits, title, **TRUE)
+        plate = shapes.electrode_plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
+        rim = plate.extract_feature_edges(feature_edges=False, manifold_edges=False)
+        shapes.add_lines(plotter, rim, mesh, eye, color=shapes.PLUS, line_width=3.0)
 
     title = f"current density at electrode {electrode}"
     return Panel(title, around, draw, legend=True, direction=eye)
+
+
+def _add_magnitude(
+    plotter: Any, body: Any, limits: tuple[float, float], title: str, **style: Any
+) -> None:
+    """Add a body coloured by its "magnitude", on a logarithmic scale."""
+    scale = colour_scale(title, fmt="%.2g")
+    colours = {"cmap": "viridis_r", "log_scale": True, "clim": limits, "scalar_bar_args": scale}
+    plotter.add_mesh(body, scalars="magnitude", **colours, **style)
 
 
 def _around(mesh: Mesh, electrode: int) -> Array:
@@ -183,15 +194,22 @@ def _around(mesh: Mesh, electrode: int) -> Array:
     return np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)
 
 
+def height_inside(mesh: Mesh, electrode: int) -> float | None:
+    """Height of an electrode that lies level inside the body [m]; None for all others."""
+    heights = shapes.electrode_corners(mesh, electrode)[0][..., 2]
+    low, high = mesh.points[:, 2].min(), mesh.points[:, 2].max()
+    edge = 1e-6 * (high - low)
+    inside = np.ptp(heights) < edge and low + edge < heights.mean() < high - edge
+    return float(heights.mean()) if inside else None
+
+
 def in_front(mesh: Mesh, electrode: int) -> Array:
     """Direction to the viewer, in front of an electrode, never straight above or below.
 
     Below the body for an electrode at its bottom.
     """
     _, normal = shapes.electrode_corners(mesh, electrode)
-    right = np.cross([0.0, 0.0, 1.0], normal)
-    eye: Array = normal + 0.3 * right + [0.0, 0.0, 0.7]
+    eye: Array = normal + 0.3 * np.cross([0.0, 0.0, 1.0], normal) + [0.0, 0.0, 0.7]
     if np.linalg.norm(eye[:2]) < 0.3:
-        above_or_below: Array = DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]
-        return above_or_below
+        eye = DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]
     return eye / np.linalg.norm(eye)

@@ -3,14 +3,15 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.deformation.kinematics import Deformation, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import mesh_design, natural_cells
@@ -26,7 +27,6 @@ Colour = Literal["conductance", "strain", "current"]
 
 # Cells along the longer side of the drawn mesh: finer than a dent where cells are cheap.
 CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
-_ORDER: dict[str, tuple[int, ...]] = {"hexahedra": (1, 1), "prisms": (1, 1), "tetrahedra": (1,)}
 _SMALLEST_RANGE = 0.01  # of the colours, so that rounding does not look like a deformation
 _ROUND = (1.0, 1.2, 1.6, 2.0, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0)
 _NET = 30.0  # lines of the flat body across its longer side
@@ -43,20 +43,6 @@ def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
         return np.zeros(len(points))
     change: Array = conductivity(points)[:, 0, 0] / sim.design.conductivity_at(points) - 1.0
     return change
-
-
-def largest_strain(deformation: Deformation | None, points: Array) -> Array:
-    """Largest principal logarithmic strain at `points` (n, 3) [m] of the flat sensor, (n,).
-
-    The logarithm of the largest principal stretch (Hencky 1928) is positive wherever an
-    incompressible body deforms, because at least one fibre is stretched.
-    """
-    if deformation is None:
-        return np.zeros(len(points))
-    F = deformation.gradient(points)
-    squares = np.linalg.eigvalsh(np.swapaxes(F, -1, -2) @ F)
-    strain: Array = 0.5 * np.log(squares[:, -1])
-    return strain
 
 
 def deformed_current_density(
@@ -129,59 +115,54 @@ def draw_scenes(
         raise ConfigurationError(f"colour must be one of {get_args(Colour)}, got {colour!r}")
     if drive is not None:
         Protocol(((*drive, *drive),), len(sim.design.electrodes))
-    order, grading, model = _ORDER[natural_cells(sim.design)], _grading(sim), None
-    if colour == "current":
-        model = ForwardModel(sim.design, (order, grading))
+    kind = natural_cells(sim.design)
+    size = max(sim.design.outline.length, sim.design.outline.width) / CELLS[kind]
+    layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
+    grading, order = Grading(size, size, 1.0, layers), (1,) if kind == "tetrahedra" else (1, 1)
+    model = ForwardModel(sim.design, (order, grading)) if colour == "current" else None
     flat = model.mesh if model else mesh_design(sim.design, grading)
-    shown = [_drawing(sim, scene, flat, colour, model, drive) for _, scene in scenes]
-    seen = np.concatenate([part.points for one in shown for part in (one.body, *one.indenters)])
-    scale = _scale(colour, [one.values for one in shown])
+    drawings = []
+    for title, scene in scenes:
+        pair = (drive or most_changed(sim, scene)) if model else ()
+        values = _values(sim, scene, flat, colour, model, pair)
+        driven = f", driven from {pair[0]} to {pair[1]}" if pair else ""
+        body = _deformed_grid(flat, sim.deformation(scene))
+        drawings.append((title + driven, body, values, indenter_surfaces(sim, scene), pair))
+    shown = [each.points for _, body, _, tools, _ in drawings for each in (body, *tools)]
+    points = np.concatenate(shown)
+    scale = _scale(colour, np.concatenate([values for _, _, values, _, _ in drawings]))
     panels = []
-    for number, ((title, _), one) in enumerate(zip(scenes, shown, strict=True)):
-        last = number == len(shown) - 1
-        driven = f", driven from {one.drive[0]} to {one.drive[1]}" if one.drive else ""
-        panels.append(Panel(title + driven, seen, _painter(flat, one, scale, last), legend=last))
+    for number, (title, body, values, tools, pair) in enumerate(drawings, 1):
+        last = number == len(drawings)
+        draw = partial(
+            _draw_body, scale | {"show_scalar_bar": last}, flat, body, values, tools, pair
+        )
+        panels.append(Panel(title, points, draw, legend=last))
     render(panels, path)
 
 
-class _Drawing(NamedTuple):
-    """Drawing of one scene: deformed gel, values at its points, indenters and drive pair."""
-
-    body: Mesh
-    values: Array
-    indenters: list[Any]
-    drive: tuple[int, ...]
-
-
-def _drawing(
+def _values(
     sim: Simulator,
     scene: Scene,
     flat: Mesh,
     colour: Colour,
     model: ForwardModel | None,
-    drive: tuple[int, int] | None,
-) -> _Drawing:
-    deformation = sim.deformation(scene)
-    body, indenters = _moved(flat, deformation), indenter_surfaces(sim, scene)
+    drive: tuple[int, ...],
+) -> Array:
+    """Values at the points of the flat mesh, (points,), that are drawn in colours."""
     if model is not None:
-        pair = drive or most_changed(sim, scene)
+        plus, minus = drive
         fields = sim.conductivity(scene), sim.area_ratio(scene)
-        density = deformed_current_density(model, deformation, pair, *fields)
-        values = shapes.at_points(flat, 1e-3 * np.linalg.norm(density, axis=1))  # of 1 mA
-        return _Drawing(body, values, indenters, pair)
+        density = deformed_current_density(model, sim.deformation(scene), (plus, minus), *fields)
+        cells = shapes.volume(flat)
+        cells.cell_data["values"] = 1e-3 * np.linalg.norm(density, axis=1)  # of 1 mA
+        return np.array(cells.cell_data_to_point_data()["values"], dtype=float)
     if colour == "strain":
-        return _Drawing(body, largest_strain(deformation, flat.points), indenters, ())
-    return _Drawing(body, 100.0 * conductance_change(sim, scene, flat.points), indenters, ())
+        return largest_strain(sim.deformation(scene), flat.points)
+    return 100.0 * conductance_change(sim, scene, flat.points)
 
 
-def _grading(sim: Simulator) -> Grading:
-    outline, kind = sim.design.outline, natural_cells(sim.design)
-    size = max(outline.length, outline.width) / CELLS[kind]
-    layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
-    return Grading(size, size, 1.0, layers)
-
-
-def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
+def _deformed_grid(mesh: Mesh, deformation: Deformation | None) -> Mesh:
     if deformation is None:
         return mesh
     corners = deformation.positions(mesh.contacts.corners)
@@ -206,23 +187,28 @@ def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
     return bodies
 
 
-def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
+def _scale(colour: Colour, values: Array) -> dict[str, Any]:
     """Colour scale of all scenes, as arguments of pyvista's add_mesh."""
-    everything = np.concatenate(values)
+    reach = float(np.abs(values).max())
     if colour == "current":
-        low, high = (float(value) for value in np.percentile(everything, [5.0, 99.9]))
-        bar = colour_scale("current density for 1 mA [A/m2]", fmt="%.2g")
-        clim = (max(low, 1e-3 * high), high)
-        colours = {"cmap": "viridis_r", "clim": clim, "log_scale": True}
-        # Colours of the current hardly show the dents, which need shading.
-        return {**colours, **MATT, "scalar_bar_args": bar}
-    smallest = _SMALLEST_RANGE * (100.0 if colour == "conductance" else 1.0)
-    reach = round_number(max(float(np.abs(everything).max()), smallest))
-    if colour == "strain":
-        bar = colour_scale("largest principal strain, logarithmic [-]", fmt="%.3g")
-        return {"cmap": "YlGnBu", "clim": (0.0, reach), **TRUE, "scalar_bar_args": bar}
-    bar = colour_scale("change of conductance along x [%]", fmt="%.3g")
-    return {"cmap": "RdBu", "clim": (-reach, reach), **TRUE, "scalar_bar_args": bar}
+        low, high = (float(value) for value in np.percentile(values, [5.0, 99.9]))
+        title, cmap, clim = (
+            "current density for 1 mA [A/m2]",
+            "viridis_r",
+            (max(low, 1e-3 * high), high),
+        )
+    elif colour == "strain":
+        title, cmap = "largest principal strain, logarithmic [-]", "YlGnBu"
+        clim = (0.0, round_number(max(reach, _SMALLEST_RANGE)))
+    else:
+        title, cmap = "change of conductance along x [%]", "RdBu"
+        reach = round_number(max(reach, 100.0 * _SMALLEST_RANGE))
+        clim = (-reach, reach)
+    current = colour == "current"
+    bar = colour_scale(title, fmt="%.2g" if current else "%.3g")
+    # Colours of the current hardly show the dents, which need shading.
+    light = MATT if current else TRUE
+    return {"cmap": cmap, "clim": clim, "log_scale": current, "scalar_bar_args": bar, **light}
 
 
 def round_number(value: float) -> float:
@@ -231,23 +217,27 @@ def round_number(value: float) -> float:
     return power * next(step for step in _ROUND if value <= step * power * (1.0 + 1e-9))
 
 
-def _painter(flat: Mesh, shown: _Drawing, scale: dict[str, Any], bar: bool) -> Any:
-    def paint(plotter: Any) -> None:
-        surface = shapes.surface(shown.body, values=shown.values, flat=flat.points)
-        plotter.add_mesh(
-            surface,
-            scalars="values",
-            smooth_shading=True,
-            split_sharp_edges=True,
-            show_scalar_bar=bar,
-            **scale,
-        )
-        shapes.add_net(
-            plotter, surface, flat, round_number(np.ptp(flat.points, axis=0).max() / _NET)
-        )
-        shapes.add_electrodes(plotter, shown.body, shown.drive)
-        shapes.add_numbers(plotter, shown.body, range(len(shown.body.electrode_facets)))
-        for indenter in shown.indenters:
-            shapes.add_indenter(plotter, indenter)
-
-    return paint
+def _draw_body(
+    scale: dict[str, Any],
+    flat: Mesh,
+    body: Mesh,
+    values: Array,
+    indenters: Sequence[Any],
+    drive: tuple[int, ...],
+    plotter: Any,
+) -> None:
+    """Add the deformed body in its colours, a net of equal x and y, electrodes and indenters."""
+    cells = shapes.volume(body)
+    cells["values"], cells["flat"] = values, flat.points
+    surface = shapes.outside(cells)
+    smooth = {"smooth_shading": True, "split_sharp_edges": True}
+    plotter.add_mesh(surface, scalars="values", **smooth, **scale)
+    spacing = round_number(np.ptp(flat.points, axis=0).max() / _NET)
+    for position in surface["flat"][:, :2].T:
+        levels = np.arange(position.min() + spacing, position.max() - 0.01 * spacing, spacing)
+        lines = surface.contour(levels, scalars=position)
+        shapes.add_lines(plotter, lines, flat, color=shapes.EDGE, opacity=0.6)
+    shapes.add_electrodes(plotter, body, drive)
+    shapes.add_numbers(plotter, body, range(len(body.electrode_facets)))
+    for indenter in indenters:
+        shapes.add_solid(plotter, indenter, shapes.GLASS, 0.25, angle=20.0)

@@ -20,32 +20,26 @@ PLUS, MINUS = "#c0392b", "#2c5fa8"
 _VTK_TYPES = {8: 12, 6: 13, 4: 10}  # hexahedron, wedge, tetrahedron
 _LIFT = 3e-4  # of plates and lines off the surface, relative to the diagonal: else both flicker
 _AWAY = 0.045  # of numbers off their electrodes, relative to the diagonal
-_RADII, _AZIMUTHS = 49, 73  # points of an indenter's grid
+_RADII, _AZIMUTHS = 49, 72  # points of an indenter's profile, and copies of it around the axis
 _DRAWN = 1.2  # height of the drawn part of an indenter, relative to its radius
 
 
 def volume(mesh: Mesh) -> Any:
     """Unstructured grid of a mesh's cells."""
-    pv = require("pyvista", "view")
-    corners = mesh.cells.shape[1]
-    cells = np.column_stack([np.full(len(mesh.cells), corners), mesh.cells])
-    types = np.full(len(cells), _VTK_TYPES[corners], dtype=np.uint8)
-    return pv.UnstructuredGrid(cells.ravel(), types, mesh.points)
+    cells = {_VTK_TYPES[mesh.cells.shape[1]]: mesh.cells}
+    return require("pyvista", "view").UnstructuredGrid(cells, mesh.points)
 
 
-def surface(mesh: Mesh, **point_values: Array) -> Any:
-    """Boundary surface of a mesh, with named values (points, ...) at its points."""
-    cells = volume(mesh)
-    for name, values in point_values.items():
-        cells[name] = values
+def outside(cells: Any) -> Any:
+    """Boundary surface of a grid of cells."""
     return cells.extract_surface(algorithm="dataset_surface")
 
 
-def at_points(mesh: Mesh, values: Array) -> Array:
-    """Values (points,) from values of cells (cells,): the mean of the cells around each point."""
-    points, corners = mesh.cells.ravel(), mesh.cells.shape[1]
-    sums = np.bincount(points, np.repeat(values, corners), len(mesh.points))
-    return sums / np.bincount(points, minlength=len(mesh.points))
+def polygons(corners: Array) -> Any:
+    """Surface of polygons (n, k, 3) [m]."""
+    points = corners.reshape(-1, 3)
+    faces = np.arange(len(points)).reshape(corners.shape[:2])
+    return require("pyvista", "view").PolyData.from_regular_faces(points, faces)
 
 
 def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
@@ -56,22 +50,19 @@ def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
         tip: position of the lowest point, (3,) [m].
         turned: rotation from the upright indenter, (3, 3).
     """
-    pv = require("pyvista", "view")
     rim = indenter.rims[1]
     r = np.linspace(0.0, rim, _RADII)
     height = indenter.profile(r)[0]
     r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN * rim))
-    azimuth = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS)
-    upright = np.stack(
-        [
-            np.outer(r, np.cos(azimuth)),
-            np.outer(r, np.sin(azimuth)),
-            np.outer(height, np.ones_like(azimuth)),
-        ],
+    azimuth = 2.0 * np.pi / _AZIMUTHS * np.arange(_AZIMUTHS + 1)
+    rings = np.stack(
+        np.broadcast_arrays(
+            np.outer(r, np.cos(azimuth)), np.outer(r, np.sin(azimuth)), height[:, None]
+        ),
         axis=-1,
     )
-    x, y, z = np.moveaxis(upright @ turned.T + tip, -1, 0)[..., None]
-    net = pv.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface")
+    x, y, z = np.moveaxis(rings @ turned.T + tip, -1, 0)[..., None]
+    net = outside(require("pyvista", "view").StructuredGrid(x, y, z))
     return net.clean(tolerance=1e-6)  # joins the ends of every ring
 
 
@@ -92,14 +83,6 @@ def electrode_plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
     return polygons(corners + lift * diagonal(mesh) * _unit(area_vectors(corners))[:, None])
 
 
-def polygons(corners: Array) -> Any:
-    """Surface of polygons (n, k, 3) [m]."""
-    count, sides = corners.shape[:2]
-    numbers = np.arange(count * sides).reshape(count, sides)
-    faces = np.column_stack([np.full(count, sides), numbers])
-    return require("pyvista", "view").PolyData(corners.reshape(-1, 3), faces.ravel())
-
-
 def _unit(vectors: Array) -> Array:
     """Vectors (..., 3) of length one."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -107,60 +90,20 @@ def _unit(vectors: Array) -> Array:
     return unit
 
 
-def height_inside(mesh: Mesh, electrode: int) -> float | None:
-    """Height of an electrode that lies level inside the body [m]; None for all others."""
-    heights = electrode_corners(mesh, electrode)[0][..., 2]
-    low, high = mesh.points[:, 2].min(), mesh.points[:, 2].max()
-    edge = 1e-6 * (high - low)
-    inside = np.ptp(heights) < edge and low + edge < heights.mean() < high - edge
-    return float(heights.mean()) if inside else None
-
-
-def add_cells(plotter: Any, mesh: Mesh, line: float, below: float | None = None) -> None:
-    """Add the cells' surface, with edges `line` pixels wide, and the electrodes.
-
-    All cells, or those below a height [m].
-    """
-    edges = {"show_edges": True, "edge_color": EDGE, "line_width": line}
-    drawn = surface(mesh)
-    if below is not None:
-        cells = volume(mesh)
-        low = np.flatnonzero(cells.cell_centers().points[:, 2] < below)
-        drawn = cells.extract_cells(low).extract_surface(algorithm="dataset_surface")
-    plotter.add_mesh(drawn, color=GEL, **edges, **MATT)
-    for electrode in range(len(mesh.electrode_facets)):
-        plotter.add_mesh(electrode_plate(mesh, electrode), color=METAL, **edges, **MATT)
-
-
-def add_body(plotter: Any, mesh: Mesh, opacity: float) -> None:
-    """Add the body, translucent, with its sharp edges."""
-    body = surface(mesh)
-    plotter.add_mesh(body, color=GEL, opacity=opacity, **MATT)
-    edges = body.extract_feature_edges(feature_angle=40.0)
+def add_solid(plotter: Any, body: Any, color: str, opacity: float, angle: float = 40.0) -> None:
+    """Add a translucent surface, with its edges that are sharper than an angle [degree]."""
+    plotter.add_mesh(body, color=color, opacity=opacity, smooth_shading=angle < 40.0, **MATT)
+    edges = body.extract_feature_edges(feature_angle=angle)
     if edges.n_cells:
         plotter.add_mesh(edges, color=EDGE, line_width=1.5)
 
 
-def add_net(plotter: Any, surface: Any, mesh: Mesh, spacing: float) -> None:
-    """Add lines of equal x and y of the flat body, `spacing` [m] apart, on the deformed surface.
-
-    The surface holds the flat positions of its points as `flat`.
-    """
-    for axis in (0, 1):
-        low, high = surface["flat"][:, axis].min(), surface["flat"][:, axis].max()
-        levels = np.arange(low + spacing, high - 0.01 * spacing, spacing)
-        lines = surface.contour(levels, scalars=surface["flat"][:, axis])
-        if lines.n_cells:
-            lines = towards(DIRECTION, lines, mesh)
-            plotter.add_mesh(lines, color=EDGE, line_width=1.0, opacity=0.6)
-
-
-def add_electrodes(plotter: Any, mesh: Mesh, drive: tuple[int, ...] = ()) -> None:
+def add_electrodes(plotter: Any, mesh: Mesh, drive: Sequence[int] = (), **style: Any) -> None:
     """Add the electrodes, with a drive pair in red and blue."""
     colours = dict(zip(drive, (PLUS, MINUS), strict=False))
     for electrode in range(len(mesh.electrode_facets)):
         colour = colours.get(electrode, METAL)
-        plotter.add_mesh(electrode_plate(mesh, electrode), color=colour, **MATT)
+        plotter.add_mesh(electrode_plate(mesh, electrode), color=colour, **style, **MATT)
 
 
 def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
@@ -183,24 +126,11 @@ def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
     )
 
 
-def add_indenter(plotter: Any, body: Any) -> None:
-    """Add an indenter, translucent, with its sharp edges."""
-    plotter.add_mesh(body, color=GLASS, opacity=0.25, smooth_shading=True, **MATT)
-    edges = body.extract_feature_edges(feature_angle=20.0)
-    if edges.n_cells:
-        plotter.add_mesh(edges, color=EDGE, line_width=1.5)
-
-
-def add_rim(plotter: Any, mesh: Mesh, electrode: int, direction: Array) -> None:
-    """Add the edge of an electrode, for a viewer in `direction`."""
-    whole = electrode_plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
-    rim = whole.extract_feature_edges(feature_edges=False, manifold_edges=False)
-    plotter.add_mesh(towards(direction, rim, mesh), color=PLUS, line_width=3.0)
-
-
-def towards(direction: Array, lines: Any, mesh: Mesh) -> Any:
-    """Lines on the surface moved towards a viewer in `direction`, in place on the screen."""
-    return lines.translate(5.0 * _LIFT * diagonal(mesh) * direction, inplace=False)
+def add_lines(plotter: Any, lines: Any, mesh: Mesh, eye: Array = DIRECTION, **style: Any) -> None:
+    """Add lines on the surface, moved towards a viewer in the direction `eye`, if there are any."""
+    if lines.n_cells:
+        lines = lines.translate(5.0 * _LIFT * diagonal(mesh) * eye, inplace=False)
+        plotter.add_mesh(lines, **{"line_width": 1.0, **style})
 
 
 def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
@@ -224,7 +154,6 @@ def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
 
 def _seeds(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
     """Seed points just inside an electrode, distributed by the current through each piece."""
-    pv = require("pyvista", "view")
     contacts = mesh.contacts
     mine = np.flatnonzero(contacts.electrode == plus)
     cells = contacts.cell[mine]
@@ -234,13 +163,12 @@ def _seeds(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
     chosen = np.searchsorted(np.cumsum(share) / share.sum(), steps)
     corners = contacts.corners[mine[chosen]]
     # Roberts' R2 sequence spreads evenly over a square and, folded, over a triangle.
-    a, b = (np.arange(count)[:, None] * [0.7548776662, 0.5698402910] % 1.0).T
+    shares = np.arange(count)[:, None] * [0.7548776662, 0.5698402910] % 1.0
     if corners.shape[1] == 3:
-        outside = a + b > 1.0
-        a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
+        shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
     sides = corners[:, [1, -1]] - corners[:, :1]
-    places = corners[:, 0] + a[:, None] * sides[:, 0] + b[:, None] * sides[:, 1]
     into = 0.3 * inward[chosen]
     if not len(contacts.facets[plus]):
         into[::2] *= -1.0  # a sheet inside the body conducts to both sides of it
-    return pv.PolyData(places + into)
+    places = corners[:, 0] + (shares[..., None] * sides).sum(axis=1) + into
+    return require("pyvista", "view").PolyData(places)

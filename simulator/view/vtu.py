@@ -9,21 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.extras import require
 from eitskin.files import atomic_file
-from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.deformation.kinematics import Deformation, largest_strain
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh_design import natural_cells
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
-from eitskin.simulator.electrical.forward_model import Fields
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 from eitskin.simulator.view import shapes
-from eitskin.simulator.view.scene_pictures import largest_strain
 
 Array = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
 Drive = tuple[int, int]
 
 BODY, ELECTRODES = "body.vtu", "electrodes.vtp"
@@ -60,7 +55,7 @@ def scene_grids(
     relative to the mean of the electrode potentials; the real part stands for complex values.
 
     body.vtu, at points: `displacement_m`; `largest_strain_1`, logarithmic, see
-    `view.largest_strain`; `thinning_1`, see `thinning`; `potential_A_B_V_per_A`. In cells:
+    `kinematics.largest_strain`; `thinning_1`, see `thinning`; `potential_A_B_V_per_A`. In cells:
     `conductivity_S_per_m`, F K F^T / J of the deformed body, and
     `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body of the solution, both
     (3, 3) row by row; `current_density_A_B_A_per_m2_per_A`, the mean.
@@ -79,16 +74,31 @@ def scene_grids(
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError for
     electrodes that do not exist.
     """
-    require("pyvista", "view")
     pairs = _pairs(sim, drives)
-    setting, mesh = sim.deformed_layer(scene), sim.model.mesh
-    deformation = setting.deformation
-    fields = sim.model.fields(sim.conductivity(scene), sim.area_ratio(scene))
-    body = shapes.volume(dataclasses.replace(mesh, points=_placed(deformation, mesh.points)))
-    body.point_data.update(_point_fields(sim, deformation, fields, pairs))
-    body.cell_data.update(_cell_fields(sim, setting, fields, pairs))
-    electrodes = shapes.polygons(_placed(deformation, mesh.contacts.corners))
-    electrodes.cell_data.update(_electrode_fields(sim, fields, pairs))
+    layer, mesh, model = sim.deformed_layer(scene), sim.model.mesh, sim.model
+    deformation, electrode = layer.deformation, mesh.contacts.electrode
+    fields = model.fields(sim.conductivity(scene), sim.area_ratio(scene))
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    points, corners, F = mesh.points, mesh.contacts.corners, np.broadcast_to(np.eye(3), (1, 3, 3))
+    if deformation is not None:
+        points, corners = deformation.positions(points), deformation.positions(corners)
+        F = deformation.gradient(middles)
+    forward, pulled_back = F / np.linalg.det(F)[:, None, None], layer.conductivity(middles)
+    spatial = forward @ pulled_back @ np.swapaxes(F, -1, -2)
+    body = shapes.volume(dataclasses.replace(mesh, points=points))
+    body["displacement_m"] = points - mesh.points
+    body["largest_strain_1"] = largest_strain(deformation, mesh.points)
+    body["thinning_1"] = thinning(sim, deformation, mesh.points)
+    body.point_data.update(_of_drives("potential_{}_{}_V_per_A", fields.potentials, pairs))
+    body["conductivity_S_per_m"] = spatial.reshape(-1, 9)
+    body["pulled_back_conductivity_S_per_m"] = pulled_back.reshape(-1, 9)
+    densities, name = forward @ fields.current_densities, "current_density_{}_{}_A_per_m2_per_A"
+    body.cell_data.update(_of_drives(name, densities, pairs))
+    electrodes = shapes.polygons(corners)
+    electrodes["electrode"] = electrode
+    electrodes["contact_impedance_ohm_m2"] = np.real(model.contact_impedance)[electrode]
+    potentials = fields.electrode_potentials[electrode]
+    electrodes.cell_data.update(_of_drives("potential_{}_{}_V_per_A", potentials, pairs))
     return {BODY: body, ELECTRODES: electrodes}
 
 
@@ -125,53 +135,9 @@ def _pairs(sim: Simulator, drives: Sequence[Drive] | None) -> list[Drive]:
     return list(drives)
 
 
-def _placed(deformation: Deformation | None, points: Array) -> Array:
-    return points if deformation is None else deformation.positions(points)
-
-
-def _point_fields(
-    sim: Simulator, deformation: Deformation | None, fields: Fields, drives: Sequence[Drive]
-) -> Arrays:
-    flat = sim.model.mesh.points
-    return {
-        "displacement_m": _placed(deformation, flat) - flat,
-        "largest_strain_1": largest_strain(deformation, flat),
-        "thinning_1": thinning(sim, deformation, flat),
-        **_potentials(fields.potentials, drives),
-    }
-
-
-def _cell_fields(
-    sim: Simulator, setting: DeformedLayer, fields: Fields, drives: Sequence[Drive]
-) -> Arrays:
-    """Fields pushed forward into the deformed body, see `deformed_current_density`."""
-    mesh = sim.model.mesh
-    middles = mesh.points[mesh.cells].mean(axis=1)
-    pulled_back, F = setting.conductivity(middles), np.broadcast_to(np.eye(3), (len(middles), 3, 3))
-    if setting.deformation is not None:
-        F = setting.deformation.gradient(middles)
-    forward = F / np.linalg.det(F)[:, None, None]
-    spatial = forward @ pulled_back @ np.swapaxes(F, -1, -2)
-    densities = np.real(forward @ fields.current_densities)
-    return {
-        "conductivity_S_per_m": spatial.reshape(-1, 9),
-        "pulled_back_conductivity_S_per_m": pulled_back.reshape(-1, 9),
-        **{
-            f"current_density_{a}_{b}_A_per_m2_per_A": densities[..., a] - densities[..., b]
-            for a, b in drives
-        },
-    }
-
-
-def _electrode_fields(sim: Simulator, fields: Fields, drives: Sequence[Drive]) -> Arrays:
-    electrode = sim.model.mesh.contacts.electrode
-    return {
-        "electrode": electrode,
-        "contact_impedance_ohm_m2": np.real(sim.model.contact_impedance)[electrode],
-        **_potentials(fields.electrode_potentials[electrode], drives),
-    }
-
-
-def _potentials(values: NDArray[np.inexact], drives: Sequence[Drive]) -> Arrays:
+def _of_drives(
+    name: str, values: NDArray[np.inexact], drives: Sequence[Drive]
+) -> dict[str, NDArray[Any]]:
+    """Values for each drive from those of the electrodes, (..., electrodes), by their names."""
     real = np.real(values)
-    return {f"potential_{a}_{b}_V_per_A": real[:, a] - real[:, b] for a, b in drives}
+    return {name.format(a, b): real[..., a] - real[..., b] for a, b in drives}

@@ -12,6 +12,7 @@ from eitskin.simulator.view import shapes
 from eitskin.simulator.view.model_pictures import (
     draw_drive,
     draw_mesh,
+    height_inside,
     in_front,
     model_for_pictures,
 )
@@ -93,7 +94,7 @@ def test_electrodes_inside_and_below_are_looked_at_where_they_are() -> None:
     sheet = Electrode(0.020, 0.030, 0.008, on="inside", z=0.001)
     design = SensorDesign(Disc(0.020), 0.004, (*pads, sheet))
     mesh = mesh_design(design, Grading(2e-3, 8e-3, 1.0))
-    heights = [shapes.height_inside(mesh, electrode) for electrode in range(3)]
+    heights = [height_inside(mesh, electrode) for electrode in range(3)]
     assert heights == [None, None, pytest.approx(0.001)]
     assert [np.sign(in_front(mesh, electrode)[2]) for electrode in range(3)] == [1.0, -1.0, 1.0]
 

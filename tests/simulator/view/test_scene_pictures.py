@@ -10,7 +10,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.flexure import Roll, Twist
-from eitskin.geometry.deformation.kinematics import Displaced, pulled_back
+from eitskin.geometry.deformation.kinematics import Displaced, largest_strain, pulled_back
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.view import scene_pictures as view
@@ -20,7 +20,6 @@ from eitskin.simulator.view.scene_pictures import (
     deformed_current_density,
     draw_scenes,
     indenter_surfaces,
-    largest_strain,
     most_changed,
     round_number,
 )
@@ -136,13 +135,6 @@ def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> No
 
 
 # Drawing
-
-
-def test_values_of_cells_go_to_their_points() -> None:
-    mesh = ForwardModel(BAR, ((1, 1), Grading(2e-3, 2e-3, 1.0, 1))).mesh
-    x = mesh.points[mesh.cells].mean(axis=1)[:, 0]
-    inside = (mesh.points[:, 0] > 1e-9) & (mesh.points[:, 0] < LENGTH - 1e-9)
-    assert shapes.at_points(mesh, x)[inside] == pytest.approx(mesh.points[inside, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize("indenter", [Cylinder(), Sphere(0.006)])

@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry.deformation.kinematics import largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.simulator.view import shapes
-from eitskin.simulator.view.scene_pictures import deformed_current_density, largest_strain
+from eitskin.simulator.view.scene_pictures import deformed_current_density
 from eitskin.simulator.view.vtu import (
     BODY,
     ELECTRODES,
