@@ -20,7 +20,7 @@ from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
 from eitskin.geometry.deformation.flexure import Roll, Twist
-from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back
+from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back_entries
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
@@ -47,15 +47,12 @@ QUICK_FIXTURES = ("hinge", "smooth arc of 20 mm")
 
 
 @dataclass(frozen=True, slots=True)
-class _Moved:
+class _Moved(Deformation):
     """Rigid motion: a rotation and a shift."""
 
-    def positions(self, points: Array) -> Array:
-        moved: Array = points @ self._turn().T + np.array([0.3, -2.0, 0.01])
-        return moved
-
-    def gradient(self, points: Array) -> Array:
-        return np.broadcast_to(self._turn(), (*points.shape, 3))
+    def mapped(self, points: Array) -> tuple[Array, Array]:
+        moved = points @ self._turn().T + np.array([0.3, -2.0, 0.01])
+        return moved, np.broadcast_to(self._turn(), (*points.shape, 3))
 
     def _turn(self) -> Array:
         (c, s), (d, e) = ((math.cos(a), math.sin(a)) for a in (1.0, 2.0))
@@ -224,7 +221,8 @@ def _bounds(deformation: Deformation) -> tuple[float, float]:
     and Thomson's principles).
     """
     points, section = _places()
-    S = pulled_back(deformation.gradient(points))
+    entries = pulled_back_entries(deformation.gradient(points))
+    S = entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
     step = L / len(points)
     low = float((step / (S[..., 0, 0] @ section)).sum())
     fibres = np.linalg.inv(S)[..., 0, 0] @ section

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -19,7 +19,7 @@ _KEPT = 4  # sets of points whose images are kept: those of cells and contacts o
 _SAME = 1e-9  # [m]
 
 
-class ElectrodeShift(OnePass):
+class ElectrodeShift(Deformation):
     """Map of a rectangular layer onto itself that moves side electrodes and scales the thickness.
 
     Along each side the map is linear between the edges of electrodes, and blended linearly across

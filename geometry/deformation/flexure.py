@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import SensorDesign
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _NODES = 200
 
 
 @dataclass(frozen=True)
-class Flexure:
+class Flexure(Deformation):
     """Flexure whose mid-plane is a curve of curvature c(X) and stretch lambda_0(X).
 
     With X along the flat layer and Z the flat height above mid-layer, fibres stay on normals of
@@ -60,33 +60,22 @@ class Flexure:
         """Curvature c in the middle of the span: rotation per flat length [1/m]."""
         return self.angle / (self.span - self.transition)
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients; det F = 1 everywhere."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         along, down = self.centre_line(X)
         turn = self.curvature * self._profile(X)[2]
-        mu = self._lateral(X)[0]
-        depth = self._depth(X, Z)[1]
-        moved = np.empty_like(points)
-        moved[..., 0] = along + depth * np.sin(turn)
-        moved[..., 1] = mu * Y
-        moved[..., 2] = self.rise - down + depth * np.cos(turn)
-        return moved + self.centre
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
-        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
-        turn = self.curvature * self._profile(X)[2]
         mu, mu_slope = self._lateral(X)
-        stretch, _, depth_slope = self._depth(X, Z)
+        stretch, depth, depth_slope = self._depth(X, Z)
         cos, sin = np.cos(turn), np.sin(turn)
+        moved = np.stack([along + depth * sin, mu * Y, self.rise - down + depth * cos], axis=-1)
         F = np.zeros((*points.shape, 3))
         F[..., 0, 0] = stretch * cos + depth_slope * sin
         F[..., 2, 0] = -stretch * sin + depth_slope * cos
         F[..., 1, 0] = Y * mu_slope
         F[..., 1, 1] = mu
         F[..., 0, 2], F[..., 2, 2] = sin / (stretch * mu), cos / (stretch * mu)
-        return F
+        return moved + self.centre, F
 
     def centre_line(self, X: Array) -> tuple[Array, Array]:
         """Position of mid-layer along x, and depth below its highest point, at flat X [m]."""
@@ -176,7 +165,7 @@ class Twist:
 
 
 @dataclass(frozen=True, slots=True)
-class Twisted:
+class Twisted(Deformation):
     """Torsion without warping: each cross-section turns rigidly about x, in proportion to X.
 
     x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
@@ -190,23 +179,17 @@ class Twisted:
     centre: tuple[float, float, float]
     rate: float
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients; det F = 1 everywhere."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
-        return np.stack([X, cos * Y - sin * Z, sin * Y + cos * Z], axis=-1) + self.centre
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
-        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
-        cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
+        y, z = cos * Y - sin * Z, sin * Y + cos * Z
         F = np.zeros((*points.shape, 3))
         F[..., 0, 0] = 1.0
         F[..., 1, 1], F[..., 1, 2] = cos, -sin
         F[..., 2, 1], F[..., 2, 2] = sin, cos
-        F[..., 1, 0] = -self.rate * (sin * Y + cos * Z)
-        F[..., 2, 0] = self.rate * (cos * Y - sin * Z)
-        return F
+        F[..., 1, 0], F[..., 2, 0] = -self.rate * z, self.rate * y
+        return np.stack([X, y, z], axis=-1) + self.centre, F
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,18 +219,13 @@ class Roll:
 
 
 @dataclass(frozen=True, slots=True)
-class Rolled:
+class Rolled(Deformation):
     """Flexure with x and y exchanged."""
 
     flexure: Flexure
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
-        moved: Points = self.flexure.positions(points[..., [1, 0, 2]])[..., [1, 0, 2]]
-        return moved
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients; det F = 1 everywhere."""
         swap = [1, 0, 2]
-        F: Gradients = self.flexure.gradient(points[..., swap])[..., swap, :][..., swap]
-        return F
+        moved, F = self.flexure.mapped(points[..., swap])
+        return moved[..., swap], F[..., swap, :][..., swap]

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +13,17 @@ Points = NDArray[np.float64]
 Gradients = NDArray[np.float64]
 
 
-class Deformation(Protocol):
+class Deformation(ABC):
     """Map from points of the flat sensor to their deformed positions."""
-
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
-        ...
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient F = dx/dX, (..., 3, 3), at flat points [m], (..., 3)."""
-        ...
-
-
-class OnePass(ABC):
-    """Deformation whose positions and gradients cost little more than either alone."""
 
     __slots__ = ()
 
     @abstractmethod
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
-        """Positions [m], (..., 3), and deformation gradients, (..., 3, 3), of flat points [m]."""
+        """Deformed positions x [m], (..., 3), and gradients F = dx/dX, (..., 3, 3).
+
+        At flat points X [m], (..., 3).
+        """
 
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
@@ -44,34 +34,24 @@ class OnePass(ABC):
         return self.mapped(points)[1]
 
 
-def mapped(deformation: Deformation, points: Points) -> tuple[Points, Gradients]:
-    """Positions and deformation gradients; in one pass where the deformation has one."""
-    if isinstance(deformation, OnePass):
-        return deformation.mapped(points)
-    return deformation.positions(points), deformation.gradient(points)
-
-
 @dataclass(frozen=True, slots=True)
-class Composed:
+class Composed(Deformation):
     """Composition of two deformations; F = F_second(x_first) F_first."""
 
     first: Deformation
     second: Deformation
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3)."""
-        return self.second.positions(self.first.positions(points))
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3), by the chain rule."""
-        places, inner = mapped(self.first, points)
-        outer, inner = _entries(self.second.gradient(places)), _entries(inner)
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradient by the chain rule."""
+        places, inner = self.first.mapped(points)
+        positions, outer = self.second.mapped(places)
+        outer, inner = _entries(outer), _entries(inner)
         F = np.asarray(sum(outer[:, j, None] * inner[j] for j in range(3)))
-        return np.moveaxis(F, (0, 1), (-2, -1))
+        return positions, np.moveaxis(F, (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, slots=True)
-class Displaced:
+class Displaced(Deformation):
     """Deformation by a displacement field, given as a function of the flat points.
 
     Attributes:
@@ -84,15 +64,8 @@ class Displaced:
     derivative: Callable[[Points], Gradients] | None = None
     step: float = 1e-6
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3)."""
-        return points + self.displacement(points)
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3).
-
-        Raises ConfigurationError where the displacement turns the body inside out.
-        """
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradient; raises ConfigurationError where the body is inside out."""
         if self.derivative is not None:
             slope = self.derivative(points)
         else:
@@ -106,7 +79,7 @@ class Displaced:
                 "the displacement turns the body inside out or is not a number at "
                 f"{int((~(J > 0.0)).sum())} of {J.size} points; make it smaller or smoother"
             )
-        return F
+        return points + self.displacement(points), F
 
 
 def largest_strain(deformation: Deformation | None, points: Points) -> NDArray[np.float64]:
@@ -122,19 +95,14 @@ def largest_strain(deformation: Deformation | None, points: Points) -> NDArray[n
     return np.asarray(0.5 * np.log(squares[:, -1]))
 
 
-def pulled_back(gradients: Gradients) -> Gradients:
-    """Pull-back J F^-1 F^-T of a unit conductivity to the flat body, (..., 3, 3).
+def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
+    """Pull-back J F^-1 F^-T of a unit conductivity to the flat body, (..., 6).
 
-    Computed as adj(C) / J with C = F^T F, without an inverse. Source: Kohn et al. 2008
-    (change of variables in the conductivity equation).
+    Entries xx, yy, zz, xy, xz and yz, computed as adj(C) / J with C = F^T F, without an inverse.
+    Source: Kohn et al. 2008 (change of variables in the conductivity equation).
 
     Raises ConfigurationError where det F is not positive.
     """
-    return pulled_back_entries(gradients)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-
-
-def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
-    """Entries xx, yy, zz, xy, xz and yz of `pulled_back`, (..., 6)."""
     F, n = _entries(gradients), _cofactors(gradients)
     J = F[0, 0] * n[0, 0] + F[1, 0] * n[1, 0] + F[2, 0] * n[2, 0]
     negative = int((~(J > 0.0)).sum())

@@ -14,7 +14,7 @@ from skfem.models.poisson import mass
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp
-from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
@@ -70,7 +70,7 @@ class Slab:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentStack:
+class BentStack(Deformation):
     """Equilibrium of a clamped stack, a Deformation of gel and encapsulation.
 
     Attributes:
@@ -92,20 +92,14 @@ class BentStack:
     energy: float
     moment: float
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions, and gradients that jump between cells of the mesh, slightly."""
         place, sides, solved = self._quarter(points)
         turned = _turned(place, self._half_angle, self.offset)
         moved = np.where(solved[..., None], place + self.displacement(place), turned)
-        return self.centre + sides * moved
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); it jumps between cells of the mesh, slightly."""
-        place, sides, solved = self._quarter(points)
         F = np.eye(3) + self.displacement.derivative(place)
         F = np.where(solved[..., None, None], F, _rotation(self._half_angle))
-        quarter: Gradients = sides[..., :, None] * F * sides[..., None, :]
-        return quarter
+        return self.centre + sides * moved, sides[..., :, None] * F * sides[..., None, :]
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress of the mixed form [Pa], (...), without the part that acts directly."""

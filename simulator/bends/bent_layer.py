@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.field import CubicSplines, Field
 
 Array = NDArray[np.float64]
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 _SAME = 1e-9  # [m]
 
 
-class BentLayer:
+class BentLayer(Deformation):
     """Layer of a bent sensor, a Deformation of the gel.
 
     Cubic splines along x and y and a polynomial along z interpolate the nodal displacements of a
@@ -61,27 +61,17 @@ class BentLayer:
         height = 2.0 * float(self._ends[2])
         self._field = Field.from_values(values, (bases[0], bases[1]), height, levels)
 
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients, continuous everywhere."""
         x, inside = self._within(points)
-        moved = self._moved(inside)
-        deformed: Points = self._centre + x + np.moveaxis(moved[:3], 0, -1)
-        beyond = x - inside
+        columns = inside.reshape(-1, 1, 3) + np.array([0.0, 0.0, self._ends[2]])
+        moved = self._field.moved(columns).reshape(12, *x.shape[:-1])
+        positions: Points = self._centre + x + np.moveaxis(moved[:3], 0, -1)
+        slope, beyond = moved[3:].reshape(3, 3, *x.shape[:-1]), x - inside
         if np.any(beyond):
-            slope = moved[3:].reshape(3, 3, *beyond.shape[:-1])
-            deformed = deformed + np.einsum("ij...,...j->...i", slope, beyond)
-        return deformed
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3), continuous everywhere."""
-        F = self._moved(self._within(points)[1])[3:]
-        F[::4] += 1.0  # the diagonal
-        return np.moveaxis(F.reshape(3, 3, *points.shape[:-1]), (0, 1), (-2, -1))
-
-    def _moved(self, x: Points) -> Array:
-        """Displacements and their derivatives, (12, ...), at points of the layer."""
-        columns = x.reshape(-1, 1, 3) + np.array([0.0, 0.0, self._ends[2]])
-        return self._field.moved(columns).reshape(12, *x.shape[:-1])
+            positions = positions + np.einsum("ij...,...j->...i", slope, beyond)
+        moved[3::4] += 1.0  # the diagonal
+        return positions, np.moveaxis(slope, (0, 1), (-2, -1))
 
     def _within(self, points: Points) -> tuple[Points, Points]:
         """Points from the middle of the layer, and the nearest points of the layer."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
@@ -108,7 +108,7 @@ def meshed(design: SensorDesign, grading: Grading, near: Array) -> skfem.MeshTet
 
 
 @dataclass(frozen=True, eq=False)
-class TetrahedralField(OnePass):
+class TetrahedralField(Deformation):
     """Displacement field on tetrahedra with straight edges, quadratic in each.
 
     Points outside the mesh belong to the nearest cell, whose polynomial is continued to them.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import compiled
-from eitskin.geometry.deformation.kinematics import Deformation, Gradients, OnePass, Points, mapped
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.press_table import TabulatedDent
 
@@ -79,7 +79,7 @@ class PlacedDent:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dents(OnePass):
+class Dents(Deformation):
     """Deformation of the flat layer by presses: dents of the unbounded stack, and corrections.
 
     All displacements are added up.
@@ -113,7 +113,7 @@ class Dents(OnePass):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentPresses(OnePass):
+class BentPresses(Deformation):
     """Bend of the layer, dents turned to its top, and the correction of both in the finite stack.
 
     All displacements are added up.
@@ -130,7 +130,7 @@ class BentPresses(OnePass):
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        positions, F = mapped(self.bend, points)
+        positions, F = self.bend.mapped(points)
         corrected, slope = self.correction.mapped(points)
         positions = positions + (corrected - points)
         F = F + (slope - np.eye(3))

@@ -14,11 +14,12 @@ from eitskin.geometry.deformation.kinematics import (
     Composed,
     Displaced,
     area_ratio,
-    pulled_back,
     pulled_back_entries,
 )
 from eitskin.simulator import Touch
 from eitskin.simulator.deformation.touches import sketched_dents
+
+from alternatives import pulled_back
 
 DESIGN = SensorDesign.reference()
 HINGE = Hinge(span=0.040, offset=0.008)
@@ -148,12 +149,10 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
     F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
     F = F[np.linalg.det(F) > 0.1]
     J, inverse = np.linalg.det(F), np.linalg.inv(F)
-    expected = J[:, None, None] * inverse @ inverse.swapaxes(1, 2)
-    assert pulled_back(F) == pytest.approx(expected, rel=1e-10)
+    tensors = pulled_back_entries(F)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    assert tensors == pytest.approx(pulled_back(F), rel=1e-10)
     normals = rng.standard_normal((len(F), 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    with pytest.raises(ConfigurationError, match=r"inside out.* 1 of"):
-        pulled_back(np.concatenate([F, np.diag([1.0, 1.0, -0.1])[None]]))
     nanson = J[:, None] * np.einsum("nji,nj->ni", inverse, normals)
     assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
 

@@ -64,6 +64,12 @@ def plain_impedance(
     return Z
 
 
+def pulled_back(F: Array) -> Array:
+    """Pull-back J F^-1 F^-T of a unit conductivity, (..., 3, 3)."""
+    S = np.linalg.inv(np.swapaxes(F, -1, -2) @ F)
+    return np.linalg.det(F)[..., None, None] * 0.5 * (S + np.swapaxes(S, -1, -2))
+
+
 def traction_forces(solid: Solid, facets: Array, traction: Callable[[Array], Array]) -> Array:
     """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
 

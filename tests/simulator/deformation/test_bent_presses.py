@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from eitskin.geometry import Bend, Clamp, Plates, Rectangle, Rigid, SensorDesign
+from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
@@ -24,17 +25,15 @@ X, Y, TOP = 0.018, 0.013, 0.0085
 TURN = Rotation.from_euler("yxz", [35.0, -8.0, 5.0], degrees=True).as_matrix()
 
 
-class Homogeneous:
+class Homogeneous(Deformation):
     """Homogeneous deformation of a stack at a mean stress."""
 
     def __init__(self, F: np.ndarray, mean_stress: float = 0.0) -> None:
         self.F, self.stress = F, mean_stress
 
-    def positions(self, points: np.ndarray) -> np.ndarray:
-        return points @ self.F.T + np.array([0.01, 0.02, -0.03])
-
-    def gradient(self, points: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(self.F, (*points.shape[:-1], 3, 3))
+    def mapped(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        moved = points @ self.F.T + np.array([0.01, 0.02, -0.03])
+        return moved, np.broadcast_to(self.F, (*points.shape[:-1], 3, 3))
 
     def mean_stress(self, points: np.ndarray) -> np.ndarray:
         return np.full(points.shape[:-1], self.stress)

@@ -5,12 +5,12 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
+from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, tensor_map
 
-from alternatives import plain_impedance
+from alternatives import plain_impedance, pulled_back
 
 REFERENCE = SensorDesign.reference()
 COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)

@@ -10,7 +10,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.flexure import Roll, Twist
-from eitskin.geometry.deformation.kinematics import Displaced, largest_strain, pulled_back
+from eitskin.geometry.deformation.kinematics import Displaced, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.view import scene_pictures as view
@@ -24,6 +24,7 @@ from eitskin.simulator.view.scene_pictures import (
     round_number,
 )
 
+from alternatives import pulled_back
 from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes, colours
 
 BAR = bar_between_electrodes()
