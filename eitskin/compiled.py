@@ -14,7 +14,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 if TYPE_CHECKING:
     from importlib.abc import Loader
@@ -85,8 +85,15 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
     return cast("Callable[[Loop], Loop]", made)
 
 
-def either(types: str) -> Callable[[Loop], Loop]:
-    """Decorator of a function in numpy that runs as it is, and as `kernel` in a compiled copy."""
-    return lambda function: (
-        kernel(types)(function) if "COMPILED" in function.__globals__ else function
-    )
+def either(types: str, library: Callable[..., Any] | None = None) -> Callable[[Loop], Loop]:
+    """Decorator of a function in numpy that runs as it is, and as `kernel` in a compiled copy.
+
+    Where it is not compiled, the function of a `library` that does the same may run instead.
+    """
+
+    def decorate(function: Loop) -> Loop:
+        if "COMPILED" in function.__globals__:
+            return kernel(types)(function)
+        return cast("Loop", library or function)
+
+    return decorate

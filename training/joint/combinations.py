@@ -95,10 +95,8 @@ class Combinations:
 
     @cached_property
     def both_ways(self) -> tuple[Array, Array]:
-        """`matrix` and the way back (K, C), contiguous; empty where both change nothing."""
-        if self.basis is None:
-            return np.zeros((0, 0)), np.zeros((0, 0))
-        return np.ascontiguousarray(self.matrix), np.ascontiguousarray(self._backward.T)
+        """The transposed `matrix` (C, K), and the way back (K, C), contiguous."""
+        return np.ascontiguousarray(self.matrix.T), np.ascontiguousarray(self._backward.T)
 
     @cached_property
     def lateness(self) -> Array:

@@ -49,64 +49,45 @@ POINT = "Tuple((f8[:,::1], f8, f8[:,::1], f8[:,::1], f8[:,::1]))"
 SPREAD = "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8))"
 
 
-@either("void(f8[:,::1], i8)")
-def activate(states: Array, count: int) -> None:
-    """Apply SiLU to the first `count` rows, and its derivative to the three times as many below."""
-    gate = 1.0 / (1.0 + np.exp(-states[:count]))
-    active = states[:count] * gate
-    slope = (1.0 - active) * gate + active
-    states[:count] = active
-    others = states.reshape(4, count, -1)[1:]
-    others *= slope
-
-
-@either(f"Tuple((f8[:,::1], f8[:,::1]))(f8[:,::1], f8, f8, {SENSOR})")
-def respond(touches: Array, angle: float, unit: float, sensor: Sensor) -> tuple[Array, Array]:
-    """Changes by touches (k, 3) and their derivatives, and the output of the response network.
-
-    By forward-mode differentiation: one matrix product a layer for values and derivatives.
-
-    Returns:
-        changes, then their derivatives by a unit step of x, of y and of the force (4 k, K).
-        output h of the network for each touch (k, h).
-    """
-    first, inner, biases, by_angle, last, constant, _ = sensor
-    count = len(touches)
-    states = np.empty((4 * count, first.shape[1]))
-    states[:count] = np.dot(touches, first) + (biases[0] + angle * by_angle)
-    for a in range(3):
-        states[(1 + a) * count : (2 + a) * count] = first[a] * TOUCH_UNITS[a]
-    activate(states, count)
-    for layer in range(len(inner)):
-        states = np.dot(states, inner[layer])
-        states[:count] += biases[1 + layer]
-        activate(states, count)
-    changes = np.dot(states, last)
-    changes[:count] += constant
-    by_force = (unit * TOUCH_UNITS[2]) * changes[:count]
-    factor = unit * touches[:, 2:]
-    each = changes.reshape(4, count, -1)
-    each *= factor
-    changes[3 * count :] += by_force
-    return changes, states[:count].copy()
-
-
 @either(f"{POINT}(f8[:,::1], f8, {SENSOR}, {FRAME})")
 def linearise(touches: Array, angle: float, sensor: Sensor, frame: Frame) -> Point:
-    """The model linearised at touches (k, 3) and an angle [deg]: a `POINT`."""
-    curve, target, count = sensor[6], frame[0], len(touches)
-    rows = np.empty((2 + 3 * count, len(target)))
-    u, orders = angle / SCALE, np.arange(1.0, len(curve) + 1.0)
-    rows[0] = target - np.dot(u**orders, curve)
-    rows[1] = np.dot(orders * u ** (orders - 1.0) * (ANGLE_UNIT / SCALE), curve)
-    if count == 0:
-        return touches, angle, rows, np.empty((0, len(target))), np.empty((0, len(sensor[3])))
-    changes, hidden = respond(touches, angle, frame[1][0], sensor)
+    """The model linearised at touches (k, 3) and an angle [deg]: a `POINT`.
+
+    The response by forward-mode differentiation: one matrix product a layer for the values of all
+    touches and their derivatives by x, y and force.
+    """
+    first, inner, biases, by_angle, last, constant, curve = sensor
+    target, count, u = frame[0], len(touches), angle / SCALE
+    rows, changes = np.empty((2 + 3 * count, len(target))), np.empty((count, len(target)))
+    rows[0], rows[1] = target, 0.0
+    for p in range(len(curve)):
+        rows[0] -= u ** (p + 1) * curve[p]
+        rows[1] += (p + 1) * u**p * (ANGLE_UNIT / SCALE) * curve[p]
+    states = np.empty((4 * count, first.shape[1]))
     for t in range(count):
+        states[t] = np.dot(touches[t], first) + angle * by_angle
+        for a in range(3):
+            states[(1 + a) * count + t] = first[a] * TOUCH_UNITS[a]
+    for layer in range(len(biases) if count else 0):
+        if layer:
+            states = np.dot(states, inner[layer - 1])
+        for t in range(count):  # SiLU, and its derivative by the chain rule
+            before = states[t] + biases[layer]
+            gate = 1.0 / (1.0 + np.exp(-before))
+            states[t] = before * gate
+            slope = (1.0 - states[t]) * gate + states[t]
+            for a in range(1, 4):
+                states[a * count + t] *= slope
+    shapes = np.dot(states, last)
+    for t in range(count):
+        factor = frame[1][0] * touches[t, 2]
+        shape = shapes[t] + constant
+        changes[t] = factor * shape
         rows[0] -= changes[t]
-    for a in range(3):
-        rows[2 + a :: 3] = changes[(1 + a) * count : (2 + a) * count]
-    return touches, angle, rows, changes[:count].copy(), hidden
+        for a in range(3):
+            rows[2 + 3 * t + a] = factor * shapes[(1 + a) * count + t]
+        rows[4 + 3 * t] += (frame[1][0] * TOUCH_UNITS[2]) * shape
+    return touches, angle, rows, changes, states[:count].copy()
 
 
 @either(f"f8[:,::1]({POINT}, {FRAME}, {SPREAD})")
@@ -114,45 +95,52 @@ def covariance(at: Point, frame: Frame, spread: Spread) -> Array:
     """Covariance (K, K) of the residual: that of the noise, of the curve, and of the response."""
     touches, angle, rows, changes, hidden = at
     noise, effects, lateness, latent_output, forward, back, mismatch = spread
-    total, size, moved = noise.copy(), len(noise), angle - frame[1][1]
-    if abs(moved) > STILL_DEG:
-        orders = np.arange(1.0, round(math.sqrt(len(effects))) + 1)
-        steps = (angle / SCALE) ** orders - (frame[1][1] / SCALE) ** orders
-        total += np.dot(np.outer(steps, steps).reshape(-1), effects).reshape(size, size)
-        late = np.dot(lateness, rows[1]) * (moved / ANGLE_UNIT)
-        total += np.outer(late, late)
-    if len(touches) == 0:
-        return total
-    factor = frame[1][0] * touches[:, 2]
-    summed = np.append(np.dot(factor, hidden), factor.sum())
+    size, count, moved = len(noise), len(touches), angle - frame[1][1]
+    summed, each = np.zeros(hidden.shape[1] + 1), np.dot(changes, back)
+    variance = np.zeros(each.shape[1])
+    for t in range(count):
+        factor = frame[1][0] * touches[t, 2]
+        summed[:-1] += factor * hidden[t]
+        summed[-1] += factor
+        variance += (mismatch * each[t]) ** 2
     latent = np.dot(latent_output.reshape(-1, len(summed)), summed).reshape(-1, size)
-    total += np.dot(latent.T, latent)
-    each = np.dot(changes, back) if len(back) else changes
-    variance = mismatch**2 * (each * each).sum(axis=0)
-    if len(forward):
-        total += np.dot(forward * variance, forward.T)
-    else:
-        diagonal = total.reshape(-1)[:: size + 1]
-        diagonal += variance
+    errors = np.zeros((1 + len(latent) + len(forward), size))
+    for q in range(len(latent)):
+        errors[1 + q] = latent[q]
+    for c in range(len(forward)):
+        errors[1 + len(latent) + c] = math.sqrt(variance[c]) * forward[c]
+    total = noise.copy()
+    if abs(moved) > STILL_DEG:
+        powers = round(math.sqrt(len(effects)))
+        u, reference, weights = angle / SCALE, frame[1][1] / SCALE, np.empty(len(effects))
+        for i in range(len(effects)):
+            p, q = 1 + i // powers, 1 + i % powers
+            weights[i] = (u**p - reference**p) * (u**q - reference**q)
+        total += np.dot(weights, effects).reshape(size, size)
+        errors[0] = np.dot(lateness, rows[1]) * (moved / ANGLE_UNIT)
+    total += np.dot(errors.T, errors)
     return total
 
 
-@either(f"void(f8[:,::1], f8[:,::1], f8, {FRAME})")
-def add_prior(products: Array, touches: Array, angle: float, frame: Frame) -> None:
-    """Add the negative log prior to misfit, gradient and Hessian, `products` (1 + n, 1 + n)."""
-    _, numbers, box = frame
+@either(f"Tuple((f8[:,::1], f8[:,::1]))({POINT}, f8[:,::1], {FRAME})")
+def quadratic(at: Point, metric: Array, frame: Frame) -> tuple[Array, Array]:
+    """Misfit, gradient and Hessian (1 + n, 1 + n), and the whitened rows (1 + n, K).
+
+    The negative log prior is a part of the misfit.
+    """
+    touches, angle, (_, numbers, box) = at[0], at[1], frame
+    white = np.dot(at[2], metric)
+    products = np.dot(white, white.T)
     moved, turn = (numbers[1] - angle) / ANGLE_PRIOR_STD_DEG, ANGLE_UNIT / ANGLE_PRIOR_STD_DEG
     products[0, 0] += moved * moved
     products[0, 1] += turn * moved
     products[1, 1] += turn * turn
-    if len(touches) == 0:
-        return
-    size, departure = len(products), (box[0] - touches) / TOUCH_UNITS
-    pull = departure * box[1]
-    products[0, 0] += (departure * pull).sum()
-    products[0, 2:] += pull.reshape(-1)
-    diagonal = products.reshape(-1)[2 * size + 2 :: size + 1]
-    diagonal += (np.zeros_like(touches) + box[1]).reshape(-1)
+    for t in range(len(touches)):
+        for a in range(3):
+            i, departure = 2 + 3 * t + a, (box[0, a] - touches[t, a]) / TOUCH_UNITS[a]
+            products[0, 0] += departure * departure * box[1, a]
+            products[0, i] += departure * box[1, a]
+            products[i, i] += box[1, a]
     separation, softness = numbers[4], 0.1 * numbers[4]
     for i in range(len(touches)):
         for j in range(i + 1, len(touches)):
@@ -163,62 +151,74 @@ def add_prior(products: Array, touches: Array, angle: float, frame: Frame) -> No
                 continue
             if distance < 1e-9:  # two touches at one position part along x
                 dx, distance = 1.0, 1.0
-            towards = np.array([dx, dy]) * (TOUCH_UNITS[0] / softness / distance)
-            square, a, b = np.outer(towards, towards), 2 + 3 * i, 2 + 3 * j
+            scale = TOUCH_UNITS[0] / softness / distance
+            towards, index = (
+                (dx * scale, dy * scale, -dx * scale, -dy * scale),
+                (2 + 3 * i, 3 + 3 * i, 2 + 3 * j, 3 + 3 * j),
+            )
             products[0, 0] += lacking * lacking
-            products[0, a : a + 2] += lacking * towards
-            products[0, b : b + 2] -= lacking * towards
-            products[a : a + 2, a : a + 2] += square
-            products[b : b + 2, b : b + 2] += square
-            products[a : a + 2, b : b + 2] -= square
-            products[b : b + 2, a : a + 2] -= square
-
-
-@either(f"Tuple((f8[:,::1], f8[:,::1]))({POINT}, f8[:,::1], {FRAME})")
-def quadratic(at: Point, metric: Array, frame: Frame) -> tuple[Array, Array]:
-    """Misfit, gradient and Hessian (1 + n, 1 + n), and the whitened rows (1 + n, K)."""
-    white = np.dot(at[2], metric)
-    products = np.dot(white, white.T)
-    add_prior(products, at[0], at[1], frame)
+            for p in range(4):
+                products[0, index[p]] += lacking * towards[p]
+                for q in range(4):
+                    products[index[p], index[q]] += towards[p] * towards[q]
     return products, white
 
 
-@either("Tuple((f8[::1], f8))(f8[:,::1], f8[::1], f8)")
-def trust_step(products: Array, free: Array, radius: float) -> tuple[Array, float]:
+@either("f8[::1](f8[:,::1], f8[::1])", np.linalg.solve)
+def solve(matrix: Array, right: Array) -> Array:
+    """Solution of A x = b for a positive definite A (n, n), overwritten, and b (n,).
+
+    The library's takes two seconds to compile.
+    """
+    x = right.copy()
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            factor = matrix[i, j] / matrix[i, i]
+            x[j] -= factor * x[i]
+            for m in range(j, len(x)):
+                matrix[j, m] -= factor * matrix[i, m]
+    for i in range(len(x) - 1, -1, -1):
+        for j in range(i + 1, len(x)):
+            x[i] -= matrix[i, j] * x[j]
+        x[i] /= matrix[i, i]
+    return x
+
+
+@either(f"Tuple((f8[::1], f8))(f8[:,::1], f8[:,::1], {FRAME}, f8)")
+def trust_step(products: Array, touches: Array, frame: Frame, radius: float) -> tuple[Array, float]:
     """Levenberg-Marquardt step (n,) to the minimum within a trust region, and its promise.
 
     The least of `DAMPINGS` whose step is within is chosen; it adds to the Hessian H in proportion
-    to 1 + diag H.
+    to 1 + diag H. Unknowns at a bound that their gradient, downhill, would cross stay.
 
     Args:
         products: misfit, gradient and Hessian (1 + n, 1 + n).
-        free: one for unknowns that may move, zero for others (n,).
+        touches: unknowns that have bounds (k, 3).
+        frame: with these bounds.
         radius: most unit steps of any unknown.
 
     Returns:
         the step.
         decrease of the misfit by it, if the model were linear.
     """
-    hessian, gradient = products[1:, 1:].copy(), products[0, 1:].copy()
-    unit, step = 1.0 + np.diag(hessian), gradient
+    box, gradient, step = frame[2], products[0, 1:].copy(), np.zeros(len(products) - 1)
+    held = np.zeros(len(step))
+    for t in range(len(touches)):
+        for a in range(3):
+            i, at = 1 + 3 * t + a, touches[t, a]
+            if (at <= box[2, a] and gradient[i] < 0) or (at >= box[3, a] and gradient[i] > 0):
+                gradient[i], held[i] = 0.0, HELD
     for damping in DAMPINGS:
-        damped = hessian.copy()
-        diagonal = damped.reshape(-1)[:: len(damped) + 1]
-        diagonal += damping * unit + HELD * (1.0 - free)
-        step = np.asarray(np.linalg.solve(damped, free * gradient), np.float64)
+        damped = products[1:, 1:].copy()
+        for i in range(len(step)):
+            damped[i, i] += damping * (1.0 + damped[i, i]) + held[i]
+        step = solve(damped, gradient)
         if np.abs(step).max() <= radius:
             break
-    return step, np.dot(2.0 * gradient - np.dot(hessian, step), step)
-
-
-@either(f"f8[::1](f8[:,::1], f8[:,::1], {FRAME})")
-def free_unknowns(products: Array, touches: Array, frame: Frame) -> Array:
-    """Zero for unknowns at a bound that their gradient, downhill, would cross; else one (n,)."""
-    box, free = frame[2], np.ones(len(products) - 1)
-    gradient = products[0, 2:].copy().reshape(-1, 3)
-    below, above = (touches <= box[2]) & (gradient < 0.0), (touches >= box[3]) & (gradient > 0.0)
-    free[1:] -= (below | above).reshape(-1)
-    return free
+    promised = 0.0
+    for i in range(len(step)):
+        promised += (2.0 * products[0, 1 + i] - np.dot(products[1 + i, 1:], step)) * step[i]
+    return step, promised
 
 
 @either(f"Tuple((f8[:,::1], f8))(f8[:,::1], f8, f8[::1], {FRAME})")
@@ -246,7 +246,7 @@ def minimise(
     products, white = quadratic(at, metric, frame)
     radius = RADIUS
     for _ in range(steps):
-        step, promised = trust_step(products, free_unknowns(products, at[0], frame), radius)
+        step, promised = trust_step(products, at[0], frame, radius)
         if promised < tolerance or products[0, 0] - OPTIMISM * promised > goal:
             break
         touches, angle = apply_step(at[0], at[1], step, frame)

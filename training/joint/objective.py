@@ -237,8 +237,8 @@ class TouchObjective:
 
     def final_step(self, at: Linearisation, quadratic: QuadraticModel) -> tuple[Array, float]:
         """The step (n,) that a fit which ends here would take next, and its promise."""
-        free = self.kernels.free_unknowns(quadratic.products, at.touches, self._frame)
-        step, promised = self.kernels.trust_step(quadratic.products, free, RADIUS)
+        products, touches = quadratic.products, at.touches
+        step, promised = self.kernels.trust_step(products, touches, self._frame, RADIUS)
         return step, promised
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from eitskin.training.joint.fit_kernels import TOUCH_UNITS, respond
+from eitskin.training.joint.fit_kernels import TOUCH_UNITS, linearise
 from eitskin.training.method.stored_fields import Stored, StoredFields
 
 Array = NDArray[np.float64]
@@ -265,20 +265,13 @@ class SpecimenResponse:
         return change
 
     def with_derivatives(self, touches: Array, angle_deg: float) -> Array:
-        """Changes by touches (k, 3), and their derivatives by x and y [1/m] and force [1/N].
-
-        Args:
-            touches: x [m], y [m] and force [N] of each (k, 3).
-            angle_deg: of the bend [deg].
-
-        Returns:
-            (4, k, K).
-        """
-        sensor = (*self.stacked, np.zeros((0, len(self.output))))
-        changes = respond(touches, angle_deg, self.response.unit, sensor)[0]
-        units = np.append(1.0, TOUCH_UNITS)[:, None, None]
-        derivatives: Array = changes.reshape(4, len(touches), -1) / units
-        return derivatives
+        """Changes (4, k, K) by touches (k, 3), and derivatives by x and y [1/m] and force [1/N]."""
+        channels, unit = len(self.output), np.array([self.response.unit])
+        sensor = (*self.stacked, np.zeros((0, channels)))
+        frame = np.zeros(channels), unit, np.zeros((4, 3))
+        _, _, rows, changes, _ = linearise(touches, angle_deg, sensor, frame)
+        derivatives = rows[2:].reshape(len(touches), 3, channels) / TOUCH_UNITS[:, None]
+        return np.concatenate([changes[None], derivatives.transpose(1, 0, 2)])
 
     def latent_changes(self, touches: Array, angle_deg: float) -> Array:
         """Derivative of the touches' summed change by each q (Q, K)."""

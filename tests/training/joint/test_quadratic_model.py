@@ -12,7 +12,8 @@ from eitskin.training.joint.objective import QuadraticModel, Unknowns, levenberg
 
 from smooth_sensor import TOUCH_PRIOR
 
-FREE = np.ones(7)
+NOWHERE = np.zeros((0, 3))  # no unknown has bounds
+FRAME = np.zeros(1), np.zeros(5), np.array([[0.0] * 3] * 2 + [[-1.0] * 3, [1.0] * 3])
 
 
 @pytest.fixture
@@ -26,12 +27,14 @@ def linear():
 
 def test_a_wide_region_is_left_to_the_minimum(linear):
     expected = np.linalg.lstsq(linear.jacobian, linear.residual, rcond=None)[0]
-    np.testing.assert_allclose(trust_step(linear.products, FREE, np.inf)[0], expected, rtol=1e-4)
+    np.testing.assert_allclose(
+        trust_step(linear.products, NOWHERE, FRAME, np.inf)[0], expected, rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("radius", [3.0, 1.0, 0.1])
 def test_steps_stay_within_their_region_and_promise_what_they_gain(linear, radius):
-    step, promised = trust_step(linear.products, FREE, radius)
+    step, promised = trust_step(linear.products, NOWHERE, FRAME, radius)
     assert 0.1 * radius < np.abs(step).max() <= radius
     left = linear.residual - linear.jacobian @ step
     assert promised == pytest.approx(linear.misfit - left @ left, rel=1e-9)
@@ -44,13 +47,14 @@ def test_steps_are_the_least_damped_ones_within_their_region(linear):
     lengths = np.abs(steps).max(axis=1)
     for radius in (lengths[0], lengths[3], lengths[8], 1e-9):
         within = np.append(np.flatnonzero(lengths <= 1.0001 * radius), len(steps) - 1)[0]
-        step, _ = trust_step(linear.products, FREE, 1.0001 * radius)
+        step, _ = trust_step(linear.products, NOWHERE, FRAME, 1.0001 * radius)
         np.testing.assert_allclose(step, steps[within], rtol=1e-8)
 
 
-def test_unknowns_that_are_held_stay_and_the_others_take_them_for_known(linear):
+def test_unknowns_stay_at_bounds_that_they_would_cross_and_the_others_take_them_for_known(linear):
     held = np.arange(7) % 3 == 1
-    step, _ = trust_step(linear.products, 1.0 - held, np.inf)
+    at = np.where(held[1:], np.sign(linear.gradient[1:]), -np.sign(linear.gradient[1:]))
+    step, _ = trust_step(linear.products, at.reshape(2, 3), FRAME, np.inf)
     expected = np.linalg.lstsq(linear.jacobian[:, ~held], linear.residual, rcond=None)[0]
     np.testing.assert_allclose(step[~held], expected, rtol=1e-4)
     np.testing.assert_allclose(step[held], 0.0, atol=1e-6)
