@@ -14,7 +14,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec, module_from_spec
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 if TYPE_CHECKING:
     from importlib.abc import Loader
@@ -74,8 +74,7 @@ def _compiled_copy(module: str) -> ModuleType:
 def kernel(types: str) -> Callable[[Loop], Loop]:
     """Decorator that compiles a function of numbers and contiguous arrays of these types.
 
-    There is one version of every kernel: processes that compiled others at the same time could mix
-    them up on the disk.
+    There is one version of each: processes that compile several at once mix them up on the disk.
     """
     from numba import njit
 
@@ -85,15 +84,10 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
     return cast("Callable[[Loop], Loop]", made)
 
 
-def either(types: str, library: Callable[..., Any] | None = None) -> Callable[[Loop], Loop]:
-    """Decorator of a function in numpy that runs as it is, and as `kernel` in a compiled copy.
-
-    Where it is not compiled, the function of a `library` that does the same may run instead.
-    """
-
-    def decorate(function: Loop) -> Loop:
-        if "COMPILED" in function.__globals__:
-            return kernel(types)(function)
-        return cast("Loop", library or function)
-
-    return decorate
+def either(types: str, library: object = None) -> Callable[[Loop], Loop]:
+    """Decorator of a function that runs as `kernel` in a compiled copy; else it or the library's."""
+    return lambda function: (
+        kernel(types)(function)
+        if "COMPILED" in function.__globals__
+        else cast("Loop", library or function)
+    )
