@@ -85,7 +85,7 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
 
 
 def either(types: str, library: object = None) -> Callable[[Loop], Loop]:
-    """Decorator of a function that runs as `kernel` in a compiled copy; else it or the library's."""
+    """Decorator: a `kernel` in a compiled copy; else the function, or that of a library."""
     return lambda function: (
         kernel(types)(function)
         if "COMPILED" in function.__globals__
