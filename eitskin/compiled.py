@@ -86,8 +86,9 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
 
 def either(types: str, library: object = None) -> Callable[[Loop], Loop]:
     """Decorator: a `kernel` in a compiled copy; else the function, or that of a library."""
-    return lambda function: (
-        kernel(types)(function)
-        if "COMPILED" in function.__globals__
-        else cast("Loop", library or function)
-    )
+
+    def decorate(function: Loop) -> Loop:
+        compiles = "COMPILED" in function.__globals__
+        return kernel(types)(function) if compiles else cast("Loop", library or function)
+
+    return decorate
