@@ -48,8 +48,7 @@ def compiled(module: str) -> ModuleType | None:
 def loaded(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
 
-    The first import compiles them, in some seconds; what it compiles is kept on the disk beside the
-    module, or in the user's cache folder.
+    The first import compiles them; the result is kept beside the module or in the user's cache.
     """
     if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
         return None
@@ -58,8 +57,7 @@ def loaded(module: str) -> ModuleType | None:
 
 def implementation(module: str) -> ModuleType:
     """Module of `either` functions by its name, compiled where `compiled` would be."""
-    plain = import_module(module)
-    return _compiled_copy(module) if compiled("numba") else plain
+    return _compiled_copy(module) if compiled("numba") else import_module(module)
 
 
 @cache
