@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -150,3 +150,19 @@ def meter_with(
             row[parameter.electrode] += number
     rows = {name: tuple(row) for name, row in several.items()}
     return dataclasses.replace(start, **terms, **rows)  # type: ignore[arg-type]
+
+
+def central_differences(
+    function: Callable[[Array], Array], x: Array, bounds: tuple[Array, Array], step: float
+) -> Array:
+    """Derivatives of a function of coordinates (parameters,), (..., parameters).
+
+    By central differences; to one side at the bounds, (parameters,) each.
+    """
+    found = []
+    for k, (low, high) in enumerate(zip(*bounds, strict=True)):
+        ends = [np.array(x, dtype=float), np.array(x, dtype=float)]
+        ends[0][k], ends[1][k] = max(x[k] - step, low), min(x[k] + step, high)
+        below, above = (function(end) for end in ends)
+        found.append((above - below) / (ends[1][k] - ends[0][k]))
+    return np.stack(found, axis=-1)

@@ -26,8 +26,7 @@ Complex = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 Quantity: TypeAlias = Literal["complex", "signed", "magnitude"]
 
-ROLES = ("source", "sink", "sense_plus", "sense_minus")
-LOADS = (*ROLES, "idle")
+LOADS = ("source", "sink", "sense_plus", "sense_minus", "idle")
 LARGEST_LOAD = 1e3
 LARGEST_LEAD = 1e6
 
@@ -117,32 +116,20 @@ class FourTerminalMeter:
             return np.stack([transfer, own], axis=-2).astype(np.complex128)
         n = protocol.n_electrodes
         leads = _filled("leads", self.leads, n, 0.0, "electrodes")
-        source, sink, plus, minus = role_potentials(
-            impedance, protocol, self.admittance(protocol), leads
-        )
+        V = _potentials(impedance, protocol, self.admittance(protocol), leads)
+        rows, table = np.arange(len(protocol)), np.array(protocol.table).T
+        source, sink, plus, minus = (V[..., rows, electrodes] for electrodes in table)
         sensed = plus - minus + 0.5 * self.common_mode * (plus + minus)
         return np.stack([sensed, source - sink], axis=-2).astype(np.complex128)
 
     def admittance(self, protocol: Protocol) -> Complex:
         """Admittance to ground of each electrode in each measurement, (measurements, n) [S]."""
-        leaks = _filled("leaks", self.leaks, protocol.n_electrodes, 0.0, "electrodes")
-        loads = ((getattr(self, name), at) for name, at in electrodes_by_role(protocol).items())
-        return leaks + sum((load * at for load, at in loads), np.zeros(1, np.complex128))
-
-    def derivatives(
-        self, impedance: NDArray[np.inexact], protocol: Protocol
-    ) -> tuple[Complex, Complex]:
-        """Derivatives of the transfer impedances by admittance [ohm/S] and lead [1].
-
-        Both are by the number of each electrode in each measurement, (measurements, electrodes).
-
-        Args:
-            impedance: electrode impedance matrix Z, (electrodes, electrodes) [ohm].
-            protocol: drive and sense electrodes of each measurement.
-        """
-        leads = _filled("leads", self.leads, protocol.n_electrodes, 0.0, "electrodes")
-        weights = (1.0 + 0.5 * self.common_mode, -1.0 + 0.5 * self.common_mode)
-        return potential_derivatives(impedance, protocol, self.admittance(protocol), leads, weights)
+        n = protocol.n_electrodes
+        has_role = np.array(protocol.table).T[..., None] == np.arange(n)
+        has_role = np.concatenate([has_role, ~has_role.any(axis=0, keepdims=True)])
+        loads = np.array([getattr(self, name) for name in LOADS], np.complex128)
+        leaks = _filled("leaks", self.leaks, n, 0.0, "electrodes")
+        return np.asarray(leaks + np.einsum("r,rmn->mn", loads, has_role))
 
     def reading(self, sensed: Complex) -> tuple[Complex, Bools]:
         """Readings, and whether each is beyond the limit; both of the shape of `sensed`.
@@ -182,7 +169,7 @@ class FourTerminalMeter:
             *((name, getattr(self, name)) for name in LOADS),
             *((f"leaks[{k}]", value) for k, value in enumerate(self.leaks)),
         ):
-            if not (_positive(value) and abs(value) <= LARGEST_LOAD):
+            if not (min(np.real(value), np.imag(value)) >= 0.0 and abs(value) <= LARGEST_LOAD):
                 yield (
                     f"{name} must be an admittance from 0 to {LARGEST_LOAD:g} S, in both parts "
                     f"not negative, got {value:g}; an impedance of Z ohm is 1 / Z"
@@ -200,23 +187,11 @@ class FourTerminalMeter:
             yield "scales, offsets and common_mode must be finite"
 
 
-def electrodes_by_role(protocol: Protocol) -> dict[str, Bools]:
-    """Electrodes in each role of `LOADS` during each measurement, (measurements, electrodes)."""
-    numbers = np.arange(protocol.n_electrodes)
-    columns = np.array(protocol.table).T[..., None]
-    found = dict(zip(ROLES, columns == numbers, strict=True))
-    return found | {"idle": ~np.any(list(found.values()), axis=0)}
-
-
 @lru_cache(maxsize=64)
 def _drive_pairs(protocol: Protocol) -> Protocol:
     """Protocol that senses the drive pair of each measurement."""
     rows = tuple((row[0], row[1], row[0], row[1]) for row in protocol.table)
     return Protocol(rows, protocol.n_electrodes)
-
-
-def _positive(value: complex) -> bool:
-    return bool(np.real(value) >= 0.0 and np.imag(value) >= 0.0)
 
 
 def _filled(
@@ -231,12 +206,10 @@ def _filled(
     return np.array(values or (missing,) * count, np.complex128)
 
 
-def role_potentials(
+def _potentials(
     impedance: NDArray[np.inexact], protocol: Protocol, admittance: Complex, leads: Complex
-) -> Complex:
-    """Potentials of source, sink, sense+ and sense- against ground per unit current [ohm].
-
-    The shape is (4, ..., measurements).
+) -> NDArray[np.inexact]:
+    """Potentials of the electrodes per unit current [ohm], then c, (..., measurements, n + 1).
 
     Args:
         impedance: electrode impedance matrices Z, (..., electrodes, electrodes) [ohm].
@@ -245,50 +218,6 @@ def role_potentials(
             [S].
         leads: resistance in series with each electrode, (electrodes,) [ohm].
     """
-    system, right = _equations(impedance, protocol, admittance, leads)
-    V = np.linalg.solve(system, right)[..., 0]
-    rows = np.arange(len(protocol))
-    by_role = [V[..., rows, electrodes] for electrodes in np.array(protocol.table).T]
-    return np.array(by_role, np.complex128)
-
-
-def potential_derivatives(
-    impedance: NDArray[np.inexact],
-    protocol: Protocol,
-    admittance: Complex,
-    leads: Complex,
-    weights: tuple[complex, complex],
-) -> tuple[Complex, Complex]:
-    """Derivatives of a weighted sum of the sensed potentials, by the adjoint method.
-
-    Returns the derivatives by the admittance [ohm/S] and by the lead [1] of each electrode in each
-    measurement, (measurements, electrodes) both. Where all admittances of a measurement are zero,
-    ground is held at the mean of the electrodes.
-
-    Args:
-        impedance: electrode impedance matrix Z, (electrodes, electrodes) [ohm].
-        protocol, admittance, leads: as for `role_potentials`.
-        weights: of the potentials of sense+ and sense-.
-    """
-    n, (source, sink, plus, minus) = protocol.n_electrodes, np.array(protocol.table).T
-    system, right = _equations(impedance, protocol, admittance, leads)
-    rows, sensed = np.arange(len(protocol)), np.zeros((len(protocol), n + 1, 1), np.complex128)
-    sensed[rows, plus, 0], sensed[rows, minus, 0] = weights
-    V = np.linalg.solve(system, right)[:, :n, 0]
-    adjoint = np.linalg.solve(np.swapaxes(system, 1, 2), sensed)[..., 0]
-    total = admittance.sum(axis=1, keepdims=True)
-    grounded = np.where(total == 0.0, 0.0, adjoint[:, n:] / np.where(total == 0.0, 1.0, total))
-    back = adjoint[:, :n] @ (np.asarray(impedance) + np.diag(leads)) + grounded
-    current = -admittance * V
-    current[rows, source] += 1.0
-    current[rows, sink] -= 1.0
-    return (-back * V).astype(complex), (adjoint[:, :n] * current).astype(complex)
-
-
-def _equations(
-    impedance: NDArray[np.inexact], protocol: Protocol, admittance: Complex, leads: Complex
-) -> tuple[NDArray[np.inexact], NDArray[np.inexact]]:
-    """Matrices (..., measurements, n + 1, n + 1) and right sides of V and c."""
     n = protocol.n_electrodes
     drive, _ = protocol.patterns()
     Z = np.asarray(impedance) + np.diag(_real_where_possible(leads))
@@ -304,7 +233,7 @@ def _equations(
     system[..., n, :n] = ground
     right = np.zeros((*system.shape[:-1], 1), kind)
     right[..., :n, 0] = np.swapaxes(Z @ drive, -1, -2)
-    return system, right
+    return np.asarray(np.linalg.solve(system, right)[..., 0])
 
 
 def _real_where_possible(values: Complex) -> NDArray[np.inexact]:

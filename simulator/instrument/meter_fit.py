@@ -1,7 +1,7 @@
 """Fit of a four-terminal meter to frames of a flat, untouched sensor, and choice of its terms."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,10 +14,11 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.fit_parameters import (
     USUAL,
     Parameter,
+    central_differences,
     meter_parameters,
     meter_with,
 )
-from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity, electrodes_by_role
+from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,6 +36,8 @@ ALIKE = 0.005
 """Difference of predicted readings, relative to the largest, below which they are alike."""
 INVOLVED = 0.2
 """Least component of a parameter in a null direction for it to be named."""
+_STEP = 1e-6  # of coordinates, for derivatives
+_OFF_BOUND = 1e-9  # of a coordinate: at its bound, ground may be somewhere else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,12 +67,6 @@ class MeterFit:
     tied: tuple[tuple[str, ...], ...]
     predicted: Complex
     measured: Complex
-
-    @property
-    def unidentifiable(self) -> tuple[Parameter, ...]:
-        """Parameters that the frames do not determine."""
-        lost = ~np.isfinite(self.standard_errors)
-        return tuple(p for p, gone in zip(self.parameters, lost, strict=True) if gone)
 
     @property
     def distinct_readings(self) -> int:
@@ -151,7 +148,7 @@ def fit_meter(
         parameters,
         np.asarray(impedance),
         protocol,
-        _parts(measured) if is_complex else measured.real,
+        measured,
     )
     coordinates = problem.minimum(np.random.default_rng(seed), starts)
     meter = problem.meter(coordinates)
@@ -222,14 +219,14 @@ class MeterProblem:
         parameters: numbers that are fitted.
         impedance: electrode impedance matrix of the flat sensor [ohm].
         protocol: drive and sense electrodes of the channels.
-        target: measured readings, real and imaginary parts one after the other where complex.
+        measured: readings, (measurements,).
     """
 
     start: FourTerminalMeter
     parameters: tuple[Parameter, ...]
     impedance: NDArray[np.inexact]
     protocol: Protocol
-    target: Array
+    measured: Complex
 
     def meter(self, coordinates: Array) -> FourTerminalMeter:
         """Meter of scale 1 for the coordinates (parameters,)."""
@@ -244,15 +241,18 @@ class MeterProblem:
     def scale(self, unscaled: Complex) -> complex:
         """Scale of least squares; real and, for magnitudes, positive where readings are real."""
         square = float(np.vdot(unscaled, unscaled).real) or 1.0
-        if self.start.reads != "complex":
-            return float(unscaled.real @ self.target) / square or 1.0
-        return complex(np.vdot(unscaled, self._readings) / square)
+        scale = complex(np.vdot(unscaled, self.measured)) / square
+        return scale if self.start.reads == "complex" else scale.real or 1.0
 
     def residual(self, coordinates: Array) -> Array:
-        """Residual over the norm of the target, at the scale of least squares (readings,)."""
+        """Residual over the norm of the readings, at the scale of least squares (readings,)."""
         unscaled = self.unscaled(coordinates)
-        difference = self._as_target(self.scale(unscaled) * unscaled) - self.target
-        return np.asarray(difference / np.linalg.norm(self.target))
+        return self._parts(self.scale(unscaled) * unscaled - self.measured)
+
+    def jacobian(self, function: Callable[[Array], Array], coordinates: Array) -> Array:
+        """Derivatives of a function of the coordinates, (values, parameters)."""
+        low, high = np.array([p.bounds for p in self.parameters]).T
+        return central_differences(function, coordinates, (low + _OFF_BOUND, high), _STEP)
 
     def minimum(self, rng: np.random.Generator, starts: int) -> Array:
         """Coordinates of the least minimum found from several starting points."""
@@ -267,9 +267,12 @@ class MeterProblem:
             first = np.where(
                 share, drawn / (1.0 + drawn), rng.normal(size=len(share)) * (number > 0)
             )
-            first = np.clip(first, low + 1e-9, high - 1e-9)
             found = least_squares(
-                self.residual, first, self.jacobian, bounds=(low, high), max_nfev=MOST_STEPS
+                self.residual,
+                np.clip(first, low + _OFF_BOUND, high - _OFF_BOUND),
+                partial(self.jacobian, self.residual),
+                bounds=(low, high),
+                max_nfev=MOST_STEPS,
             )
             if found.cost < least * (1.0 - 1e-9):
                 best, least = found.x, found.cost
@@ -282,14 +285,15 @@ class MeterProblem:
         its parameters, whose standard errors are infinite.
         """
         unscaled = self.unscaled(coordinates)
-        reading = self.scale(unscaled) * unscaled
         scale = self.scale(unscaled)
-        columns = [*(scale * each for each in self._changes(coordinates)), reading]
+        columns = [self._parts(scale * unscaled)]
         if self.start.reads == "complex":
-            columns.append(1j * reading)  # the phase of the scale
-        norm = float(np.linalg.norm(self.target))
-        J = np.array([self._as_target(column) / norm for column in columns]).T
-        freedom = max(len(self.target) - J.shape[1], 1)
+            columns.append(self._parts(1j * scale * unscaled))  # the phase of the scale
+        J = np.array(columns).T
+        if self.parameters:
+            changes = self.jacobian(lambda x: self._parts(scale * self.unscaled(x)), coordinates)
+            J = np.hstack([changes, J])
+        freedom = max(len(J) - J.shape[1], 1)
         noise = np.linalg.norm(self.residual(coordinates)) / np.sqrt(freedom)
         _, sizes, directions = np.linalg.svd(J, full_matrices=False)
         spread = noise / np.maximum(sizes, np.finfo(float).tiny)
@@ -303,67 +307,10 @@ class MeterProblem:
             errors[involved] = np.inf
         return errors[: len(self.parameters) + 1], tuple(tied)
 
-    def jacobian(self, coordinates: Array) -> Array:
-        """Derivatives of `residual` by the coordinates, (readings, parameters)."""
-        unscaled = self.unscaled(coordinates)
-        scale, square = self.scale(unscaled), np.vdot(unscaled, unscaled).real
-        columns = []
-        for change in self._changes(coordinates):
-            # d (u^H t / u^H u) with the readings u at scale 1 and the measured ones t.
-            turn = (
-                np.vdot(change, self._readings) - 2.0 * scale * np.vdot(unscaled, change).real
-            ) / square
-            columns.append(self._as_target(scale * change + turn * unscaled))
-        return np.asarray(np.transpose(columns) / np.linalg.norm(self.target))
-
-    def _changes(self, coordinates: Array) -> list[Complex]:
-        """Derivatives of the readings at scale 1 by each coordinate, (measurements,) each."""
-        meter = self.meter(coordinates)
-        sensed = meter.transfer_impedance(self.impedance, self.protocol) + meter.offset
-        by_admittance, by_lead = meter.derivatives(self.impedance, self.protocol)
-        roles = electrodes_by_role(self.protocol)
-        found = []
-        for parameter, x in zip(self.parameters, coordinates, strict=True):
-            if parameter.name == "common_mode":
-                change = self._common_mode(meter)
-            elif parameter.name == "offset":
-                change = np.ones(len(sensed), np.complex128)
-            elif parameter.electrode is None:
-                change = (by_admittance * roles[parameter.name]).sum(axis=1)
-            else:
-                by = by_lead if parameter.name == "leads" else by_admittance
-                change = by[:, parameter.electrode]
-            slope = parameter.slope(float(x)) * (1j if parameter.imaginary else 1.0)
-            found.append(self._read(slope * change, sensed))
-        return found
-
-    def _common_mode(self, meter: FourTerminalMeter) -> Complex:
-        """Common-mode voltage per unit current [ohm], (measurements,)."""
-        both = (dataclasses.replace(meter, common_mode=mode) for mode in (1.0, 0.0))
-        with_mode, without = (
-            each.transfer_impedance(self.impedance, self.protocol) for each in both
-        )
-        return with_mode - without
-
-    def _read(self, change: Complex, sensed: Complex) -> Complex:
-        """Change of the readings for a change of the sensed voltages."""
-        if self.start.reads == "complex":
-            return change
-        if self.start.reads == "magnitude":
-            size = np.maximum(np.abs(sensed), np.finfo(float).tiny)
-            change = change * np.conj(sensed) / size
-        return change.real.astype(complex)
-
-    @property
-    def _readings(self) -> Complex:
-        """Measured readings (measurements,)."""
-        if self.start.reads != "complex":
-            return self.target.astype(complex)
-        half = len(self.target) // 2
-        return np.asarray(self.target[:half] + 1j * self.target[half:])
-
-    def _as_target(self, readings: Complex) -> Array:
-        return _parts(readings) if self.start.reads == "complex" else readings.real
+    def _parts(self, readings: Complex) -> Array:
+        """Readings as real numbers, over the norm of the measured ones."""
+        parts = _parts(readings) if self.start.reads == "complex" else readings.real
+        return np.asarray(parts / np.linalg.norm(self.measured))
 
 
 def _mean_frame(frames: ArrayLike, protocol: Protocol) -> Complex:

@@ -7,13 +7,8 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import FourTerminalMeter, Protocol
-from eitskin.simulator.instrument.fit_parameters import FITTED, meter_parameters
-from eitskin.simulator.instrument.meter_fit import (
-    MeterProblem,
-    agreement,
-    fit_meter,
-    select_meter,
-)
+from eitskin.simulator.instrument.fit_parameters import FITTED
+from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
 RIG = FourTerminalMeter(sink=3e-3, sense_plus=8e-4, idle=5e-4, scale=12.0, reads="magnitude")
 DRIVES, SENSES = ((0, 3), (3, 0), (1, 4), (5, 2)), ((1, 2), (4, 5), (5, 1), (4, 2))
@@ -40,12 +35,6 @@ def skin():
     return np.linalg.pinv(Y)
 
 
-def central_difference(function, x, step=1e-6):
-    """Derivatives of a function by each coordinate, (values, coordinates)."""
-    steps = step * np.eye(len(x))
-    return np.array([(function(x + e) - function(x - e)) / (2.0 * step) for e in steps]).T
-
-
 def flat_frames(meter, skin, noise=0.0, seed=0, count=40):
     """Frames with white noise of this share of the largest reading."""
     true, _ = meter.reading(meter.transfer_impedance(skin, BOTH))
@@ -66,17 +55,6 @@ def test_loads_of_a_board_of_magnitudes_are_found_with_their_errors(skin):
     ideal = fit_meter(skin, BOTH, flat_frames(RIG, skin), ())
     assert agreement(found.predicted, found.measured).r > 0.9999
     assert agreement(ideal.predicted, ideal.measured).residual > 0.05
-
-
-@pytest.mark.parametrize("reads", ["complex", "signed", "magnitude"])
-def test_the_jacobian_is_the_derivative_of_the_residual(skin, reads):
-    ring, rng = Protocol.adjacent(6), np.random.default_rng(0)
-    parameters = meter_parameters(FITTED, 6, 300.0, complex_terms=reads == "complex")
-    target = np.abs(rng.standard_normal(len(ring) * (1 + (reads == "complex"))))
-    problem = MeterProblem(FourTerminalMeter(reads=reads), parameters, skin, ring, target)
-    x = rng.uniform(0.1, 0.6, len(parameters))
-    expected = central_difference(problem.residual, x)
-    assert problem.jacobian(x) == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
 def test_standard_errors_are_the_scatter_of_fits_to_different_noise(skin):
@@ -118,13 +96,13 @@ def test_what_no_reading_shows_is_said_not_to_be_identifiable(skin):
     # A current through two loads has no other way back: only their sum in series shows.
     rig = FourTerminalMeter(sink=2e-3, sense_minus=1e-3, scale=5.0, reads="signed")
     found = fit_meter(skin, BOTH, flat_frames(rig, skin, 1e-5), ("sink", "sense_minus"), starts=2)
-    assert [str(each) for each in found.unidentifiable] == ["sink", "sense_minus"]
+    assert not np.isfinite(found.standard_errors).any()
     assert found.tied == (("sink", "sense_minus"),)
     assert (1.0 / found.values).sum() == pytest.approx(1500.0, rel=0.01)
     # One load alone has none, but says where ground is.
     frames = flat_frames(FourTerminalMeter(scale=5.0, reads="signed"), skin, 1e-4)
     found = fit_meter(skin, BOTH, frames, ("sink", "common_mode"), starts=2)
-    assert [str(each) for each in found.unidentifiable] == ["sink"]
+    assert np.isfinite(found.standard_errors).tolist() == [False, True]
 
 
 def test_terms_that_the_frames_do_not_call_for_are_left_out(skin):
