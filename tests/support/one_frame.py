@@ -23,7 +23,7 @@ from smooth_sensor import (
 
 RESPONSE = response()
 CURVE = curve()
-FAULTS = possible_faults(PROTOCOL, FLAT, MEASUREMENTS)
+FAULTS = possible_faults(PROTOCOL, FLAT)
 ONE = RESPONSE.of(())
 STIFF = replace(
     RESPONSE, weights=(RESPONSE.weights[0] * [1.0, 1.0, 1.0, 0.0], *RESPONSE.weights[1:])

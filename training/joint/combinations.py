@@ -71,7 +71,7 @@ class Combinations:
 
     def __len__(self) -> int:
         """Number of combinations K."""
-        return len(self.noise) if self.basis is None else self.basis.shape[1]
+        return len(self.back)
 
     @cached_property
     def unit(self) -> Array:
@@ -79,57 +79,31 @@ class Combinations:
         return self.noise if self.basis is None else np.ones(len(self))
 
     @cached_property
+    def forward(self) -> Array:
+        """Matrix (C, K) by which changes of log V (..., C) become combinations (..., K)."""
+        if self.basis is None:
+            return np.eye(len(self.noise))
+        return np.ascontiguousarray(self.basis / self.noise[:, None])
+
+    @cached_property
+    def back(self) -> Array:
+        """Matrix (K, C) by which combinations (..., K) become changes of log V (..., C)."""
+        if self.basis is None:
+            return np.eye(len(self.noise))
+        return np.ascontiguousarray((self.basis * self.noise[:, None]).T)
+
+    @cached_property
     def drift(self) -> Array:
         """Each combination of a change by one in all measurements (K,)."""
-        return self.of(np.ones(len(self.noise)))
-
-    @cached_property
-    def matrix(self) -> Array:
-        """Matrix (K, C) from changes of log V to combinations."""
-        return np.eye(len(self)) if self.basis is None else (self.basis / self.noise[:, None]).T
-
-    @cached_property
-    def _backward(self) -> Array:
-        """Matrix (C, K) from combinations to changes."""
-        return np.eye(len(self)) if self.basis is None else self.basis * self.noise[:, None]
-
-    @cached_property
-    def both_ways(self) -> tuple[Array, Array]:
-        """The transposed `matrix` (C, K), and the way back (K, C), contiguous."""
-        return np.ascontiguousarray(self.matrix.T), np.ascontiguousarray(self._backward.T)
+        drift: Array = self.forward.sum(axis=0)
+        return drift
 
     @cached_property
     def lateness(self) -> Array:
         """Weights (K, K) of the times at which a frame's measurements are taken, -0.5 to 0.5."""
         count = len(self.noise)
-        late: Array = self.matrix * (np.arange(count) / count - 0.5) @ self._backward
+        late: Array = self.forward.T * (np.arange(count) / count - 0.5) @ self.back.T
         return late
-
-    def of(self, change: Array) -> Array:
-        """Combinations (..., K) of finite changes of log V (..., C)."""
-        return change if self.basis is None else change @ self.matrix.T
-
-    def changes(self, combinations: Array) -> Array:
-        """Changes of log V (..., C) that have these combinations (..., K)."""
-        return combinations if self.basis is None else combinations @ self._backward.T
-
-    def share_variance(self, combinations: Array, share: float) -> Array:
-        """Variance (C,) of independent errors of each measurement, by several changes.
-
-        Args:
-            combinations: of each change (k, K).
-            share: standard deviation of the error of a measurement, relative to its change.
-        """
-        changes = self.changes(combinations)
-        variance: Array = share**2 * np.einsum("kc,kc->c", changes, changes)
-        return variance
-
-    def add_independent(self, covariance: Array, variance: Array) -> None:
-        """Add independent errors of this variance in each measurement (C,) to a (K, K) in place."""
-        if self.basis is None:
-            covariance.reshape(-1)[:: len(covariance) + 1] += variance
-        else:
-            covariance += self.matrix * variance @ self.matrix.T
 
     def combined(self, change: Array, frames: float, drift: float) -> "CombinedChange":
         """Combinations of one frame and their noise.
@@ -153,9 +127,8 @@ class Combinations:
             covariance (K, K) of their noise in one frame.
         """
         if self.basis is None:
-            return np.diag(good.astype(float)), np.diag(
-                np.where(good, 1.0, LEFT_OUT) * self.noise**2
-            )
+            alone = np.where(good, 1.0, LEFT_OUT) * self.noise**2
+            return np.diag(good.astype(float)), np.diag(alone)
         known = self.basis * good[:, None]
         information = known.T @ known + np.eye(len(self)) / LEFT_OUT
         covariance = np.linalg.inv(information)
@@ -184,11 +157,6 @@ class CombinedChange:
     further: Array | None = None
 
     @cached_property
-    def _whole(self) -> bool:
-        """Whether no measurement is left out."""
-        return bool(self.good.all())
-
-    @cached_property
     def count(self) -> int:
         """Number of measurements that count."""
         return int(np.count_nonzero(self.good))
@@ -206,51 +174,41 @@ class CombinedChange:
 
     @cached_property
     def _known(self) -> tuple[Array, Array]:
-        return self.combinations.without(self.good)
+        """Matrix (K, C) to combinations, and the covariance (K, K) of their noise in one frame."""
+        if not self.good.all():
+            return self.combinations.without(self.good)
+        return self.combinations.forward.T, np.diag(self.combinations.unit**2)
 
     @cached_property
     def change(self) -> Array:
         """Combinations of the change (K,)."""
-        if self._whole:
-            return self.combinations.of(self.measured)
-        change: Array = self._known[0] @ self.measured
-        return change
+        return self.seen(self.measured)
 
     @cached_property
     def noise(self) -> Array:
         """Covariance of their noise (K, K)."""
         drift = self.combinations.drift
-        noise: Array = (self.drift * drift)[:, None] * drift
-        if self._whole:
-            noise.reshape(-1)[:: len(noise) + 1] += self.frames * self.combinations.unit**2
-        else:
-            noise += self.frames * self._known[1]
-        if self.further is not None:
-            noise += self.further
-        return noise
+        noise: Array = (self.drift * drift)[:, None] * drift + self.frames * self._known[1]
+        return noise if self.further is None else noise + self.further
+
+    def seen(self, changes: Array) -> Array:
+        """Combinations (K, ...) of changes (C, ...), from the measurements that count."""
+        seen: Array = self._known[0] @ changes
+        return seen
 
     def remainder(self, changes: Array) -> Array:
         """Part of changes (C, n) that no combination has, in units of the noise (C, n).
 
-        Zero in measurements that are left out; no rows where every measurement is a combination.
+        Zero in measurements that are left out.
         """
         combinations = self.combinations
-        if combinations.basis is None:
-            return changes[:0]
-        seen = combinations.changes(self.seen(changes).T).T
-        rest: Array = np.where(self.good, (changes - seen).T / combinations.noise, 0.0).T
-        return rest
-
-    def seen(self, changes: Array) -> Array:
-        """Combinations (K, n) of changes (C, n), from the measurements that count."""
-        if self._whole:
-            return self.combinations.of(changes.T).T
-        seen: Array = self._known[0] @ changes
-        return seen
+        rest = changes - combinations.back.T @ self.seen(changes)
+        share: Array = rest * (self.good / combinations.noise)[:, None]
+        return share
 
     @cached_property
     def rest(self) -> Array:
-        """`remainder` of the measured change (C,); without elements where nothing can remain."""
+        """`remainder` of the measured change (C,)."""
         return self.remainder(self.measured[:, None])[:, 0]
 
 

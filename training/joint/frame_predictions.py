@@ -5,10 +5,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from eitskin.training.joint.model_selection import REPORTED_SIGMA, FrameFit
-from eitskin.training.joint.objective import misfit_sigma
+from eitskin.training.joint.objective import TOUCH_THRESHOLD, misfit_sigma
 from eitskin.training.joint.specimen_model import AngleEstimate
 from eitskin.training.joint.touch_response import MOST_TOUCHES
-from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
 
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 Array = NDArray[np.float64]

@@ -38,7 +38,7 @@ from eitskin.training.joint.frame_predictions import (
 )
 from eitskin.training.joint.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, network_inputs
-from eitskin.training.joint.objective import TouchObjective
+from eitskin.training.joint.objective import TOUCH_THRESHOLD, TouchObjective
 from eitskin.training.joint.own_response import own_output, own_response, response_given, twin_trial
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
@@ -47,7 +47,6 @@ from eitskin.training.joint.specimen_model import (
     candidate_rows,
 )
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior, TouchResponse
-from eitskin.training.joint.touch_search import TOUCH_THRESHOLD
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, LearningCurve, Method
@@ -259,7 +258,7 @@ class JointMethod(Method):
         if abs(found.angle_deg) < MOVED_DEG:
             return found
         usual = fit(specimen.usual)
-        gain = found.improbability - usual.improbability
+        gain = found.estimate.improbability - usual.estimate.improbability
         return usual if gain > -2.0 * LOG_ODDS else found
 
     def _proposed(
@@ -281,7 +280,7 @@ class JointMethod(Method):
             if self.touches
             else np.full((1, *self.shape), np.nan, np.float32)
         )
-        surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
+        surplus = np.maximum(found.estimate.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         force = found.touches[:, 2] if self.forces else None
         scale = self.error_scale.of(specimen.features) * self.own_error_scale
@@ -325,7 +324,7 @@ class JointMethod(Method):
                 p,
                 self.response_of(flat),
                 curve,
-                possible_faults(self.protocol, flat, self.combinations),
+                possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
                 networks,
                 usual.of(p) if usual else None,

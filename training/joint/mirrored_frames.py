@@ -114,7 +114,7 @@ class MirroredFrames:
         noise += np.outer(combinations.drift, combinations.drift) * drift
         return replace(
             self,
-            change=combinations.of(self.change),
+            change=self.change @ combinations.forward,
             features=features.apply(self.flat),
             combinations=combinations,
             noise=noise,

@@ -7,7 +7,7 @@ than chance would.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -21,25 +21,21 @@ from eitskin.training.joint.channel_faults import (
 )
 from eitskin.training.joint.fit_kernels import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.objective import (
+    TOUCH_THRESHOLD,
     Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
     inverse,
     levenberg_marquardt,
+    price,
 )
 from eitskin.training.joint.touch_response import MOST_TOUCHES
 from eitskin.training.joint.touch_search import (
     FINE,
-    TOUCH_THRESHOLD,
     TouchCandidates,
-    gain_of,
-    gains_of,
-    improbability,
     initial_touches,
     pair_starts,
-    price,
-    price_of_next,
     pruned,
     single_starts,
 )
@@ -60,55 +56,45 @@ SAME = 4.0  # rise of the misfit from one estimate to another, below which both 
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class FrameFit:
     """Selected model of one frame and the estimates of its unknowns.
 
+    Covariances grow by the misfit per degree of freedom where that is above one: the errors of a
+    frame that the model explains badly are larger than it has them (Birge 1932).
+
     Attributes:
-        unknowns: touches and bend angle.
+        estimate: from which all follows.
+        evidence: decrease of the misfit by the first touch, even where that was rejected.
+        faults: whose measurements were left out.
+        touches: x [m], y [m] and force [N] of each (k, 3).
+        angle_deg: bend angle [deg].
         angle_deviation_deg: standard error of its change since the reference [deg].
         covariance: of each touch's x, y and force (k, 3, 3).
-        evidence: decrease of the misfit by the first touch, even where that was rejected.
-        gains: rise of the misfit without each touch, to second order (k,).
-        faults: whose measurements were left out.
-        estimate: from which they follow.
+        misfit: sum of squares of the whitened residual, with its remainder, and the prior's terms.
+        degrees_of_freedom: number of measurements minus number of unknowns.
     """
 
-    unknowns: Unknowns
-    angle_deviation_deg: float
-    covariance: Array
-    evidence: float
-    gains: Array
-    faults: tuple[ChannelFault, ...]
     estimate: MapEstimate
+    evidence: float
+    faults: tuple[ChannelFault, ...] = ()
+    touches: Array = field(init=False)
+    angle_deg: float = field(init=False)
+    angle_deviation_deg: float = field(init=False)
+    covariance: Array = field(init=False)
+    misfit: float = field(init=False)
+    degrees_of_freedom: int = field(init=False)
 
-    @property
-    def angle_deg(self) -> float:
-        """Bend angle [deg]."""
-        return self.unknowns.angle_deg
-
-    @property
-    def touches(self) -> Array:
-        """x [m], y [m] and force [N] of each touch (k, 3)."""
-        return self.unknowns.touches
-
-    @property
-    def misfit(self) -> float:
-        """Sum of squares of the whitened residual, with its remainder, and the prior's terms."""
-        return self.estimate.whole()[1]
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of measurements minus number of unknowns."""
-        return self.estimate.whole()[2]
-
-    @property
-    def improbability(self) -> float:
-        """Minus twice the logarithm of the model's posterior density, but for a constant.
-
-        Every touch is as improbable as its threshold says.
-        """
-        return improbability(self.estimate)
+    def __post_init__(self) -> None:
+        """Give the estimate in physical units, with its covariances."""
+        found = self.estimate
+        self.touches, self.angle_deg = found.minimum(FINE[1])
+        _, self.misfit, self.degrees_of_freedom = found.whole()
+        covariance = max(found.misfit / found.degrees_of_freedom, 1.0) * inverse(found.hessian)
+        self.angle_deviation_deg = ANGLE_UNIT * math.sqrt(covariance[0, 0])
+        blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(self.touches))]
+        of_touches = np.array([covariance[block, block] for block in blocks]).reshape(-1, 3, 3)
+        self.covariance = of_touches * (TOUCH_UNITS[:, None] * TOUCH_UNITS)
 
 
 def fit_frame(
@@ -133,19 +119,19 @@ def fit_frame(
     untouched, found, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
     while possible and len(faults) < MOST_FAULTS:
-        better = fit_with_fault(objective, untouched, found, possible)
+        better = fit_with_fault(untouched, found, possible)
         if better is None:
             break
-        fault, objective, found = better
+        fault, found = better
         faults.append(fault)
-        untouched = levenberg_marquardt(objective, untouched.unknowns, *FINE)
-        evidence = gain_of(objective, untouched, found)
+        untouched = levenberg_marquardt(found.objective, untouched.unknowns, *FINE)
+        evidence = found.gain_over(untouched)
     if found.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
         nothing = Unknowns(np.zeros((0, 3)), angle_deg)
-        alone = levenberg_marquardt(objective, nothing, *FINE)
-        if alone.improbability < improbability(found):
+        alone = levenberg_marquardt(found.objective, nothing, *FINE)
+        if alone.improbability < found.improbability:
             found, evidence = alone, 0.0
-    return _frame_fit(found, evidence, tuple(faults))
+    return FrameFit(found, evidence, tuple(faults))
 
 
 def _likeliest(
@@ -172,10 +158,10 @@ def _likeliest(
 
     begun = [started(start) for start in proposal(untouched.at)] or [untouched]
     seen: Seen = []
-    found, evidence = _fit(objective, candidates, untouched, begun[0], seen)
-    moved = abs(found.unknowns.angle_deg - objective.reference_deg)
+    found, evidence = _fit(candidates, untouched, begun[0], seen)
+    moved = abs(found.at.angle_deg - objective.reference_deg)
     least = NEAR_DEG if found.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
-    if not len(found.unknowns.touches) or moved < least:
+    if not len(found.at.touches) or moved < least:
         return untouched, found, evidence
     still = objective.reference_deg
     starts = [found.unknowns._replace(angle_deg=still)]
@@ -183,48 +169,44 @@ def _likeliest(
     begun = [each for each in map(started, starts) if _met(each, seen) is None]
     if not begun:
         return untouched, found, evidence
-    again, _ = _fit(objective, candidates, untouched, min(begun, key=improbability), seen)
+    again, _ = _fit(candidates, untouched, min(begun, key=lambda trial: trial.improbability), seen)
     best = min(
         (found, again),
-        key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, improbability(trial)),
+        key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, trial.improbability),
     )
-    return untouched, best, evidence if best is found else gain_of(objective, untouched, best)
+    return untouched, best, evidence if best is found else best.gain_over(untouched)
 
 
 def _fit(
-    objective: TouchObjective,
-    candidates: TouchCandidates,
-    untouched: MapEstimate,
-    started: MapEstimate,
-    seen: Seen,
+    candidates: TouchCandidates, untouched: MapEstimate, started: MapEstimate, seen: Seen
 ) -> tuple[MapEstimate, float]:
     """The best estimate from a first one, with touches or without, and the evidence of any touch.
 
     A fit ends where it meets an estimate that an earlier one has `seen`, with what that led to.
     """
     found, evidence = untouched, 0.0
-    if len(started.unknowns.touches):
-        evidence = gain_of(objective, untouched, started)
+    if len(started.at.touches):
+        evidence = started.gain_over(untouched)
         if evidence > TOUCH_THRESHOLD:
             found = started
     most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
-    while len(found.unknowns.touches) < most and _may_gain(found):
-        least = price_of_next(len(found.unknowns.touches))
-        starts = single_starts(objective, found, candidates, START_THRESHOLD * least)
+    while len(found.at.touches) < most and _may_gain(found):
+        least = price(len(found.at.touches) + 1) - price(len(found.at.touches))
+        starts = single_starts(found, candidates, START_THRESHOLD * least)
         if not starts:
             break
-        trials = [levenberg_marquardt(objective, start, *COARSE) for start in starts]
+        trials = [levenberg_marquardt(found.objective, start, *COARSE) for start in starts]
         more = min(trials, key=lambda trial: trial.misfit)
-        gain = gain_of(objective, found, more)
+        gain = more.gain_over(found)
         evidence = max(evidence, gain)
         if gain < least:
             break
         found = more
-    best = alone = pruned(objective, found)
+    best = alone = pruned(found)
     if (known := _met(alone, seen)) is not None:
         return known, evidence
-    if alone.misfit_sigma > CHI2_HIGH_SIGMA and len(alone.unknowns.touches) < most:
-        best = _split(objective, alone, candidates)
+    if alone.misfit_sigma > CHI2_HIGH_SIGMA and len(alone.at.touches) < most:
+        best = _split(alone, candidates)
     seen += [(alone, best), (best, best)]
     return best, evidence
 
@@ -242,16 +224,16 @@ def apart(found: MapEstimate, other: MapEstimate) -> float:
 
     Infinite to one with another number of touches, or with touches elsewhere.
     """
-    mine, others = found.unknowns.touches, other.unknowns.touches
+    mine, others = found.at.touches, other.at.touches
     if len(mine) != len(others):
         return math.inf
     away = (others[:, None] - mine) / TOUCH_UNITS  # their order may differ
     nearest = np.einsum("ijc,ijc->ij", away, away).argmin(axis=0) if len(mine) else np.arange(0)
     if len(set(nearest.tolist())) < len(mine):
         return math.inf
-    turned = (other.unknowns.angle_deg - found.unknowns.angle_deg) / ANGLE_UNIT
+    turned = (other.at.angle_deg - found.at.angle_deg) / ANGLE_UNIT
     step = np.concatenate([[turned], away[nearest, np.arange(len(mine))].ravel()])
-    return float(step @ found.quadratic.hessian @ step)
+    return float(step @ found.hessian @ step)
 
 
 def _initial_angle(objective: TouchObjective) -> float:
@@ -268,49 +250,27 @@ def _may_gain(found: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
     degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
-    return found.misfit - lowest > price_of_next(len(found.unknowns.touches))
+    touches = len(found.at.touches)
+    return found.misfit - lowest > price(touches + 1) - price(touches)
 
 
-def _split(
-    objective: TouchObjective, found: MapEstimate, candidates: TouchCandidates
-) -> MapEstimate:
+def _split(found: MapEstimate, candidates: TouchCandidates) -> MapEstimate:
     """The better of the estimate and those in which two touches replace one.
 
     The greedy search finds the middle of two touches instead of the pair.
     """
-    replaced: list[int | None] = list(range(len(found.unknowns.touches)))
-    if len(found.unknowns.touches) <= MOST_TOUCHES - 2:
+    objective = found.objective
+    replaced: list[int | None] = list(range(len(found.at.touches)))
+    if len(found.at.touches) <= MOST_TOUCHES - 2:
         replaced.append(None)
-    pairs = pair_starts(objective, found, replaced, candidates)
+    pairs = pair_starts(found, replaced, candidates)
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
         at = objective.linearised(start)
         whitening = objective.whitening(at)
-        more = price(len(start.touches)) - price(len(best.unknowns.touches))
+        more = price(len(start.touches)) - price(len(best.at.touches))
         goal = objective.misfit(best.at, whitening) - more
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial
-    return best if best is found else pruned(objective, best)
-
-
-def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, ...]) -> FrameFit:
-    """The estimate in physical units, with its covariances.
-
-    These grow by the misfit per degree of freedom where that is above one: the errors of a frame
-    that the model explains badly are larger than it has them (Birge 1932).
-    """
-    unknowns = found.minimum(FINE[1])
-    growth = max(found.misfit / found.degrees_of_freedom, 1.0)
-    covariance = growth * inverse(found.quadratic.hessian)
-    blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(unknowns.touches))]
-    covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
-    return FrameFit(
-        unknowns,
-        ANGLE_UNIT * math.sqrt(covariance[0, 0]),
-        covariances * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
-        evidence,
-        gains_of(found),
-        faults,
-        found,
-    )
+    return best if best is found else pruned(best)

@@ -20,12 +20,18 @@ from scipy.linalg import lapack
 from eitskin.compiled import implementation
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.fit_kernels import ANGLE_UNIT, RADIUS
+from eitskin.training.joint.fit_kernels import RADIUS, TOUCH_UNITS
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchPrior
 
 Array = NDArray[np.float64]
 
 KERNELS = "eitskin.training.joint.fit_kernels"
+TOUCH_THRESHOLD = 25.0
+"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
+of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
+FURTHER_THRESHOLD = 20.0
+"""The same of a touch beside others: above this once in 100 frames. Several touches are missed more
+often than one is made up."""
 
 
 class Unknowns(NamedTuple):
@@ -77,49 +83,6 @@ class Linearisation(NamedTuple):
         residual: Array = self.rows[0]
         return residual
 
-    @property
-    def bend_slope(self) -> Array:
-        """Derivative of the bend curve (K,) [1/deg]."""
-        slope: Array = self.rows[1] / ANGLE_UNIT
-        return slope
-
-
-class QuadraticModel(NamedTuple):
-    """Gauss-Newton model of the misfit in unit steps: the angle, then x, y, force of each touch.
-
-    Attributes:
-        products: misfit, minus half its gradient and half its Hessian, as blocks (1 + n, 1 + n).
-        white: residual and Jacobian, whitened (1 + n, K).
-    """
-
-    products: Array
-    white: Array
-
-    @property
-    def misfit(self) -> float:
-        """Sum of squares of the whitened residual and of the prior's terms."""
-        return float(self.products[0, 0])
-
-    @property
-    def gradient(self) -> Array:
-        """Minus half the gradient of the misfit (n,)."""
-        return np.asarray(self.products[0, 1:])
-
-    @property
-    def hessian(self) -> Array:
-        """Half the Gauss-Newton Hessian (n, n)."""
-        return np.asarray(self.products[1:, 1:])
-
-    @property
-    def residual(self) -> Array:
-        """Whitened residual (K,)."""
-        return np.asarray(self.white[0])
-
-    @property
-    def jacobian(self) -> Array:
-        """Derivatives of the model, whitened (K, n)."""
-        return np.asarray(self.white[1:].T)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchObjective:
@@ -160,7 +123,7 @@ class TouchObjective:
             "kernels": implementation(KERNELS),
             "_sensor": (*self.response.stacked, curve.coefficients),
             "_frame": (self.combined.change + bend, numbers, prior.box),
-            "_spread": (*spread, *combinations.both_ways, response.mismatch),
+            "_spread": (*spread, combinations.forward, combinations.back, response.mismatch),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -190,13 +153,8 @@ class TouchObjective:
     def remainder_scale(self, at: Linearisation) -> Array:
         """Standard deviation (C,) of `CombinedChange.rest`, in its units."""
         combined, combinations = self.combined, self.combined.combinations
-        if combinations.basis is None:
-            return np.ones(0)
-        variance = np.full(len(combined.measured), combined.frames)
-        if len(at.touches):
-            mismatch = self.response.response.mismatch
-            variance += combinations.share_variance(at.changes, mismatch) / combinations.noise**2
-        scale: Array = np.sqrt(variance)
+        errors = self.response.response.mismatch * at.changes @ combinations.back
+        scale: Array = np.sqrt(combined.frames + np.sum((errors / combinations.noise) ** 2, axis=0))
         return scale
 
     def scan_skew(self, slope: Array, moved_deg: float) -> Array:
@@ -212,10 +170,12 @@ class TouchObjective:
         late = moved_deg * (self.combined.combinations.lateness @ slope)
         return np.outer(late, late)
 
-    def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:
+    def quadratic(self, at: Linearisation, whitening: Array) -> "MapEstimate":
         """Misfit, gradient and Hessian, in the metric of `whitening`."""
         metric = np.ascontiguousarray(whitening.T)
-        return QuadraticModel(*self.kernels.quadratic(tuple(at), metric, self._frame))
+        return MapEstimate(
+            self, at, whitening, *self.kernels.quadratic(tuple(at), metric, self._frame)
+        )
 
     def misfit(self, at: Linearisation, whitening: Array) -> float:
         """Value of the objective, in the metric of `whitening`."""
@@ -227,18 +187,18 @@ class TouchObjective:
 
     def minimised(
         self, start: Linearisation, whitening: Array, steps: int, tolerance: float, goal: float
-    ) -> tuple[Linearisation, QuadraticModel]:
-        """End of the iterations of `levenberg_marquardt`."""
+    ) -> "MapEstimate":
+        """Estimate at the end of the iterations of `levenberg_marquardt`."""
         metric, arrays = np.ascontiguousarray(whitening.T), (self._sensor, self._frame)
         at, *quadratic = self.kernels.minimise(
             tuple(start), metric, *arrays, steps, tolerance, goal
         )
-        return Linearisation(*at), QuadraticModel(*quadratic)
+        return MapEstimate(self, Linearisation(*at), whitening, *quadratic)
 
-    def final_step(self, at: Linearisation, quadratic: QuadraticModel) -> tuple[Array, float]:
-        """The step (n,) that a fit which ends here would take next, and its promise."""
-        products, touches = quadratic.products, at.touches
-        step, promised = self.kernels.trust_step(products, touches, self._frame, RADIUS)
+    def next_step(self, estimate: "MapEstimate") -> tuple[Array, float]:
+        """The step (n,) that a fit which ends at an estimate would take next, and its promise."""
+        at, radius = estimate.at, RADIUS
+        step, promised = self.kernels.trust_step(estimate.products, at.touches, self._frame, radius)
         return step, promised
 
 
@@ -282,39 +242,53 @@ def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:
     return (misfit - degrees_of_freedom) / math.sqrt(2.0 * max(degrees_of_freedom, 1))
 
 
+def price(touches: int) -> float:
+    """Decrease of the misfit that is asked of so many touches together."""
+    return TOUCH_THRESHOLD + FURTHER_THRESHOLD * (touches - 1) if touches else 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEstimate:
-    """MAP estimate of the unknowns for a given number of touches.
+    """Estimate of the unknowns for a given number of touches, and the objective about it.
+
+    Its quadratic (Gauss-Newton) model is in unit steps: of the angle, then x, y, force of each
+    touch. The inverse Hessian is the covariance.
 
     Attributes:
         objective: that it minimises.
         at: the model linearised at the estimate.
-        quadratic: the objective about the estimate; its inverse Hessian is the covariance, in unit
-            steps.
         whitening: metric of the residual in which the estimate was sought (K, K).
+        products: misfit, minus half its gradient and half its Hessian, as blocks (1 + n, 1 + n).
+        white: residual and derivatives of the model, whitened (1 + n, K).
     """
 
     objective: TouchObjective
     at: Linearisation
-    quadratic: QuadraticModel
     whitening: Array
+    products: Array
+    white: Array
 
     @property
     def unknowns(self) -> Unknowns:
         """The estimate."""
-        return self.at.unknowns
+        return Unknowns(self.at.touches, self.at.angle_deg)
 
     @property
     def misfit(self) -> float:
-        """Value of the objective."""
-        return self.quadratic.misfit
+        """Sum of squares of the whitened residual and of the prior's terms."""
+        return float(self.products[0, 0])
+
+    @property
+    def hessian(self) -> Array:
+        """Half the Gauss-Newton Hessian (n, n)."""
+        return np.asarray(self.products[1:, 1:])
 
     def minimum(self, tolerance: float) -> Unknowns:
         """Unknowns after the step at which the fit ended, which promised less than `tolerance`.
 
         A fit does not evaluate that step. Where it ended for another reason, the estimate itself.
         """
-        step, promised = self.objective.final_step(self.at, self.quadratic)
+        step, promised = self.objective.next_step(self)
         return (
             self.unknowns if promised > tolerance else self.objective.stepped(self.unknowns, step)
         )
@@ -322,18 +296,17 @@ class MapEstimate:
     @property
     def degrees_of_freedom(self) -> int:
         """Number of residuals minus number of unknowns, at least one."""
-        return max(self.objective.combined.told - len(self.quadratic.gradient), 1)
+        return max(self.objective.combined.told + 1 - len(self.products), 1)
 
     @property
     def misfit_sigma(self) -> float:
         """Misfit above its expectation, in standard deviations."""
         return misfit_sigma(self.misfit, self.degrees_of_freedom)
 
-    def whole(self) -> "tuple[Array, float, int]":
+    def whole(self) -> tuple[Array, float, int]:
         """Whitened remainder of the measurements, and misfit and degrees of freedom with it.
 
-        The remainder, which no bend and no touch explains, tells faults (C,); it has no elements
-        where nothing can remain.
+        The remainder, which no bend and no touch explains, tells faults (C,).
         """
         combined = self.objective.combined
         rest = combined.rest / self.objective.remainder_scale(self.at)
@@ -341,16 +314,30 @@ class MapEstimate:
         return rest, self.misfit + float(rest @ rest), self.degrees_of_freedom + further
 
     @property
-    def improbability(self) -> float:
-        """Minus twice the logarithm of the density of frame and touches, but for a constant."""
-        whitening = self.objective.whitening(self.at)
-        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
-        return self.objective.misfit(self.at, whitening) - width
-
-    @property
     def whole_sigma(self) -> float:
         """Misfit with the remainder above its expectation, in standard deviations."""
         return misfit_sigma(*self.whole()[1:])
+
+    @property
+    def improbability(self) -> float:
+        """Minus twice the logarithm of the model's posterior density, but for a constant.
+
+        Every touch is as improbable as its threshold says.
+        """
+        whitening = self.objective.whitening(self.at)
+        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
+        return self.objective.misfit(self.at, whitening) - width + price(len(self.at.touches))
+
+    @property
+    def gains(self) -> Array:
+        """Rise of the misfit, to second order, were each touch's force zero (k,)."""
+        variance = np.diagonal(inverse(self.hessian))
+        gains: Array = (self.at.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
+        return gains
+
+    def gain_over(self, before: "MapEstimate") -> float:
+        """Decrease of the misfit from an earlier estimate, in the metric of this one."""
+        return self.objective.misfit(before.at, self.whitening) - self.misfit
 
 
 def levenberg_marquardt(
@@ -378,5 +365,4 @@ def levenberg_marquardt(
     at = objective.linearised(start) if isinstance(start, Unknowns) else start
     if whitening is None:
         whitening = objective.whitening(at)
-    at, now = objective.minimised(at, whitening, steps, tolerance, goal)
-    return MapEstimate(objective, at, now, whitening)
+    return objective.minimised(at, whitening, steps, tolerance, goal)

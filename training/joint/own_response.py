@@ -70,7 +70,7 @@ def own_output(
     rows, left = [], []
     for angle_deg, first, last in groups:
         some = touches[first:last]
-        change = combinations.of(twin.changes(some, angle_deg, radius))
+        change = twin.changes(some, angle_deg, radius) @ combinations.forward
         # A frame is compared with another one, and the response errs in proportion to the change.
         error = np.sqrt(np.mean((MISMATCH * change) ** 2 + unit**2, axis=1, keepdims=True))
         rows.append(response.hidden(some, angle_deg) / error)
@@ -138,7 +138,7 @@ def relative_residual(
         touches[:, 2] = np.where(np.isfinite(forces), forces, response.response.ranges.middle_force)
         change = log_change(touched.observations.dynamic[row])
         angle_deg = np.nan_to_num(touched.reference_deg[row])
-        modelled = combinations.changes(response(touches, float(angle_deg)).sum(axis=0))
+        modelled = response(touches, float(angle_deg)).sum(axis=0) @ combinations.back
         good = np.isfinite(change)
         change, modelled = change[good], modelled[good]
         strength = float(modelled @ change) / max(float(modelled @ modelled), 1e-300)
@@ -175,10 +175,9 @@ class KnownTouches:
             response: of the sensor.
             changes: by each touch, and their derivatives by x, y and force (4, k, K).
         """
-        combinations = self.seen.combinations
-        total: Array = self.seen.noise.copy()
-        variance = combinations.share_variance(changes[0], response.response.mismatch)
-        combinations.add_independent(total, variance)
+        forward, back = self.seen.combinations.forward, self.seen.combinations.back
+        variance = response.response.mismatch**2 * np.sum((changes[0] @ back) ** 2, axis=0)
+        total: Array = self.seen.noise + forward.T * variance @ forward
         moved = PLACE_ERROR * changes[1:3].reshape(-1, len(total))
         forces = self.force_errors[:, None] * changes[0]
         total += moved.T @ moved + forces.T @ forces

@@ -19,7 +19,6 @@ from eitskin.training.joint.channel_faults import (
     SUSPICIOUS_SIGMA,
     ChannelFault,
     PossibleFaults,
-    most_likely_fault,
 )
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.networks import AngleNetworks
@@ -125,11 +124,9 @@ def robust_angle(
         found = replace(found, faults=faults)
         if found.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MOST_FAULTS:
             return found
-        jacobian = whitening @ curve.slope(found.angle_deg)
-        jacobian = np.pad(jacobian, (0, len(residual) - len(jacobian)))[:, None]
-        seen, left = possible.seen_by(combined)
-        directions = np.concatenate([whitening @ seen, left / math.sqrt(combined.frames)])
-        fault, gain = most_likely_fault(residual, jacobian, directions, possible)
+        scale = math.sqrt(combined.frames)
+        jacobian = (whitening @ curve.slope(found.angle_deg))[:, None]
+        fault, gain = possible.likeliest(combined, whitening, scale, residual, jacobian)
         fewer = combined.without(fault.members)
         if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
             return found

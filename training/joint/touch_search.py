@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.fit_kernels import ANGLE_PRIOR_STD_DEG, TOUCH_UNITS
+from eitskin.training.joint.fit_kernels import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT
 from eitskin.training.joint.objective import (
+    FURTHER_THRESHOLD,
+    TOUCH_THRESHOLD,
     Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
-    inverse,
     levenberg_marquardt,
     solution,
 )
@@ -23,13 +24,6 @@ Array = NDArray[np.float64]
 LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
 RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
-TOUCH_THRESHOLD = 25.0
-"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
-of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
-FURTHER_THRESHOLD = 20.0
-"""The same of a touch beside others: above this once in 100 frames. Several touches are missed more
-often than one is made up."""
-
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
@@ -72,7 +66,7 @@ class TouchCandidates:
 def initial_touches(objective: TouchObjective, places: Array, untouched: Linearisation) -> Unknowns:
     """Touches at `places` (k, 2) [m] with the forces of a linear ridge regression."""
     mean, deviation = objective.prior.force
-    angle_deg = untouched.unknowns.angle_deg
+    angle_deg = untouched.angle_deg
     touches = np.empty((len(places), 3))
     touches[:, :2], touches[:, 2] = places, mean
     whitening = objective.whitening(untouched)
@@ -85,18 +79,18 @@ def initial_touches(objective: TouchObjective, places: Array, untouched: Lineari
 
 
 def single_starts(
-    objective: TouchObjective, found: MapEstimate, candidates: TouchCandidates, least_gain: float
+    found: MapEstimate, candidates: TouchCandidates, least_gain: float
 ) -> list[Unknowns]:
     """Unknowns with one more touch where the misfit falls most, by at least `least_gain`.
 
     The first touch may fit nearly as well elsewhere, such as across the middle of the sensor: then
     there are two starts.
     """
-    unknowns = found.unknowns
+    objective, unknowns = found.objective, found.unknowns
     whitening = objective.whitening(found.at)
     shapes = candidates.change @ whitening.T
     # Directions that a change of the angle explains are no evidence of a touch.
-    bend = whitening @ found.at.bend_slope * ANGLE_PRIOR_STD_DEG
+    bend = whitening @ found.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
     bend /= np.sqrt(1.0 + bend @ bend)
     residual = whitening @ found.at.residual
     on_bend, on_residual = shapes @ bend, shapes @ residual
@@ -120,24 +114,21 @@ def single_starts(
 
 
 def pair_starts(
-    objective: TouchObjective,
-    found: MapEstimate,
-    replaced: Sequence[int | None],
-    candidates: TouchCandidates,
+    found: MapEstimate, replaced: Sequence[int | None], candidates: TouchCandidates
 ) -> list[tuple[float, Unknowns]]:
     """Best pairs of further touches, where there is room, and the misfit that each leaves.
 
     Two shapes with Gram matrix G and projections p of the residual lower the misfit by p^T G^-1 p.
 
     Args:
-        objective: of the frame.
-        found: its estimate.
+        found: estimate of the frame.
         replaced: number of the touch that a pair takes the place of; None for a pair beside all.
         candidates: of which some may be one of a pair.
 
     Returns:
         misfit to first order, and unknowns with the pair.
     """
+    objective = found.objective
     places, change, apart = candidates.for_pairs(objective.prior.separation)
     shapes = change @ found.whitening.T
     gram = shapes @ shapes.T
@@ -145,7 +136,7 @@ def pair_starts(
     least, most = (limit / candidates.force for limit in limits)
     pairs = []
     for touch in replaced:
-        unknowns, residual = found.unknowns, found.quadratic.residual
+        unknowns, residual = found.unknowns, found.white[0]
         if touch is not None:
             unknowns = unknowns.without_touch(touch)
             residual = residual + found.whitening @ found.at.changes[touch]
@@ -198,69 +189,41 @@ def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> N
     return apart
 
 
-def price(touches: int) -> float:
-    """Decrease of the misfit that is asked of so many touches together."""
-    return TOUCH_THRESHOLD + FURTHER_THRESHOLD * (touches - 1) if touches else 0.0
-
-
-def price_of_next(touches: int) -> float:
-    """Decrease of the misfit that is asked of a touch beside so many others."""
-    return price(touches + 1) - price(touches)
-
-
-def improbability(found: MapEstimate) -> float:
-    """Minus twice the logarithm of a model's posterior density, but for a constant."""
-    return found.improbability + price(len(found.unknowns.touches))
-
-
-def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
+def pruned(found: MapEstimate) -> MapEstimate:
     """The converged estimate without touches that the others make superfluous."""
-    while len(found.unknowns.touches):
-        found = levenberg_marquardt(objective, found.at, *FINE)
+    while len(found.at.touches):
+        found = levenberg_marquardt(found.objective, found.at, *FINE)
         # A touch that is held at the least force would rather be weaker, or not there.
-        faint = found.unknowns.touches[:, 2] <= objective.prior.low[2]
-        gains = np.where(faint, 0.0, gains_of(found))
-        weakest, threshold = int(gains.argmin()), threshold_of(found)
+        faint = found.at.touches[:, 2] <= found.objective.prior.low[2]
+        gains = np.where(faint, 0.0, found.gains)
+        weakest, threshold = int(gains.argmin()), _threshold_of_weakest(found)
         if gains[weakest] > PRUNING_LIMIT * threshold:
             break
-        fewer = _without(objective, found, weakest, threshold)
-        if gain_of(objective, fewer, found) > threshold:
+        fewer = _without_touch(found, weakest, threshold)
+        if found.gain_over(fewer) > threshold:
             break
         found = fewer
     return found
 
 
-def threshold_of(found: MapEstimate) -> float:
+def _threshold_of_weakest(found: MapEstimate) -> float:
     """Least gain of the weakest touch of an estimate.
 
     Where the estimate leaves more misfit than chance would, errors are larger than the model has
     them, and further touches gain more by chance in proportion (Birge 1932). That anything touches
     at all needs no more evidence: without the touch still more would be left.
     """
-    if len(found.unknowns.touches) < 2:
+    if len(found.at.touches) < 2:
         return TOUCH_THRESHOLD
     usual = found.degrees_of_freedom + USUAL_SIGMA * math.sqrt(2.0 * found.degrees_of_freedom)
     return FURTHER_THRESHOLD * max(found.misfit / usual, 1.0)
 
 
-def _without(
-    objective: TouchObjective, found: MapEstimate, touch: int, threshold: float
-) -> MapEstimate:
+def _without_touch(found: MapEstimate, touch: int, threshold: float) -> MapEstimate:
     """The estimate without one touch; one that has not converged where the touch is needed."""
+    objective = found.objective
     others = objective.linearised(found.unknowns.without_touch(touch))
     whitening = objective.whitening(others)
     goal = found.misfit + threshold  # in the metric of `found`
     goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
     return levenberg_marquardt(objective, others, *FINE, whitening, goal)
-
-
-def gain_of(objective: TouchObjective, before: MapEstimate, after: MapEstimate) -> float:
-    """Decrease of the misfit from one estimate to another, in the metric of the latter."""
-    return objective.misfit(before.at, after.whitening) - after.misfit
-
-
-def gains_of(found: MapEstimate) -> Array:
-    """Rise of the misfit, to second order, were each touch's force zero (k,)."""
-    variance = np.diagonal(inverse(found.quadratic.hessian))
-    gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
-    return gains

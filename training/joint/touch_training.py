@@ -228,8 +228,8 @@ class SyntheticFrames:
         terms = torch.einsum("nh,pch->npc", summed, output_)
         share_ = torch.as_tensor(share, dtype=torch.float32)
         change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
-        each = self.combinations.changes(change)  # the measurements err independently
-        errors = self.combinations.of(each * rng.standard_normal(each.shape))
+        each = change @ self.combinations.back  # the measurements err independently
+        errors = each * rng.standard_normal(each.shape) @ self.combinations.forward
         strength = np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
         return (change + response.mismatch * errors) * strength
 

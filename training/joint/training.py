@@ -300,7 +300,7 @@ def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
     """
     squares = size = 0.0
     combinations, variance = frames.combinations, np.diagonal(frames.noise)
-    total = np.sum(combinations.matrix**2, axis=0)
+    total = np.sum(combinations.forward**2, axis=1)
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
         specimen = response.of(frames.features[i])
@@ -310,7 +310,7 @@ def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
         metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
         fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
         squares += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
-        each = combinations.changes(fitted[0] * modelled)
+        each = fitted[0] * modelled @ combinations.back
         size += float(total @ np.sum(each**2, axis=0))
     return float(np.sqrt(max(squares / size, 1e-6)))
 

@@ -31,7 +31,7 @@ TOUCHES = np.array([[0.030, 0.040, 6.0], [0.110, 0.020, 10.0]])
 
 def model(combinations, mismatch=0.0):
     """Response of the specimen and bend curve of the mixed measurements, in combinations."""
-    mix = combinations.of(MIX.T).T
+    mix = (MIX.T @ combinations.forward).T
     output, latent = (
         np.einsum("kc,pch->pkh", mix, each) for each in (RESPONSE.output, RESPONSE.latent_output)
     )
@@ -58,7 +58,7 @@ def fitted(combinations, change, mismatch=0.0):
     objective = TouchObjective(
         combinations.combined(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
     )
-    faults = possible_faults(PROTOCOL, FLAT, combinations)
+    faults = possible_faults(PROTOCOL, FLAT)
     return fit_frame(objective, candidates, TOUCHES[:, :2] + 0.003, faults)
 
 
@@ -102,7 +102,7 @@ def test_faults_that_no_combination_shows_are_found(fault):
 
 
 def contact_members(electrode):
-    faults = possible_faults(PROTOCOL, FLAT, ALL).faults
+    faults = possible_faults(PROTOCOL, FLAT).faults
     name = f"the contact of electrode {electrode} "
     return list(next(each.members for each in faults if name in each.name))
 
@@ -118,12 +118,8 @@ def test_combinations_that_nothing_tells_are_unknown():
     assert np.linalg.eigvalsh(FEW.without(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
 
 
-def test_independent_errors_of_measurements_are_carried_over():
-    variance, covariance = RNG.uniform(0.0, 1e-6, COUNT), np.zeros((30, 30))
-    FEW.add_independent(covariance, variance)
-    forward = np.array([FEW.of(row) for row in np.eye(COUNT)]).T
-    np.testing.assert_allclose(covariance, forward @ np.diag(variance) @ forward.T, atol=1e-15)
-    np.testing.assert_allclose(FEW.of(FEW.changes(np.eye(30))), np.eye(30), atol=1e-12)
+def test_combinations_of_their_changes_are_the_same():
+    np.testing.assert_allclose(FEW.back @ FEW.forward, np.eye(30), atol=1e-12)
 
 
 def test_signals_are_told_from_noise():
@@ -135,7 +131,7 @@ def test_signals_are_told_from_noise():
     found = Combinations.fit([(change, 1.0)], NOISES)
     assert len(found) == 10  # and the drift
     for signal in (shapes, np.ones((COUNT, 1))):
-        left = signal - found.changes(found.of(signal.T)).T
+        left = signal - (signal.T @ found.forward @ found.back).T
         assert np.abs(left / NOISES[:, None]).max() < 0.02 * np.abs(signal / NOISES[:, None]).max()
 
 

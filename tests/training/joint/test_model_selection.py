@@ -54,8 +54,8 @@ def test_gradient_is_that_of_finite_differences(kind):
     quadratic = objective.quadratic(at, whitening)
     assert quadratic.misfit == pytest.approx(objective.misfit(at, whitening), rel=1e-12)
     np.testing.assert_allclose(at.residual, residual(objective, unknowns), rtol=1e-12, atol=1e-16)
-    for i in range(len(quadratic.gradient)):
-        step = 1e-4 * np.eye(len(quadratic.gradient))[i]
+    for i in range(len(quadratic.products[0, 1:])):
+        step = 1e-4 * np.eye(len(quadratic.products[0, 1:]))[i]
         up, down = (
             objective.misfit(
                 objective.linearised(objective.stepped(unknowns, sign * step)), whitening
@@ -63,8 +63,8 @@ def test_gradient_is_that_of_finite_differences(kind):
             for sign in (1, -1)
         )
         expected = -0.5 * (up - down) / 2e-4
-        size = np.abs(quadratic.gradient).max()
-        assert quadratic.gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-6 * size)
+        size = np.abs(quadratic.products[0, 1:]).max()
+        assert quadratic.products[0, 1:][i] == pytest.approx(expected, rel=1e-4, abs=1e-6 * size)
 
 
 def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
@@ -79,7 +79,7 @@ def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
         up, down = (
             objective.quadratic(
                 objective.linearised(objective.stepped(unknowns, sign * step)), whitening
-            ).gradient
+            ).products[0, 1:]
             for sign in (1, -1)
         )
         np.testing.assert_allclose(
@@ -109,7 +109,7 @@ def test_two_touches_at_one_place_can_be_told_apart():
     objective = frame(TOUCHES[2])
     corner = np.array([TOUCH_PRIOR.low, TOUCH_PRIOR.low])
     found = levenberg_marquardt(objective, objective.linearised(Unknowns(corner, 0.0)), 30, 1e-6)
-    assert np.linalg.eigvalsh(found.quadratic.hessian).min() > 0
+    assert np.linalg.eigvalsh(found.hessian).min() > 0
     apart = np.linalg.norm(found.unknowns.touches[0, :2] - found.unknowns.touches[1, :2])
     assert apart > 0.5 * TOUCH_PRIOR.separation
 

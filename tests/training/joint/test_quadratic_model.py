@@ -1,6 +1,7 @@
 """Steps of the fit: within their trust region, and of unknowns that bounds hold."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from one_frame import STIFF, TOUCHES, frame
 from scipy.optimize import minimize
 
 from eitskin.training.joint.fit_kernels import DAMPINGS, trust_step
-from eitskin.training.joint.objective import QuadraticModel, Unknowns, levenberg_marquardt
+from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 
 from smooth_sensor import TOUCH_PRIOR
 
@@ -18,11 +19,11 @@ FRAME = np.zeros(1), np.zeros(5), np.array([[0.0] * 3] * 2 + [[-1.0] * 3, [1.0] 
 
 @pytest.fixture
 def linear():
-    """A linear least-squares problem of 20 residuals and 7 unknowns, as a quadratic model."""
+    """Residual (20,) and Jacobian (20, 7) of a linear problem, and the products of both."""
     rng = np.random.default_rng(0)
     jacobian, residual = rng.standard_normal((20, 7)), 30.0 * rng.standard_normal(20)
-    products = np.column_stack([residual, jacobian]).T @ np.column_stack([residual, jacobian])
-    return QuadraticModel(products, np.column_stack([residual, jacobian]).T)
+    both = np.column_stack([residual, jacobian])
+    return SimpleNamespace(residual=residual, jacobian=jacobian, products=both.T @ both)
 
 
 def test_a_wide_region_is_left_to_the_minimum(linear):
@@ -37,13 +38,16 @@ def test_steps_stay_within_their_region_and_promise_what_they_gain(linear, radiu
     step, promised = trust_step(linear.products, NOWHERE, FRAME, radius)
     assert 0.1 * radius < np.abs(step).max() <= radius
     left = linear.residual - linear.jacobian @ step
-    assert promised == pytest.approx(linear.misfit - left @ left, rel=1e-9)
+    assert promised == pytest.approx(linear.products[0, 0] - left @ left, rel=1e-9)
     assert promised > 0.0
 
 
 def test_steps_are_the_least_damped_ones_within_their_region(linear):
-    unit = np.eye(7) + np.diag(np.diag(linear.hessian))
-    steps = [np.linalg.solve(linear.hessian + d * unit, linear.gradient) for d in DAMPINGS]
+    unit = np.eye(7) + np.diag(np.diag(linear.products[1:, 1:]))
+    steps = [
+        np.linalg.solve(linear.products[1:, 1:] + d * unit, linear.products[0, 1:])
+        for d in DAMPINGS
+    ]
     lengths = np.abs(steps).max(axis=1)
     for radius in (lengths[0], lengths[3], lengths[8], 1e-9):
         within = np.append(np.flatnonzero(lengths <= 1.0001 * radius), len(steps) - 1)[0]
@@ -53,7 +57,9 @@ def test_steps_are_the_least_damped_ones_within_their_region(linear):
 
 def test_unknowns_stay_at_bounds_that_they_would_cross_and_the_others_take_them_for_known(linear):
     held = np.arange(7) % 3 == 1
-    at = np.where(held[1:], np.sign(linear.gradient[1:]), -np.sign(linear.gradient[1:]))
+    at = np.where(
+        held[1:], np.sign(linear.products[0, 1:][1:]), -np.sign(linear.products[0, 1:][1:])
+    )
     step, _ = trust_step(linear.products, at.reshape(2, 3), FRAME, np.inf)
     expected = np.linalg.lstsq(linear.jacobian[:, ~held], linear.residual, rcond=None)[0]
     np.testing.assert_allclose(step[~held], expected, rtol=1e-4)

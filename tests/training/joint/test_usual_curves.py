@@ -114,7 +114,7 @@ def test_a_mixture_has_the_moments_of_its_parts():
 @pytest.mark.parametrize("alike", [True, False])
 def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
-    none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS), COMBINATIONS)
+    none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
     both = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, usual=usual.of(()))
     alone = SpecimenModel(np.zeros(0), None, everywhere.of(()), none)
     for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
