@@ -226,6 +226,11 @@ class Assembly:
             solved[part] = inner
         return Stiffness(lower.ravel(), solved)
 
+    def whole_matrices(self, values: Array, elements: Indices) -> Array:
+        """Matrices of some elements, (elements, outer, outer), from values of `Stiffness`."""
+        triangles = values.reshape(-1, len(self._pairs[0]))[elements]
+        return triangles[:, self._whole]
+
     def _condensations(self, matrices: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
         """Some elements at a time: lower triangles, changes by condensation, and inner unknowns.
 

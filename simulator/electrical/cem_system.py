@@ -23,8 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from eitskin.simulator.electrical.assembly import Assembly, ElectrodeTerms, scatter_sum
+from eitskin.simulator.electrical.assembly import Assembly, ElectrodeTerms
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -47,15 +48,6 @@ class CemSystem:
     admittance: Numbers
     lift: Array
 
-    @property
-    def lifted(self) -> NDArray[np.bool_]:
-        """Electrodes in the second form, with a lifting function, (electrodes,)."""
-        return np.asarray(self.lift.any(axis=0))
-
-    def impedance(self, T: Numbers) -> Numbers:
-        """Impedance matrix Z [ohm] from T = B^T A^-1 B."""
-        return impedance_matrix(self.admittance, T)
-
 
 def impedance_matrix(D: Numbers, T: Numbers) -> Numbers:
     """Impedance matrix Z [ohm] with zero row and column sums, from D and T = B^T A^-1 B.
@@ -71,61 +63,88 @@ def impedance_matrix(D: Numbers, T: Numbers) -> Numbers:
     return symmetric
 
 
+class ElementProducts:
+    """Matrices that are sums of element matrices on one mesh."""
+
+    def __init__(self, numbers: Indices, unknowns: int) -> None:
+        """Prepare for elements with the unknowns `numbers`, (elements, functions)."""
+        self._numbers = numbers
+        ends = np.arange(numbers.size + 1)
+        ones = np.ones(numbers.size)
+        self._gathered = csr_array(
+            (ones, numbers.ravel(), ends), (numbers.size, unknowns)
+        ).T.tocsr()
+
+    def product(self, matrices: Array, vectors: Array) -> Array:
+        """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
+        each = matrices @ vectors[self._numbers]
+        return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
+
+
 class SystemPattern:
     """Sparsity pattern, grounded unknown and lifting functions: all that scenes share.
 
     Attributes:
         rows, columns: of each value in the lower triangle of A; values of equal position add up.
+        ground: the grounded unknown.
+        lifting: elements in which some lifting function is not zero.
     """
 
     def __init__(self, assembly: Assembly) -> None:
         """Choose the grounded unknown and the lifting functions."""
-        self._ground = _ground(assembly)
-        self.rows: Indices = np.append(assembly.rows, self._ground)
-        self.columns: Indices = np.append(assembly.columns, self._ground)
-        self._lift, self._liftable = _lift(assembly)
-        # Entries of K in columns of lifted unknowns, both triangles: K E needs no others.
+        self._assembly, self.ground = assembly, _ground(assembly)
+        self.rows: Indices = np.append(assembly.rows, self.ground)
+        self.columns: Indices = np.append(assembly.columns, self.ground)
         count = len(assembly.rows) - assembly.contact_entries
         rows, columns = assembly.rows[:count], assembly.columns[:count]
-        lifted = np.asarray(self._lift.any(axis=1))
-        lower = np.flatnonzero(lifted[columns])
-        upper = np.flatnonzero(lifted[rows] & (rows != columns))
-        ground = np.full(int(lifted[self._ground]), self._ground)
-        entry = np.concatenate([lower, upper, np.full(len(ground), -1)])
-        to = np.concatenate([rows[lower], columns[upper], ground])
-        source = np.concatenate([columns[lower], rows[upper], ground])
-        term, electrode = np.nonzero(self._lift[source])
-        self._entry, self._factor = entry[term], self._lift[source[term], electrode]
-        self._position = to[term] * assembly.electrodes + electrode
-        self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
+        self._grounded = np.flatnonzero((rows == self.ground) & (columns == self.ground))
+        self._lift, self._liftable = _lift(assembly)
+        numbers = assembly.space.numbers
+        self.lifting: Indices = np.flatnonzero(
+            np.asarray(self._lift.any(axis=1))[numbers].any(axis=1)
+        )
+        self._products = ElementProducts(numbers[self.lifting], assembly.unknowns)
 
-    def system(
-        self, stiffness: Array, contact: ElectrodeTerms, lifted: NDArray[np.bool_] | None = None
-    ) -> CemSystem:
+    def system(self, stiffness: Array, contact: ElectrodeTerms) -> CemSystem:
         """System for stiffness values and electrode terms, each electrode in its own form.
 
         Args:
             stiffness: values of K, as of `Stiffness`.
             contact: electrode terms.
-            lifted: electrodes in the second form; those with the smaller D_ll when omitted.
         """
         ground = stiffness[self._grounded].sum()
-        values = np.append(stiffness, ground)
+        matrices = self._assembly.whole_matrices(stiffness, self.lifting)
+        coupling, admittance, lift = self.forms(matrices, ground, contact)
+        values = np.concatenate([stiffness, contact.values, [ground]])
+        return CemSystem(values, coupling, admittance, lift)
+
+    def forms(
+        self,
+        matrices: Array,
+        ground: float,
+        contact: ElectrodeTerms,
+        lifted: NDArray[np.bool_] | None = None,
+    ) -> tuple[Numbers, Numbers, Array]:
+        """B, D and E, (unknowns or electrodes, electrodes), each electrode in its own form.
+
+        Args:
+            matrices: of the elements `lifting`, (elements, functions, functions) [S].
+            ground: conductance of the grounded unknown [S].
+            contact: electrode terms.
+            lifted: electrodes in the second form; those with the smaller D_ll when omitted.
+        """
         E = self._lift
-        KE = scatter_sum(self._position, values[self._entry] * self._factor, E.size)
-        KE = KE.reshape(E.shape)
+        if lifted is not None and not lifted.any():
+            return contact.coupling, np.diag(contact.admittance), np.zeros_like(E)
+        KE = self._products.product(matrices, E)
+        KE[self.ground] += ground * E[self.ground]
         energy = E.T @ KE
         if lifted is None:
             lifted = self._liftable & (np.diag(energy) < np.abs(contact.admittance))
         admittance = np.where(np.outer(lifted, lifted), energy, 0.0) + np.diag(
             np.where(lifted, 0.0, contact.admittance)
         )
-        return CemSystem(
-            values=np.concatenate([stiffness, contact.values, [ground]]),
-            coupling=np.where(lifted, -KE, contact.coupling),
-            admittance=admittance,
-            lift=np.where(lifted, E, 0.0),
-        )
+        return np.where(lifted, -KE, contact.coupling), admittance, np.where(lifted, E, 0.0)
 
 
 def zero_sums(Z: Numbers) -> Numbers:

@@ -1,6 +1,5 @@
 """Reference elements: shape functions on a column of an extruded mesh, or on a tetrahedron."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,51 +16,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Numbers = NDArray[np.inexact]
 Base = Literal["quadrilateral", "triangle"]
-
-
-class Element(ABC):
-    """Shape functions phi_i and quadrature on one reference element.
-
-    Inner functions, the last ones, meet neither other elements nor electrodes.
-    """
-
-    @property
-    @abstractmethod
-    def inner(self) -> int:
-        """Number of inner functions."""
-
-    @property
-    @abstractmethod
-    def cells(self) -> int:
-        """Number of mesh cells that make one element."""
-
-    @property
-    @abstractmethod
-    def face_degree(self) -> int:
-        """Polynomial degree of the functions on a face."""
-
-    @abstractmethod
-    def indicator(self, low: float, high: float) -> Array:
-        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
-
-        The function falls to zero at the next heights with mesh points, where there are any.
-        """
-
-    @abstractmethod
-    def values(self, X: Array) -> Array:
-        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
-
-    @abstractmethod
-    def gradients(self, X: Array) -> Array:
-        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
-
-    @abstractmethod
-    def rule(self) -> tuple[Array, Array]:
-        """Points (3, q) and weights (q,), cell by cell, for products of gradients."""
-
-    def full_rule(self) -> tuple[Array, Array]:
-        """Points and weights that leave no product of gradients out in the plane."""
-        return self.rule()
 
 
 def plane_element(base: Base, order: int) -> skfem.Element:
@@ -93,7 +47,7 @@ def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
 
 
 @dataclass(frozen=True)
-class ExtrudedElement(Element):
+class ExtrudedElement:
     """Tensor-product element: a column of cells over the unit square or triangle.
 
     Each function is a function of the plane times one of the height, an upright function. The layer
@@ -117,6 +71,7 @@ class ExtrudedElement(Element):
 
     @property
     def cells(self) -> int:
+        """Number of mesh cells that make one element."""
         return len(self.heights) - 1
 
     @property
@@ -144,6 +99,7 @@ class ExtrudedElement(Element):
 
     @cached_property
     def inner(self) -> int:
+        """Number of inner functions, the last ones: they meet no other elements or electrodes."""
         if not self.condensed:
             return 0
         return sum(p.interior_dofs * self.modes(d) for d, p in enumerate(self.planes))
@@ -153,6 +109,10 @@ class ExtrudedElement(Element):
         return 1 if degree == 0 else self.cells
 
     def indicator(self, low: float, high: float) -> Array:
+        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
+
+        The function falls to zero at the next heights with mesh points, where there are any.
+        """
         h = np.array(self.heights)
         same = 1e-9 * (h[-1] - h[0])
         wanted = ((h > low - same) & (h < high + same)).astype(float)
@@ -166,9 +126,11 @@ class ExtrudedElement(Element):
         return np.array(factors)
 
     def values(self, X: Array) -> Array:
+        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         return np.stack([flat[0] * up[0] for flat, up in self._factors(X)])
 
     def gradients(self, X: Array) -> Array:
+        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         return np.stack(
             [
                 np.stack([flat[1][0] * up[0], flat[1][1] * up[0], flat[0] * up[1]])
@@ -264,47 +226,44 @@ class ExtrudedElement(Element):
         return [((cell == m) * value, (cell == m) * slope) for m in range(self.cells)]
 
 
-@dataclass(frozen=True)
-class TetrahedralElement(Element):
-    """Linear or quadratic Lagrange element on the unit tetrahedron."""
+class TetrahedralElement:
+    """Linear or quadratic Lagrange element on the unit tetrahedron, with one cell.
 
-    order: int
+    Attributes:
+        element: the scikit-fem element.
+        face_degree: polynomial degree of the functions on a face.
+    """
 
-    def __post_init__(self) -> None:
-        if self.order not in (1, 2):
+    inner, cells = 0, 1
+
+    def __init__(self, order: int) -> None:
+        """Choose the element; raises ConfigurationError for another order than 1 or 2."""
+        known = {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}
+        if order not in known:
             raise ConfigurationError(
-                f"expected order 1 or 2 for tetrahedra, got {self.order}; name one of these"
+                f"expected order 1 or 2 for tetrahedra, got {order}; name one of these"
             )
-
-    @property
-    def inner(self) -> int:
-        return 0
-
-    @property
-    def cells(self) -> int:
-        return 1
-
-    @property
-    def face_degree(self) -> int:
-        return self.order
-
-    @cached_property
-    def element(self) -> skfem.Element:
-        """The scikit-fem element."""
-        return {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}[self.order]()
+        self.element, self.face_degree = known[order](), order
+        self._functions = range(len(self.element.doflocs))
 
     def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002
         """Coefficients, (functions,), of the constant function one, whatever the heights."""
-        return np.ones(len(self.element.doflocs))
+        return np.ones(len(self._functions))
 
     def values(self, X: Array) -> Array:
-        return np.stack([self.element.lbasis(X, i)[0] for i in range(len(self.element.doflocs))])
+        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
+        return np.stack([self.element.lbasis(X, i)[0] for i in self._functions])
 
     def gradients(self, X: Array) -> Array:
-        count = len(self.element.doflocs)
-        return np.stack([np.stack(self.element.lbasis(X, i)[1]) for i in range(count)])
+        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
+        return np.stack([np.stack(self.element.lbasis(X, i)[1]) for i in self._functions])
 
     def rule(self) -> tuple[Array, Array]:
         """Points (3, q) and weights (q,), exact for products of two functions."""
-        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
+        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.face_degree)
         return points, weights
+
+    full_rule = rule
+
+
+Element = ExtrudedElement | TetrahedralElement

@@ -14,7 +14,12 @@ from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
-from eitskin.simulator.electrical.cem_system import CemSystem, SystemPattern, zero_sums
+from eitskin.simulator.electrical.cem_system import (
+    CemSystem,
+    SystemPattern,
+    impedance_matrix,
+    zero_sums,
+)
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
@@ -143,7 +148,8 @@ class ForwardModel:
             ConfigurationError: for a conductivity of another shape, or not positive.
         """
         _, system = self._system(conductivity, area_ratio, contact_impedance)
-        return system.impedance(self.solver.congruence(system.values, system.coupling))
+        T = self.solver.congruence(system.values, system.coupling)
+        return impedance_matrix(system.admittance, T)
 
     @cached_property
     def flat_impedance(self) -> Numbers:

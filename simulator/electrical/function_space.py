@@ -200,8 +200,8 @@ def estimated_memory(space: FunctionSpace) -> float:
     else:
         factors = 2.7 * n ** (4.0 / 3.0)
     needed: float = (
-        _PER_ENTRY * elements * _pairs(outer)
-        + _PER_PRODUCT * _pairs(functions) * in_element
+        _PER_ENTRY * elements * math.comb(outer + 1, 2)
+        + _PER_PRODUCT * math.comb(functions + 1, 2) * in_element
         + _PER_POINT * elements * in_element
         + _PER_FACTOR * factors
     )
@@ -217,7 +217,3 @@ def require_memory(space: FunctionSpace) -> None:
             f"memory, more than the {MOST_MEMORY / 1e9:g} GB that are allowed; choose a faster "
             "resolution or larger cells; presses by small indenters need small cells"
         )
-
-
-def _pairs(functions: int) -> float:
-    return 0.5 * functions * (functions + 1)

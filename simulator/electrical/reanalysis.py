@@ -16,12 +16,11 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.assembly import ElectrodeTerms
-from eitskin.simulator.electrical.cem_system import impedance_matrix, zero_sums
+from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
 
 Array = NDArray[np.float64]
@@ -63,19 +62,15 @@ class Reanalysis:
         self._products = ElementProducts(assembly.space.numbers, assembly.unknowns)
         stiffness = assembly.stiffness(layer.entries(assembly.points))
         system = pattern.system(stiffness.values, self._contact(layer))
-        self._lift = system.lift
-        moved = np.asarray(self._lift.any(axis=1))
-        touched = moved[assembly.space.numbers].any(axis=1)
-        self._lifting = np.flatnonzero(touched)  # elements in which the lifting is not zero
-        numbers = assembly.space.numbers[self._lifting]
-        self._lifted_products = ElementProducts(numbers, assembly.unknowns)
-        self._ground = int(pattern.rows[-1]), float(np.real(system.values[-1]))
+        self._lift, self._ground = system.lift, float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
         self._potentials: Array = np.asarray(factors.solve(system.coupling), dtype=np.float64)
         self._factors = factors.rounded()
         model.factorisations += 1
         self.solutions = 1
-        self.base: Array = np.real(system.impedance(system.coupling.T @ self._potentials))
+        self.base: Array = np.real(
+            impedance_matrix(system.admittance, system.coupling.T @ self._potentials)
+        )
 
     def impedance(self, layer: DeformedLayer, tolerance: Tolerance = TOLERANCE) -> Array:
         """Electrode impedance matrix [ohm], (electrodes, electrodes), of the deformed `layer`.
@@ -107,14 +102,14 @@ class Reanalysis:
             return np.real(
                 model.contact_gram(layer.conductivity, layer.area_ratio, layer.contact_impedance)
             )
-        U = np.linalg.solve(found.admittance - found.response, zero_sums(np.eye(len(z))))
+        U = np.linalg.solve(found.admittance, zero_sums(np.eye(len(z))))
         drops = model.contact_drops(found.potentials() @ U, U, self._lift)
         return np.real(assembly.contact_gram(drops, z, ratio))
 
-    def _accepted(self, layer: DeformedLayer, tolerance: Tolerance) -> "_Approximation | None":
+    def _accepted(self, layer: DeformedLayer, tolerance: Tolerance) -> "Approximation | None":
         """First approximation within the tolerance; None for a layer that differs too much."""
         change, last = np.inf, None
-        for each in self._approximations(layer):
+        for each in self.approximations(layer):
             Z = each.impedance
             if last is not None:
                 before, change = change, float(np.linalg.norm(Z - last))
@@ -134,7 +129,7 @@ class Reanalysis:
         None for a layer that differs too much from the factorised scene.
         """
         last = None
-        for each in self._approximations(layer):
+        for each in self.approximations(layer):
             Z = each.impedance
             if last is not None and np.linalg.norm(Z - last) < _BASE * np.linalg.norm(Z):
                 made = copy(self)
@@ -143,24 +138,14 @@ class Reanalysis:
             last = Z
         return None
 
-    def approximations(self, layer: DeformedLayer) -> Iterator[Array]:
-        """Electrode impedance matrices [ohm] after 0, 1, 2, ... corrections, a limited number."""
-        return (each.impedance for each in self._approximations(layer))
-
-    def _approximations(self, layer: DeformedLayer) -> Iterator["_Approximation"]:
-        """Solutions after 0, 1, 2, ... corrections."""
-        assembly = self._model.assembly
+    def approximations(self, layer: DeformedLayer) -> Iterator["Approximation"]:
+        """Solutions after 0, 1, 2, ... corrections, a limited number."""
+        assembly, pattern = self._model.assembly, self._model.pattern
         matrices = assembly.matrices(layer.entries(assembly.points))
         matrices = assembly.condensed_matrices(matrices)
-        contact = self._contact(layer)
-        B, D = np.asarray(contact.coupling, dtype=np.float64), np.diag(contact.admittance)
-        lifted = self._lift.any(axis=0)
-        if lifted.any():
-            KE = self._lifted_products.product(matrices[self._lifting], self._lift)
-            ground, conductance = self._ground
-            KE[ground] += conductance * self._lift[ground]
-            B = np.where(lifted, -KE, B)
-            D = np.where(np.outer(lifted, lifted), self._lift.T @ KE, np.where(lifted, 0.0, D))
+        contact, lifted = self._contact(layer), np.asarray(self._lift.any(axis=0))
+        forms = pattern.forms(matrices[pattern.lifting], self._ground, contact, lifted)
+        B, D = np.real(forms[0]), np.real(forms[1])
         for owner, each in zip(assembly.facet_owners, contact.matrices, strict=True):
             matrices[owner] += each
         space = _Subspace(B)
@@ -168,12 +153,8 @@ class Reanalysis:
         for _ in range(_MOST + 1):
             space.extend(potentials, self._product(matrices, potentials))
             found, T = space.solve()
-            yield _Approximation(
-                np.real(impedance_matrix(D, T)),
-                partial(space.solution, found),
-                np.real(D),
-                0.5 * (T + T.T),
-            )
+            Z = np.real(impedance_matrix(D, T))
+            yield Approximation(Z, partial(space.solution, found), D - 0.5 * (T + T.T))
             residual = space.residual(found)
             potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
             self.solutions += 1
@@ -186,9 +167,8 @@ class Reanalysis:
 
     def _product(self, matrices: Array, vectors: Array) -> Array:
         """Sum of element matrices times vectors, (unknowns, k), grounded as the base is."""
-        found = self._products.product(matrices, vectors)
-        ground, conductance = self._ground
-        found[ground] += conductance * vectors[ground]
+        found, ground = self._products.product(matrices, vectors), self._model.pattern.ground
+        found[ground] += self._ground * vectors[ground]
         return found
 
 
@@ -197,16 +177,19 @@ def is_possible(model: ForwardModel) -> bool:
     return bool(np.isrealobj(model.contact_impedance))
 
 
-class _Approximation(NamedTuple):
-    """Solution of one scene: Z, potentials (unknowns, electrodes) per electrode potential, D, T.
+class Approximation(NamedTuple):
+    """Solution of one scene.
 
-    Potentials are summed where they are wanted, before the next correction.
+    Attributes:
+        impedance: Z, (electrodes, electrodes) [ohm].
+        potentials: summed where they are wanted, before the next correction; (unknowns, electrodes)
+            per electrode potential.
+        admittance: D - T, the inverse of Z but for a common potential [S].
     """
 
     impedance: Array
     potentials: Callable[[], Array]
     admittance: Array
-    response: Array
 
 
 class _Subspace:
@@ -253,21 +236,3 @@ class _Subspace:
         for (_, AV), own in zip(self._blocks, np.split(found, len(self._blocks)), strict=True):
             residual -= AV @ own
         return residual
-
-
-class ElementProducts:
-    """Matrices that are sums of element matrices on one mesh."""
-
-    def __init__(self, numbers: Indices, unknowns: int) -> None:
-        """Prepare for elements with the unknowns `numbers`, (elements, functions)."""
-        self._numbers = numbers
-        ends = np.arange(numbers.size + 1)
-        ones = np.ones(numbers.size)
-        self._gathered = csr_array(
-            (ones, numbers.ravel(), ends), (numbers.size, unknowns)
-        ).T.tocsr()
-
-    def product(self, matrices: Array, vectors: Array) -> Array:
-        """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
-        each = matrices @ vectors[self._numbers]
-        return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
