@@ -12,6 +12,11 @@ from eitskin.errors import ConfigurationError
 Points = NDArray[np.float64]
 Gradients = NDArray[np.float64]
 
+# Entries xx, yy, zz, xy, xz, yz of a symmetric tensor, and where each of its 3 x 3 is among these.
+TENSOR_ROWS = np.array([0, 1, 2, 0, 0, 1])
+TENSOR_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
+WHOLE_TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+
 
 class Deformation(ABC):
     """Map from points of the flat sensor to their deformed positions."""
@@ -114,7 +119,7 @@ def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
         )
     # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
     S, inverse = np.empty((6, *J.shape)), 1.0 / J
-    for entry, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+    for entry, (i, j) in enumerate(zip(TENSOR_ROWS, TENSOR_COLUMNS, strict=True)):
         S[entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) * inverse
     return np.moveaxis(S, 0, -1)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift
 from eitskin.geometry.deformation.kinematics import (
+    WHOLE_TENSOR,
     Composed,
     Deformation,
     area_ratio,
@@ -77,7 +78,7 @@ class DeformedLayer:
 
     def conductivity(self, x: Array) -> Array:
         """Tensors J F^-1 sigma F^-T [S/m], (..., 3, 3), at flat points (..., 3) [m]."""
-        return self.entries(x)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+        return self.entries(x)[..., WHOLE_TENSOR]
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
         """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""

@@ -24,6 +24,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.simulator.electrical.function_space import FunctionSpace, Rule, require_memory
@@ -31,9 +32,6 @@ from eitskin.simulator.electrical.function_space import FunctionSpace, Rule, req
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
-
-TENSOR_ROWS = np.array([0, 1, 2, 0, 0, 1])
-TENSOR_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
 
 _AT_ONCE = 32  # elements that are condensed at once, so that arrays stay in the cache
 _MISSED = 0.1  # share of the energy between the points; potentials err least with 0.01 to 0.1

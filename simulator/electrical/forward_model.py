@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS, WHOLE_TENSOR
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
+from eitskin.simulator.electrical.assembly import Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import (
     CemSystem,
     SystemPattern,
@@ -270,7 +271,10 @@ class ForwardModel:
         u, U = self.element_potentials(conductivity, area_ratio)
         assembly, cells = self.assembly, self.mesh.cells
         weights = assembly.cell_weights
-        flux = -(_symmetric(self._conductivity(conductivity)) @ assembly.cell_gradients(u))
+        sigma = self._conductivity(conductivity)
+        if sigma.shape[-1] == 1:
+            sigma = sigma * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        flux = -(sigma[..., WHOLE_TENSOR] @ assembly.cell_gradients(u))
         mean = np.einsum("cq,cqae->cae", weights, flux) / weights.sum(axis=1)[:, None, None]
         elements = np.arange(len(cells)) // assembly.space.element.cells
         X = assembly.space.reference(elements, self.mesh.points[cells])
@@ -345,51 +349,37 @@ class ForwardModel:
         return stiffness, system, per_potential @ U, U
 
     def _conductivity(self, conductivity: Conductivity | None) -> Array:
-        """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m]."""
+        """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m].
+
+        Scalars, or entries xx, yy, zz, xy, xz, yz of tensors. Raises ConfigurationError for another
+        shape, and where a scalar or tensor is not positive.
+        """
         if conductivity is None:
             conductivity = self._own_conductivity
         if callable(conductivity):
-            return _field_entries(conductivity, self.assembly.points)
-        value = np.asarray(conductivity, dtype=np.float64)
-        shape = (len(self.mesh.cells), 1)
-        return _entries(value[:, None] if value.ndim else value, shape, "per cell of", shape[:1])
-
-
-def _field_entries(conductivity: Field, points: Array) -> Array:
-    """Scalars, or entries xx, yy, zz, xy, xz, yz, of a field at points (..., 3), (..., 1 or 6)."""
-    value = np.asarray(conductivity(points), dtype=np.float64)
-    shape = points.shape[:-1]
-    return _entries(value, shape, f"from f(x) of x with shape {points.shape} of", shape)
-
-
-def _entries(value: Array, shape: tuple[int, ...], what: str, asked: tuple[int, ...]) -> Array:
-    """Scalars (...) as (..., 1), tensors (..., 3, 3) as (..., 6); raises ConfigurationError."""
-    if value.shape == shape or value.ndim == 0:
-        entries = np.broadcast_to(value, shape)[..., None]
-    elif value.shape == (*shape, 3, 3):
-        entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
-    else:
-        raise ConfigurationError(
-            f"conductivity must be a scalar, or {what} shape {asked} or {(*asked, 3, 3)}, got "
-            f"shape {value.shape}"
-        )
-    if not _positive_definite(value, entries):
-        raise ConfigurationError(
-            "conductivity must be finite, symmetric and positive everywhere, from "
-            f"{LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
-            f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
-        )
-    return entries
-
-
-def _symmetric(entries: Array) -> Array:
-    """Tensors (..., 3, 3) from entries (..., 1 or 6)."""
-    if entries.shape[-1] == 1:
-        return entries[..., None] * np.eye(3)
-    tensors = np.empty((*entries.shape[:-1], 3, 3))
-    tensors[..., TENSOR_ROWS, TENSOR_COLUMNS] = entries
-    tensors[..., TENSOR_COLUMNS, TENSOR_ROWS] = entries
-    return tensors
+            points = self.assembly.points
+            value, shape = np.asarray(conductivity(points), dtype=np.float64), points.shape[:-1]
+            asked = f"from f(x) of x with shape {points.shape} of shape {shape}"
+        else:
+            value, shape = np.asarray(conductivity, dtype=np.float64), (len(self.mesh.cells), 1)
+            value = value[:, None] if value.ndim else value
+            asked = f"per cell of shape {shape[:1]}"
+        if value.shape == shape or value.ndim == 0:
+            entries = np.broadcast_to(value, shape)[..., None]
+        elif value.shape == (*shape, 3, 3):
+            entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
+        else:
+            raise ConfigurationError(
+                f"conductivity must be a scalar, or {asked}, with (3, 3) after it for tensors, got "
+                f"shape {value.shape}"
+            )
+        if not _positive_definite(value, entries):
+            raise ConfigurationError(
+                "conductivity must be finite, symmetric and positive everywhere, from "
+                f"{LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
+                f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
+            )
+        return entries
 
 
 def _positive_definite(given: Array, entries: Array) -> bool:
@@ -406,8 +396,7 @@ def _positive_definite(given: Array, entries: Array) -> bool:
     second = xx * yy - xy**2
     third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
     # NaN fails every comparison and is refused, too.
-    positive = all(bool(np.all(m > 0.0) and np.all(np.isfinite(m))) for m in (xx, second, third))
-    return positive and all(
+    return all(bool(np.all((m > 0.0) & np.isfinite(m))) for m in (second, third)) and all(
         bool(np.allclose(given[..., a, b], given[..., b, a], rtol=1e-9, atol=0.0))
         for a, b in ((0, 1), (0, 2), (1, 2))
     )

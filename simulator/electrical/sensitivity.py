@@ -125,17 +125,10 @@ def _prisms_gram(
         for start in range(0, len(chosen), step):
             elements = chosen[start : start + step]
             plane = shares @ corners[elements]
-            first = space.column_gradients(potentials, elements, plane, heights)
-            second = first if along is None else _along(along, first, plane, heights)
             area = (space.jacobians[elements, None] * weights)[..., None] * upright
-            shape = (plane.shape[0] * plane.shape[1], -1, k)
-            first, second = (
-                np.moveaxis(g, 1, 2).reshape(shape)
-                for g in (first, area[:, None, ..., None] * second)
-            )
+            products = _products(assembly, potentials, elements, plane, heights, area, along)
             sizes = np.sqrt(space.jacobians[elements, None] * weights).ravel() * (n > 1)
-            products = first.swapaxes(1, 2) @ second
-            sums = pixels.sums(plane.reshape(-1, 2), products, sizes)
+            sums = pixels.sums(plane.reshape(-1, 2), products.reshape(-1, k, k), sizes)
             np.add(total, sums, out=total)
     return total
 
@@ -181,25 +174,38 @@ def _boxes_gram(
         plane = _pairs(x_nodes[part], y_nodes)
         # Boxes of a structured mesh are numbered upwards first, then along y.
         elements = (x_cell[part, None] * (len(y) - 1) + y_cell).ravel()
-        gradients = assembly.space.column_gradients(potentials, elements, plane, z_nodes)
-        fluxes = gradients
-        if along is not None:
-            fluxes = _along(along, gradients, plane, z_nodes)
-        weights = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
-        fluxes = weights[:, None, ..., None] * fluxes
-        flat = (len(plane), -1, count)
-        products = gradients.reshape(flat).swapaxes(1, 2) @ fluxes.reshape(flat)
+        area = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
+        products = _products(assembly, potentials, elements, plane, z_nodes, area, along)
+        products = products.sum(axis=1)
         shares = _pairs(x_shares[part], y_shares).prod(axis=-1)
         products -= shares[..., None] * unseen[elements]
         np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
     return total
 
 
-def _along(along: Tensors, gradients: Numbers, plane: Array, heights: Array) -> Numbers:
-    """Products of the tensors with gradients (n, 3, p, q, k) at heights above points (n, p, 2)."""
-    points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
-    points[..., :2], points[..., 2] = plane[:, :, None], heights
-    return np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
+def _products(
+    assembly: Assembly,
+    potentials: Numbers,
+    elements: Indices,
+    plane: Array,
+    heights: Array,
+    weights: Array,
+    along: Tensors | None,
+) -> Numbers:
+    """Integrals over heights of grad u_k . S grad u_l, (n, p, k, k).
+
+    At points of the plane (n, p, 2) [m] in the columns `elements`; weights are (n, p, q) [m3].
+    """
+    gradients = assembly.space.column_gradients(potentials, elements, plane, heights)
+    gradients = np.moveaxis(gradients, 1, 3)
+    fluxes = gradients
+    if along is not None:
+        points = np.empty(gradients.shape[:4])
+        points[..., :2], points[..., 2] = plane[:, :, None], heights
+        fluxes = along(points) @ gradients
+    fluxes = weights[..., None, None] * fluxes
+    flat = (*plane.shape[:2], -1, gradients.shape[-1])
+    return np.asarray(gradients.reshape(flat).swapaxes(2, 3) @ fluxes.reshape(flat))
 
 
 def _unseen(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:

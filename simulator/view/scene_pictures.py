@@ -152,8 +152,9 @@ def _values(
     """Values at the points of the flat mesh, (points,), that are drawn in colours."""
     if model is not None:
         plus, minus = drive
-        fields = sim.conductivity(scene), sim.area_ratio(scene)
-        density = deformed_current_density(model, sim.deformation(scene), (plus, minus), *fields)
+        layer = sim.deformed_layer(scene)
+        fields = layer.conductivity, layer.area_ratio
+        density = deformed_current_density(model, layer.deformation, (plus, minus), *fields)
         cells = shapes.volume(flat)
         cells.cell_data["values"] = 1e-3 * np.linalg.norm(density, axis=1)  # of 1 mA
         return np.array(cells.cell_data_to_point_data()["values"], dtype=float)

@@ -77,7 +77,7 @@ def scene_grids(
     pairs = _pairs(sim, drives)
     layer, mesh, model = sim.deformed_layer(scene), sim.model.mesh, sim.model
     deformation, electrode = layer.deformation, mesh.contacts.electrode
-    fields = model.fields(sim.conductivity(scene), sim.area_ratio(scene))
+    fields = model.fields(layer.conductivity, layer.area_ratio)
     middles = mesh.points[mesh.cells].mean(axis=1)
     points, corners, F = mesh.points, mesh.contacts.corners, np.broadcast_to(np.eye(3), (1, 3, 3))
     if deformation is not None:
