@@ -125,12 +125,8 @@ class Simulator:
 
     def full_scale_on(self, instrument: Instrument) -> float:
         """Largest transfer impedance of the flat, untouched sensor on an instrument [ohm]."""
-        return float(np.abs(instrument.transfer_impedance(self._flat, self.protocol)).max())
-
-    @cached_property
-    def _flat(self) -> NDArray[np.inexact]:
-        """Impedance matrix of the flat, untouched sensor [ohm], (electrodes, electrodes)."""
-        return self.model.flat_impedance
+        flat = instrument.transfer_impedance(self.model.flat_impedance, self.protocol)
+        return float(np.abs(flat).max())
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """Deformation by the scene, touches first, then roll, bend and twist; None where flat.
@@ -290,7 +286,10 @@ class Simulator:
                 solved by itself, as by `measure`.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
-        return self._measured(self.impedances(scenes, tolerance), instrument)
+        solved = self.impedances(scenes, tolerance)
+        if instrument is not None:
+            return instrument.terminal_impedances(solved, self.protocol)
+        return self._measured(solved)
 
     def impedances(
         self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
@@ -299,11 +298,11 @@ class Simulator:
 
         Arguments as for `measure_all`.
         """
-        found: dict[Scene, NDArray[np.inexact]] = {}
+        by_bend: dict[Scene, list[Scene]] = {}
+        for scene in dict.fromkeys(scenes):  # those of one bend follow each other
+            by_bend.setdefault(untouched(scene), []).append(scene)
         with kernels():
-            for group in _by_bend(scenes).values():
-                for scene in group:
-                    found[scene] = self._impedances.at(scene, tolerance)
+            found = {s: self._impedances.at(s, tolerance) for g in by_bend.values() for s in g}
         return np.array([found[scene] for scene in scenes])
 
     def contact_sensitivities(
@@ -334,19 +333,12 @@ class Simulator:
         return dents(scene.touches, sensor)
 
     def conductivity(self, scene: Scene) -> Field | None:
-        """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.
-
-        The function takes (..., 3) [m] and gives (..., 3, 3) [S/m], with the piezoresistivity of
-        the gel. None where the scene leaves the sensor flat.
-        """
+        """Pulled-back conductivity of `deformed_layer`, (..., 3, 3) [S/m]; None where flat."""
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.conductivity
 
     def area_ratio(self, scene: Scene) -> AreaRatio | None:
-        """Ratio of deformed to flat area as a function of flat positions [m] and unit normals.
-
-        None where the scene leaves the sensor flat.
-        """
+        """Area ratio of `deformed_layer`, (...); None where the sensor stays flat."""
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
@@ -358,13 +350,9 @@ class Simulator:
         stress = dented.mean_stress if dented is not None else None
         return DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity, stress)
 
-    def _measured(
-        self, impedance: NDArray[np.inexact], instrument: Instrument | None = None
-    ) -> NDArray[np.complex128]:
-        """Noise-free measurements [ohm] of an impedance matrix, or terminal ones on a circuit."""
-        if instrument is not None:
-            return instrument.terminal_impedances(impedance, self.protocol)
-        return Instrument.ideal().transfer_impedance(impedance, self.protocol)
+    def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
+        """Noise-free measurements of impedance matrices [ohm], (..., measurements)."""
+        return np.asarray(self.protocol.measure(impedance), dtype=np.complex128)
 
 
 def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:
@@ -373,11 +361,3 @@ def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:
         return ()
     middle, half = design.outline.length / 2, fixture.bent_length / 2
     return (middle - half, middle + half)
-
-
-def _by_bend(scenes: Sequence[Scene]) -> dict[Scene, list[Scene]]:
-    """Different scenes, grouped by the scene without touches."""
-    groups: dict[Scene, list[Scene]] = {}
-    for scene in dict.fromkeys(scenes):
-        groups.setdefault(untouched(scene), []).append(scene)
-    return groups

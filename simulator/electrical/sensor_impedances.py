@@ -25,7 +25,7 @@ from eitskin.simulator.electrical.resolution import (
 )
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Indenter
-from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.scene import Scene, Touch
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -50,21 +50,25 @@ class ModelFamily:
         coarsest = discretisation(resolution, design, self._cells)
         self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
+        self._suited: dict[frozenset[Indenter], ForwardModel] = {}
         self._reanalyses: dict[ForwardModel, Reanalysis] = {}
 
-    def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
-        """Forward model whose cells suit the smallest of the indenters.
+    def suited(self, touches: Iterable[Touch]) -> ForwardModel:
+        """Forward model whose cells suit the smallest indenter of some touches.
 
         Indenters of about the same size share a model. A resolution given as order and grading is
         kept for all indenters.
 
         Raises ConfigurationError for a model that needs too much memory.
         """
-        smallest = min(indenters, key=lambda i: press_length(self._design, i), default=None)
-        wanted = discretisation(self._resolution, self._design, self._cells, smallest)
-        if wanted not in self._models:
-            self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
-        return self._models[wanted]
+        asked = frozenset(touch.indenter for touch in touches)
+        if asked not in self._suited:
+            smallest = min(asked, key=lambda i: press_length(self._design, i), default=None)
+            wanted = discretisation(self._resolution, self._design, self._cells, smallest)
+            if wanted not in self._models:
+                self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
+            self._suited[asked] = self._models[wanted]
+        return self._suited[asked]
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis:
         """Reanalysis with the factors of the flat sensor, for one of the models."""
@@ -147,7 +151,7 @@ class SensorImpedances:
         family = self._shared if tolerance else self.own
         if not scene.touches:
             return self._without_touches(family.base, scene, tolerance)
-        model = self._suited(family, scene)
+        model = family.suited(scene.touches)
         Z = self._solved(model, scene, tolerance)
         if model is family.base:
             return Z
@@ -164,8 +168,8 @@ class SensorImpedances:
         Shape (electrodes, electrodes, electrodes), on the mesh that suits the scene's indenters.
         Raises ConfigurationError for complex contact impedances.
         """
-        model = self._suited(self._shared, scene)
-        solved = self.reanalysis(model) if is_possible(model) else None
+        model = self._shared.suited(scene.touches)
+        solved = self.reanalysis(model)
         if solved is None:
             raise ConfigurationError(
                 "derivatives by contact impedances need real ones, and a sensor near its nominal "
@@ -173,9 +177,6 @@ class SensorImpedances:
             )
         layer = dataclasses.replace(self._layer_of(scene), shift=self._shift)
         return solved.contact_sensitivity(layer, tolerance)
-
-    def _suited(self, family: ModelFamily, scene: Scene) -> ForwardModel:
-        return family.suited(touch.indenter for touch in scene.touches)
 
     def _without_touches(self, model: ForwardModel, scene: Scene, tolerance: float) -> Numbers:
         """Impedance [ohm] of a scene without touches; that of the last one is cached."""
@@ -189,21 +190,23 @@ class SensorImpedances:
         layer = self._layer_of(scene)
         if tolerance:
             layer = dataclasses.replace(layer, shift=self._shift)
-        solved = self.reanalysis(model) if tolerance and is_possible(model) else None
-        if solved is not None:
-            flat = layer.deformation is None
-            return solved.base if flat else solved.impedance(layer, tolerance)
+            solved = self.reanalysis(model)
+            if solved is not None:
+                flat = layer.deformation is None
+                return solved.base if flat else solved.impedance(layer, tolerance)
         if layer.is_flat:
             return model.flat_impedance
         return model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis | None:
-        """Reanalysis based on the flat sensor; None where the nominal one differs too much."""
+        """Reanalysis based on the flat sensor.
+
+        None for complex contact impedances, and where the nominal sensor differs too much.
+        """
         if model not in self._reanalyses:
-            found: Reanalysis | None = self._shared.reanalysis(model)
+            found = self._shared.reanalysis(model) if is_possible(model) else None
             if found is not None and self._shift is not None:
-                unstrained = Piezoresistivity()
-                flat = DeformedLayer(self._design, None, unstrained, shift=self._shift)
+                flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
                 found = found.specimen(flat)
             self._reanalyses[model] = found
         return self._reanalyses[model]

@@ -75,12 +75,15 @@ def test_cells_are_not_larger_than_an_indenter_allows(extent, cells) -> None:
 def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -> None:
     sim = Simulator(SensorDesign.reference(), "fast")
     family = sim._impedances.own
-    assert family.suited([]) is family.suited([Cylinder(), Cylinder(0.01)]) is sim.model
-    fine = family.suited([Cylinder(), Sphere(0.003)])
+    default, wide, small = (
+        Touch(0.05, 0.03, indenter=each) for each in (Cylinder(), Cylinder(0.01), Sphere(0.003))
+    )
+    assert family.suited([]) is family.suited([default, wide]) is sim.model
+    fine = family.suited([default, small])
     assert len(fine.mesh.cells) > len(sim.model.mesh.cells)
-    assert family.suited([Sphere(0.003)]) is fine
+    assert family.suited([small]) is fine
     own = Simulator(SensorDesign.reference(), ((3, 2, 1), Grading(1e-3, 6e-3, 2.0)))
-    assert own._impedances.own.suited([Sphere(0.003)]) is own.model
+    assert own._impedances.own.suited([small]) is own.model
 
 
 @pytest.mark.slow
@@ -88,11 +91,9 @@ def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     """Light presses stand for those of small indenters, whose dents take minutes to solve."""
     sim = Simulator(SensorDesign.reference(), "fast")
     fine = ForwardModel(sim.design, ((3, 3, 2, 1), Grading(1e-3, 5e-3, 2.0)))
-    monkeypatch.setattr(
-        sim._impedances,
-        "_suited",
-        lambda family, scene: fine if any(t.force < 5.0 for t in scene.touches) else family.base,
-    )
+    family = sim._impedances.own
+    suited = lambda touches: fine if any(t.force < 5.0 for t in touches) else family.base  # noqa: E731
+    monkeypatch.setattr(family, "suited", suited)
     scenes = [Scene(touches=(Touch(x, 0.03, F),)) for F in (10.0, 2.0) for x in (0.04, 0.06, 0.08)]
     scenes = [Scene(), *scenes]
     apart = np.array([sim.measure(scene).impedance for scene in scenes])
