@@ -338,7 +338,7 @@ class Simulator:
         return None if layer.deformation is None else layer.conductivity
 
     def area_ratio(self, scene: Scene) -> AreaRatio | None:
-        """Area ratio of `deformed_layer`, (...); None where the sensor stays flat."""
+        """Deformed over flat area [1], as of `deformed_layer`; None where the sensor stays flat."""
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
