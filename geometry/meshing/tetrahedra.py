@@ -31,7 +31,7 @@ _AT_EDGES = 0.7  # of the size along electrode edges, where fTetWild gives 1.4 t
 _WIDEST_ENVELOPE, _SLIMMEST_ENVELOPE = 2e-3, 1e-4
 _REACH = 1.25  # of the snapping, in envelopes: a point near an edge is off two faces
 _MOST_CELLS = 300_000
-_SHARP = np.cos(np.radians(30.0))  # of the angle between normals, or directions of edges
+_SHARP = np.radians(30.0)  # of the angle between normals, or directions of edges
 _POOR = 0.05  # scaled Jacobian below which no moved cell may fall
 
 
@@ -218,14 +218,8 @@ class TriangleSurface:
     @classmethod
     def of(cls, points: Array, faces: Numbers) -> "TriangleSurface":
         """Find the sharp edges and corners of a closed surface."""
-        sides = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges, edge_of = np.unique(sides, axis=0, return_inverse=True)
-        corners = points[faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-        # The two faces of edge i are numbers 2 i and 2 i + 1 of the sides, sorted by edge.
-        pairs = normals[np.argsort(edge_of.ravel(), kind="stable") // 3].reshape(-1, 2, 3)
-        edges = edges[(pairs[:, 0] * pairs[:, 1]).sum(axis=1) < _SHARP]
+        mesh = require("trimesh", "mesh").Trimesh(points, faces, process=False)
+        edges = mesh.face_adjacency_edges[mesh.face_adjacency_angles > _SHARP]
         return cls(points, faces, edges, _corners(points, edges))
 
     def targets(self, points: Array, reach: float) -> Iterator[Array]:
@@ -279,5 +273,5 @@ def _corners(points: Array, edges: Numbers) -> Numbers:
     total = np.zeros_like(points)
     np.add.at(total, ends, away)
     # Two directions a and b with -a . b above the limit: |a + b|^2 = 2 + 2 a . b.
-    straight = (count == 2) & ((total**2).sum(axis=1) < 2.0 - 2.0 * _SHARP)
+    straight = (count == 2) & ((total**2).sum(axis=1) < 2.0 - 2.0 * np.cos(_SHARP))
     return np.flatnonzero((count > 0) & ~straight)
