@@ -14,7 +14,7 @@ from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.datasets.generation.cost_estimate import CostEstimate
+    from eitskin.datasets.generation.preparation import CostEstimate
     from eitskin.datasets.recipe.recipe import Recipe
 
 
@@ -46,7 +46,7 @@ def command(
     output: Output,
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
-    from eitskin.datasets.generation.cost_estimate import estimate_cost
+    from eitskin.datasets.generation.preparation import estimate_cost
     from eitskin.datasets.recipe.recipe import with_seed
 
     chosen = with_seed(_read(recipe), seed)

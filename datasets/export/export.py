@@ -117,16 +117,8 @@ def export_dataset(
             (temporary / "recipe.toml").write_text(data.recipe, encoding="utf-8")
         if form != "parquet":
             shown = columns(data) if form == "huggingface" else ()
-            card = Card(
-                folder.resolve().name,
-                license_name,
-                sizes,
-                origin(data),
-                data.recipe,
-                shown,
-                metadata.version("eitskin"),
-            )
-            (temporary / "README.md").write_text(card.text(), encoding="utf-8")
+            text = card(folder.resolve().name, license_name, sizes, data, shown)
+            (temporary / "README.md").write_text(text, encoding="utf-8")
         files, size = _write_sums(temporary)
     return Exported({name: count for name, (count, _) in sizes.items()}, files, size)
 
@@ -180,43 +172,35 @@ def _write_sums(folder: Path) -> tuple[int, int]:
     return len(paths) + 1, sum(path.stat().st_size for path in [*paths, folder / SUMS])
 
 
-@dataclass(frozen=True, slots=True)
-class Card:
-    """Content of a dataset card.
+Sizes = Mapping[str, tuple[int, int]]
+"""Frames and size in memory [bytes] of each split."""
 
-    Attributes:
+
+def card(
+    title: str, license_name: str, sizes: Sizes, data: Dataset, shown: Sequence[Column]
+) -> str:
+    """Content of README.md: a dataset card.
+
+    Args:
         title: of the dataset.
-        license: identifier of Hugging Face, such as cc-by-4.0.
-        splits: frames and size in memory [bytes] of each split.
-        origin: of all frames, as plain data.
-        recipe: TOML text; empty for recordings.
-        columns: of the table of frames; none for episodes.
-        version: of eitskin.
+        license_name: identifier of Hugging Face, such as cc-by-4.0.
+        sizes: of the splits.
+        data: of which the origin and the recipe are told.
+        shown: columns of the table of frames; none for episodes.
     """
+    version, frames = metadata.version("eitskin"), sum(count for count, _ in sizes.values())
+    made = "measured, and exported" if data.source == "measured" else "simulated"
+    electrodes = f"{data.protocol.n_electrodes} electrodes, " if data.protocol else ""
+    of_what = data.quantity or "values of a kind that the recording does not name"
+    counts = "\n".join(f"| {name} | {count} |" for name, (count, _) in sizes.items())
+    return f"""{_front_matter(license_name, sizes, shown)}
+# {title}
 
-    title: str
-    license: str
-    splits: Mapping[str, tuple[int, int]]
-    origin: Mapping[str, Any]
-    recipe: str
-    columns: Sequence[Column]
-    version: str
-
-    def text(self) -> str:
-        """Content of README.md."""
-        told, frames = self.origin, sum(count for count, _ in self.splits.values())
-        made = "measured, and exported" if told["source"] == "measured" else "simulated"
-        electrodes = f"{told['n_electrodes']} electrodes, " if told["n_electrodes"] else ""
-        of_what = told["quantity"] or "values of a kind that the recording does not name"
-        counts = "\n".join(f"| {name} | {count} |" for name, (count, _) in self.splits.items())
-        return f"""{self._front_matter()}
-# {self.title}
-
-Frames of electrical-impedance robot skin, {made} by eitskin {self.version}. {frames} frames; \
-{electrodes}{told["frequency_hz"]:g} Hz; {of_what}. SI units; degrees where a name ends in `_deg`. \
+Frames of electrical-impedance robot skin, {made} by eitskin {version}. {frames} frames; \
+{electrodes}{data.frequency:g} Hz; {of_what}. SI units; degrees where a name ends in `_deg`. \
 Places are those of the flat sensor, from a corner of its conductive layer.
 
-{self._columns() if self.columns else _EPISODES}
+{_list_columns(shown) if shown else _EPISODES}
 
 ## Splits
 
@@ -227,7 +211,7 @@ or of the seed and its number, and not from the other frames.
 |---|---|
 {counts}
 
-{self._recipe()}
+{_describe_recipe(data)}
 
 ## Checksums
 
@@ -239,7 +223,7 @@ or of the seed and its number, and not from the other frames.
 @software{{eitskin,
   title = {{eitskin: a simulator of electrical-impedance robot skin}},
   author = {{{{The eitskin authors}}}},
-  version = {{{self.version}}},
+  version = {{{version}}},
   year = {{2026}}
 }}
 
@@ -247,45 +231,48 @@ or of the seed and its number, and not from the other frames.
 ```
 """
 
-    def _front_matter(self) -> str:
-        """YAML between dashes; only names that need no quotes come into it."""
-        frames = sum(count for count, _ in self.splits.values())
-        size = next((name for most, name in _SIZES if frames < most), "n>1M")
-        tags = ["tactile", "electrical-impedance-tomography", "robot-skin"]
-        tags += [] if self.columns else ["LeRobot"]
-        lines = ["---", f"license: {self.license}", "task_categories:", "- robotics", "tags:"]
-        lines += [f"- {tag}" for tag in tags]
-        lines += ["size_categories:", f"- {size}", "configs:", "- config_name: default"]
-        if not self.columns:
-            return "\n".join([*lines, "  data_files: data/*/*.parquet", "---", ""])
-        lines.append("  data_files:")
-        for name in self.splits:
-            lines += [f"  - split: {name}", f"    path: data/{name}-*"]
-        lines += ["dataset_info:", "  features:"]
-        lines += [f"  {line}" for column in self.columns for line in _feature(column)]
-        lines.append("  splits:")
-        for name, (count, size_bytes) in self.splits.items():
-            lines += [f"  - name: {name}", f"    num_bytes: {size_bytes}"]
-            lines.append(f"    num_examples: {count}")
-        return "\n".join([*lines, "---", ""])
 
-    def _columns(self) -> str:
-        lines = ["## Columns", "", "| column | type | units | content |", "|---|---|---|---|"]
-        for each in self.columns:
-            kind = f"{each.kind} x {each.length}" if each.length else each.kind
-            if each.kind == "touches":
-                kind = f"list of ({', '.join(TOUCH_FIELDS)})"
-            lines.append(f"| `{each.name}` | {kind} | {each.units} | {each.description} |")
-        return "\n".join(lines)
+def _front_matter(license_name: str, sizes: Sizes, shown: Sequence[Column]) -> str:
+    """YAML between dashes; only names that need no quotes come into it."""
+    frames = sum(count for count, _ in sizes.values())
+    size = next((name for most, name in _SIZES if frames < most), "n>1M")
+    tags = ["tactile", "electrical-impedance-tomography", "robot-skin"]
+    tags += [] if shown else ["LeRobot"]
+    lines = ["---", f"license: {license_name}", "task_categories:", "- robotics", "tags:"]
+    lines += [f"- {tag}" for tag in tags]
+    lines += ["size_categories:", f"- {size}", "configs:", "- config_name: default"]
+    if not shown:
+        return "\n".join([*lines, "  data_files: data/*/*.parquet", "---", ""])
+    lines.append("  data_files:")
+    for name in sizes:
+        lines += [f"  - split: {name}", f"    path: data/{name}-*"]
+    lines += ["dataset_info:", "  features:"]
+    lines += [f"  {line}" for column in shown for line in _feature(column)]
+    lines.append("  splits:")
+    for name, (count, size_bytes) in sizes.items():
+        lines += [f"  - name: {name}", f"    num_bytes: {size_bytes}"]
+        lines.append(f"    num_examples: {count}")
+    return "\n".join([*lines, "---", ""])
 
-    def _recipe(self) -> str:
-        if not self.recipe:
-            return "## Origin\n\nRecorded; there is no recipe that makes these frames again."
-        return (
-            "## Recipe\n\n`recipe.toml` makes these frames again: "
-            f"`eitskin generate recipe.toml --out SET`, with seed {self.origin['seed']}.\n\n"
-            f"```toml\n{self.recipe.strip()}\n```"
-        )
+
+def _list_columns(shown: Sequence[Column]) -> str:
+    lines = ["## Columns", "", "| column | type | units | content |", "|---|---|---|---|"]
+    for each in shown:
+        kind = f"{each.kind} x {each.length}" if each.length else each.kind
+        if each.kind == "touches":
+            kind = f"list of ({', '.join(TOUCH_FIELDS)})"
+        lines.append(f"| `{each.name}` | {kind} | {each.units} | {each.description} |")
+    return "\n".join(lines)
+
+
+def _describe_recipe(data: Dataset) -> str:
+    if not data.recipe:
+        return "## Origin\n\nRecorded; there is no recipe that makes these frames again."
+    return (
+        "## Recipe\n\n`recipe.toml` makes these frames again: "
+        f"`eitskin generate recipe.toml --out SET`, with seed {data.seed}.\n\n"
+        f"```toml\n{data.recipe.strip()}\n```"
+    )
 
 
 _EPISODES = """## Features

@@ -7,7 +7,7 @@ actions, since a skin takes none.
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -187,7 +187,7 @@ def _write_frames(
 ) -> dict[str, Any]:
     """Write the files of frames; returns the statistics of all that is always known."""
     arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
-    statistics: dict[str, RunningStatistics] = {}
+    statistics: dict[str, list[Columns]] = {}
     with contextlib.ExitStack() as stack:
         writer: Any = None
         number = -1
@@ -206,9 +206,8 @@ def _write_frames(
                 writer.write_table(frames)
             for name, values in columns.items():
                 if not name.startswith("label."):
-                    rows_of_values = values.reshape(len(values), -1)
-                    statistics.setdefault(name, RunningStatistics()).add(rows_of_values)
-    return {name: each.document() for name, each in statistics.items()}
+                    statistics.setdefault(name, []).append(moments(values))
+    return {name: joined_statistics(parts) for name, parts in statistics.items()}
 
 
 def _pieces(folder: Path, episodes: Episodes, progress: Progress | None) -> Iterator[Columns]:
@@ -257,38 +256,33 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-class RunningStatistics:
-    """Least, greatest, mean and standard deviation of the rows of tables, added one at a time.
+def moments(values: NDArray[Any]) -> Columns:
+    """Number, bounds, mean and variance of the rows of a table, (1, C) each."""
+    table = values.reshape(len(values), -1).astype(np.float64)
+    return {
+        "count": np.array([[len(table)]]),
+        "min": table.min(axis=0, keepdims=True),
+        "max": table.max(axis=0, keepdims=True),
+        "mean": table.mean(axis=0, keepdims=True),
+        "variance": table.var(axis=0, keepdims=True),
+    }
 
-    Means and squares of parts are joined by the formulas of Chan, Golub and LeVeque (1979), which
-    lose no digits where a mean is large beside the deviation.
+
+def joined_statistics(parts: Sequence[Columns]) -> dict[str, list[float]]:
+    """Statistics of a table as plain data, a number for each column, from those of its parts.
+
+    The variance of the whole is the mean of the parts' variances and the variance of their means,
+    which loses no digits where a mean is large beside the deviation.
     """
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._mean: Any = 0.0
-        self._squares: Any = 0.0
-        self._least: Any = np.inf
-        self._most: Any = -np.inf
-
-    def add(self, values: NDArray[Any]) -> None:
-        """Add the rows of a table (n, C), at least one."""
-        table = values.astype(np.float64)
-        count, mean = len(table), table.mean(axis=0)
-        total, step = self._count + count, mean - self._mean
-        within = ((table - mean) ** 2).sum(axis=0)
-        self._squares = self._squares + within + step**2 * self._count * count / total
-        self._mean = self._mean + step * count / total
-        self._least = np.minimum(self._least, table.min(axis=0))
-        self._most = np.maximum(self._most, table.max(axis=0))
-        self._count = total
-
-    def document(self) -> dict[str, Any]:
-        """Statistics as plain data: lists of a number for each column."""
-        return {
-            "min": self._least.tolist(),
-            "max": self._most.tolist(),
-            "mean": self._mean.tolist(),
-            "std": np.sqrt(self._squares / self._count).tolist(),
-            "count": [self._count],
-        }
+    each = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    weights = each["count"][:, 0]
+    mean = np.average(each["mean"], axis=0, weights=weights)
+    apart = (each["mean"] - mean) ** 2
+    variance = np.average(each["variance"] + apart, axis=0, weights=weights)
+    return {
+        "min": each["min"].min(axis=0).tolist(),
+        "max": each["max"].max(axis=0).tolist(),
+        "mean": mean.tolist(),
+        "std": np.sqrt(variance).tolist(),
+        "count": [int(weights.sum())],
+    }

@@ -2,13 +2,12 @@
 
 import dataclasses
 import hashlib
-import shutil
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 
-from eitskin.datasets.generation.preparation import prepare
+from eitskin.datasets.generation.preparation import free_bytes, prepare
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
@@ -153,12 +152,6 @@ def smallest_size(recipe: Recipe, frames: int) -> int:
     """Lower bound of the size of `frames` frames on the disk [bytes]."""
     electrodes = len(recipe.sensor.electrodes)
     return frames * electrodes * (electrodes - 1) // 2 * _LEAST_BYTES_PER_CHANNEL
-
-
-def free_bytes(folder: Path) -> int:
-    """Free space on the disk of `folder`, which need not exist [bytes]."""
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
-    return shutil.disk_usage(existing).free
 
 
 def _check_options(workers: int, scheduler: str | None, shard: int | None) -> None:

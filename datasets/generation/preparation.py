@@ -1,15 +1,22 @@
-"""Tables of presses and bends that a recipe needs, solved before the workers start."""
+"""Preparation of a dataset: tables of presses and bends that its recipe needs, and its cost."""
 
 import dataclasses
+import os
+import shutil
+import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.generation.shard_simulation import flat_impedance, simulate_frames
+from eitskin.datasets.recipe.frame_sampling import instrument, sample, specimen, specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen, free_length
+from eitskin.datasets.store.shard import shard_bytes
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.sensor import SensorDesign, Support
 from eitskin.simulator.bends.bend_table import bend_problems, bend_table
@@ -182,3 +189,118 @@ def _on_supports(
             for support in dict.fromkeys(each or made.design.support for each in supports):
                 design = dataclasses.replace(made.design, support=support)
                 yield dataclasses.replace(made, design=design)
+
+
+_FIRST_FRAMES = 16
+_FIRST_SOLVED = 2  # where touches are solved in 3D, in about a minute each
+_GROWTH = 4
+_RUNS = 4
+_ENOUGH_SECONDS, _LONG_SECONDS = 1.0, 10.0
+
+
+def free_bytes(folder: Path) -> int:
+    """Free space on the disk of `folder`, which need not exist [bytes]."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    return shutil.disk_usage(existing).free
+
+
+@dataclass(frozen=True, slots=True)
+class CostEstimate:
+    """Estimated cost of a dataset.
+
+    Attributes:
+        frames: number of frames.
+        shards: number of files.
+        seconds: with the given number of workers, as far as this machine has cores for them.
+        megabytes: size on the disk.
+        megabytes_free: free space on the disk now.
+        measured_frames: number of frames measured for `seconds` and `megabytes`.
+    """
+
+    frames: int
+    shards: int
+    seconds: float
+    megabytes: float
+    megabytes_free: float
+    measured_frames: int
+
+
+class _Trial(NamedTuple):
+    """Measured part of a dataset: frames, seconds, of each flat specimen beside, size [bytes]."""
+
+    frames: int
+    seconds: float
+    specimen_seconds: float
+    size: int
+
+
+def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEstimate:
+    """Cost of `recipe`, extrapolated from some frames simulated in memory; writes nothing.
+
+    The frames come from all parts of the dataset: 16, then 64, then four times as many until a run
+    takes a second. Work done once per process counts once, untouched specimens once for each shard
+    in which they occur, the rest per frame; the one or two seconds in which workers start are
+    neglected.
+
+    Args:
+        recipe: of the dataset.
+        out: folder of the dataset, for the free space.
+        workers: number of processes.
+
+    Raises ConfigurationError for forces beyond the reach of the presses.
+    """
+    prepare(recipe, workers=workers)
+    most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
+    slow = bool(solved_frames(recipe))
+    frames = min(_FIRST_SOLVED if slow else _FIRST_FRAMES, most)
+    trials = [_run_trial(recipe, frames)]  # in which everything is new
+    if not (slow and trials[0].seconds > _LONG_SECONDS):  # beside which that counts little
+        trials.append(_run_trial(recipe, frames, again=True))
+        while trials[-1].seconds < _ENOUGH_SECONDS and frames < most:
+            frames = min(_GROWTH * frames, most)
+            trials.append(_run_trial(recipe, frames, again=True))
+    last = trials[-1]
+    once = max(0.0, trials[0].seconds - trials[min(1, len(trials) - 1)].seconds)
+    shards = (specimen_numbers(recipe, recipe.shard_range(n)) for n in range(recipe.shards))
+    flat = last.specimen_seconds * sum(map(len, shards))
+    at_once = min(workers, recipe.shards, os.cpu_count() or 1)
+    return CostEstimate(
+        frames=recipe.frames,
+        shards=recipe.shards,
+        seconds=once + (recipe.frames * last.seconds / last.frames + flat) / at_once,
+        megabytes=_size(recipe, trials) / 1e6,
+        megabytes_free=free_bytes(Path(out)) / 1e6,
+        measured_frames=last.frames,
+    )
+
+
+def _run_trial(recipe: Recipe, frames: int, again: bool = False) -> _Trial:
+    """Time of `frames` frames; where it is done `again`, of others, after their flat specimens."""
+    numbers = _frame_numbers(recipe, frames, 0.5 if again else 0.0)
+    start = time.perf_counter()
+    specimens = {sample(recipe, index).specimen for index in numbers} if again else set()
+    for number in specimens:
+        flat_impedance(specimen(recipe, number), recipe, instrument(recipe, number))
+    solved = time.perf_counter()
+    data = simulate_frames(recipe, numbers)
+    each = (solved - start) / max(len(specimens), 1)
+    return _Trial(frames, time.perf_counter() - solved, each, len(shard_bytes(data)))
+
+
+def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:
+    """Numbers of `frames` frames: runs with shared bends, as in a shard, over the whole set."""
+    runs = np.array_split(np.arange(frames), min(_RUNS, frames))
+    firsts = ((np.arange(len(runs)) + shift) * recipe.frames / len(runs)).astype(int).tolist()
+    starts = [min(n, recipe.frames - len(run)) for n, run in zip(firsts, runs, strict=True)]
+    return [start + k for start, run in zip(starts, runs, strict=True) for k in range(len(run))]
+
+
+def _size(recipe: Recipe, trials: list[_Trial]) -> float:
+    """Size of all shards [bytes]: a part for each file and a part for each frame."""
+    last = trials[-1]
+    fewer = next((each for each in trials if each.frames < last.frames), None)
+    if fewer is None:
+        return recipe.frames * last.size / last.frames
+    per_frame = (last.size - fewer.size) / (last.frames - fewer.frames)
+    per_file = last.size - last.frames * per_frame
+    return recipe.shards * per_file + recipe.frames * per_frame

@@ -1,12 +1,10 @@
 """Tasks in worker processes of this machine, or on the workers of a dask cluster."""
 
-import ctypes
 import multiprocessing
 import os
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -25,7 +23,6 @@ from eitskin.threads import one_thread, one_thread_per_process
 CONNECT_SECONDS = 10
 WORKERS_SECONDS = 60
 _SMALL = 30_000_000  # bytes that one process checks in the second in which others start
-_POLL = 0.1  # [s]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -95,13 +92,11 @@ def worthwhile(workers: int, files: Iterable[Path]) -> int:
 @contextmanager
 def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]]]:
     """Submission to new processes, and the error of a task whose process died."""
+    others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
-    # Shared memory without a lock, which a killed process could hold for ever.
-    stop = context.RawValue(ctypes.c_bool, False)
     with (
-        _one_interrupt(stop),
         one_thread_per_process(),
-        ProcessPoolExecutor(workers, context, _start_worker, (stop,)) as pool,
+        ProcessPoolExecutor(workers, context, _end_with_parent) as pool,
     ):
 
         def submit(task: Callable[[Any], Any], item: Any) -> "Future[Any]":
@@ -116,32 +111,15 @@ def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]
         try:
             yield submit, BrokenProcessPool
         except BaseException:
-            stop.value = True
-            # Waits here, where further interrupts are swallowed: after a shutdown without waiting,
-            # an interrupt could separate the pool from its workers.
+            # A second Ctrl-C would separate the pool from its workers.
+            main = threading.current_thread() is threading.main_thread()
+            before = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
             pool.shutdown(wait=True, cancel_futures=True)
+            if before is not None:
+                signal.signal(signal.SIGINT, before)
             raise
-
-
-@contextmanager
-def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
-    """Let Ctrl-C set `stop` and be raised once; a second one would disturb the shutdown."""
-
-    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
-        if not stop.value:
-            stop.value = True
-            raise KeyboardInterrupt
-
-    # Only the main thread may set a signal handler, and only the main thread is interrupted.
-    before = signal.getsignal(signal.SIGINT)
-    ours = threading.current_thread() is threading.main_thread() and callable(before)
-    if ours:
-        signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -154,23 +132,15 @@ def _interrupts_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start_worker(stop: ctypes.c_bool) -> None:
-    """End this worker process once `stop` is set, or when its parent has ended."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    threading.Thread(target=_end_when_stopped, args=(stop,), daemon=True).start()
-
-
 def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    """End this worker process, from a thread, when its parent has ended."""
 
+    def wait() -> None:
+        if parent := multiprocessing.parent_process():
+            parent.join()
+            os._exit(1)
 
-def _end_when_stopped(stop: ctypes.c_bool) -> None:
-    while not stop.value:
-        time.sleep(_POLL)
-    os._exit(1)
+    threading.Thread(target=wait, daemon=True).start()
 
 
 # Workers of a cluster

@@ -7,10 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from eitskin.datasets import Recipe, generate
-from eitskin.datasets.generation import cost_estimate
-from eitskin.datasets.generation.cost_estimate import estimate_cost
+from eitskin.datasets.generation import preparation
 from eitskin.datasets.generation.generate import free_bytes, smallest_size
-from eitskin.datasets.generation.preparation import solved_frames
+from eitskin.datasets.generation.preparation import estimate_cost, solved_frames
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Plates
@@ -57,10 +56,10 @@ def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_pa
         runs.append(len(numbers))
         clock[0] += 50.0 * len(numbers)
 
-    monkeypatch.setattr(cost_estimate, "prepare", lambda *_, **__: None)
-    monkeypatch.setattr(cost_estimate, "simulate_frames", simulated)
-    monkeypatch.setattr(cost_estimate, "shard_bytes", lambda _: b"data")
-    monkeypatch.setattr(cost_estimate, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr(preparation, "prepare", lambda *_, **__: None)
+    monkeypatch.setattr(preparation, "simulate_frames", simulated)
+    monkeypatch.setattr(preparation, "shard_bytes", lambda _: b"data")
+    monkeypatch.setattr(preparation, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     found = estimate_cost(recipe, tmp_path, workers=1)
     assert runs == [2]
     assert (found.measured_frames, found.seconds) == (2, pytest.approx(60 * 50.0))

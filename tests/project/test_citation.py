@@ -3,10 +3,12 @@
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 import eitskin
-from eitskin.datasets.export.export import PAPER, Card
+from eitskin.datasets import Dataset
+from eitskin.datasets.export.export import PAPER, card
 
 ROOT = Path(__file__).resolve().parents[2]
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
@@ -29,9 +31,8 @@ def test_cards_cite_the_same_software_and_paper() -> None:
     assert paper["journal"] in PAPER
     assert paper["doi"] in PAPER
     assert all(each["family-names"] in PAPER for each in paper["authors"])
-    origin = {"source": "simulated", "quantity": None, "frequency_hz": 1.0, "n_electrodes": None}
-    card = Card("set", "mit", {"train": (1, 1)}, origin | {"seed": 0}, "", (), "1.2.3")
-    assert CITATION["title"] in card.text()
+    data = Dataset.from_arrays(np.ones((1, 1)))
+    assert CITATION["title"] in card("set", "mit", {"train": (1, 1)}, data, ())
 
 
 def test_the_newest_version_of_the_changes_is_this_one_or_its_successor() -> None:
