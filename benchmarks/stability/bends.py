@@ -43,6 +43,8 @@ FIXTURES: dict[str, Hinge | FreeArc] = {
     "arc of 20 mm": FreeArc(0.02),
     "smooth arc of 20 mm": FreeArc(0.02, transition=0.005, contraction=1.0),
 }
+_WAYS = (("up", 1.0), ("down", -1.0))
+_LAST = "last possible angle"
 QUICK_FIXTURES = ("hinge", "smooth arc of 20 mm")
 
 
@@ -66,31 +68,28 @@ def bends(quick: bool) -> Iterator[Case]:
     """Cases of free arcs to the full circle, and of hinges and short arcs to their last angles."""
     angles = (-180.0, 180.0, 360.0) if quick else (-360.0, -180.0, -90.0, -1e-3, 1e-3, 90.0, 360.0)
     for angle in angles:
-        yield Case("bends", f"whole length to {angle:g} deg", partial(_arc, angle))
+        yield Case(f"whole length to {angle:g} deg", partial(_arc, angle))
     for angle in (360.1, -1e6):
-        solve = partial(_arc, angle)
-        name = f"whole length to {angle:g} deg"
-        yield Case("bends", name, solve, "refused", "last possible angle")
+        name, solve = f"whole length to {angle:g} deg", partial(_arc, angle)
+        yield Case(name, solve, "refused", _LAST)
     for name, fixture in FIXTURES.items():
-        if quick and name not in QUICK_FIXTURES:
-            continue
-        for way, sign in (("up", 1.0), ("down", -1.0)):
-            last, past = partial(_last, fixture, sign), partial(_past, fixture, sign)
-            yield Case("bends", f"{name}, {way}, to the end", last)
-            yield Case("bends", f"{name}, {way}, past it", past, "refused", "last possible angle")
+        for way, sign in () if quick and name not in QUICK_FIXTURES else _WAYS:
+            yield Case(f"{name}, {way}, to the end", partial(_end, fixture, sign))
+            past = partial(_end, fixture, sign, 0.2)
+            yield Case(f"{name}, {way}, past it", past, "refused", _LAST)
 
 
 def rolls_and_twists(quick: bool) -> Iterator[Case]:
     """Cases of rolls to where the edges meet, and of twists by many turns."""
     for angle in (-180.0, 360.0) if quick else (-360.0, -180.0, -90.0, 90.0, 180.0, 360.0):
-        yield Case("rolls and twists", f"roll, {angle:g} deg", partial(_rolled, angle))
+        yield Case(f"roll, {angle:g} deg", partial(_rolled, angle))
     for angle in (360.1, float("nan")):
         solve = partial(_rolled, angle)
-        yield Case("rolls and twists", f"roll, {angle:g} deg", solve, "refused", "-360 to 360")
+        yield Case(f"roll, {angle:g} deg", solve, "refused", "-360 to 360")
     for turns in (0.25, 10, 100, 1000):
         solve = partial(_scene, Scene(twist=Twist(360.0 * turns)))
         # F grows with the turns, and what rounding takes from det F with its cube.
-        yield Case("rolls and twists", f"twist, {turns:g} turns", solve)
+        yield Case(f"twist, {turns:g} turns", solve)
 
 
 def compositions(quick: bool) -> Iterator[Case]:
@@ -105,40 +104,41 @@ def compositions(quick: bool) -> Iterator[Case]:
     }
     for name, scene in scenes.items():
         solve = partial(_scene, scene, FreeArc(L), quick)
-        yield Case("compositions", name, solve, invariant_limit=5e-3)
+        yield Case(name, solve, invariant_limit=5e-3)
     if not quick:  # sketched dents know no edge
         rim = partial(_scene, Scene(Bend(90.0), (Touch(0.075, 0.0),)), FreeArc(L), quick)
         name = "press on the rim, arc of 90 deg"
-        yield Case("compositions", name, rim, "refused", "from the edge")
+        yield Case(name, rim, "refused", "from the edge")
     for gap in (0.016, 0.0):
         name = f"two presses {1e3 * gap:g} mm apart"
-        yield Case("compositions", name, partial(_two, gap, quick), None, invariant_limit=5e-2)
+        yield Case(name, partial(_two, gap, quick), None, invariant_limit=5e-2)
     rolled = Scene(Bend(90.0), roll=Roll(180.0))
-    yield Case("compositions", "rolled to 180 deg, then bent", partial(_scene, rolled), None)
+    yield Case("rolled to 180 deg, then bent", partial(_scene, rolled), None)
 
 
 def _arc(angle: float) -> CaseValues:
     """Bar bent evenly into an annular sector."""
-    arc = FreeArc(L)
-    sim = Simulator(bar(_Z), _MESH, arc)
-    flexure = arc.flexure(sim.design, Bend(angle))
+    arc, design = FreeArc(L), bar(_Z)
+    flexure = arc.flexure(design, Bend(angle))
     exact = sector(math.radians(angle), H, W, flexure.stretch, L)
-    return _found(sim, flexure, lambda R: abs(R / exact - 1.0))
+    return _found(Simulator(design, _MESH, arc), flexure, lambda R: abs(R / exact - 1.0))
 
 
 def _rolled(angle: float) -> CaseValues:
     """Bar rolled evenly across its width into an annular sector."""
-    roll = Roll(angle)
-    sim = Simulator(SensorDesign(OUTLINE, H, _ACROSS), _MESH)
-    rolled = roll.deformation(sim.design)
+    design = SensorDesign(OUTLINE, H, _ACROSS)
+    rolled = Roll(angle).deformation(design)
     exact = sector(math.radians(angle), H, L, rolled.flexure.stretch, W)
-    return _found(sim, rolled, lambda R: abs(R / exact - 1.0))
+    return _found(Simulator(design, _MESH), rolled, lambda R: abs(R / exact - 1.0))
 
 
 def _scene(scene: Scene, fixture: Fixture | None = None, quick: bool = True) -> CaseValues:
     """Bar under a scene, its resistance compared with rigorous bounds."""
     sim = Simulator(bar(_Z), _MESH, fixture)
-    deformation = _quickly(sim, scene) if quick else sim.deformation(scene)
+    deformation = sim.deformation(dataclasses.replace(scene, touches=()) if quick else scene)
+    if quick and scene.touches:  # dents as for drawings
+        dents = sketched_dents(scene.touches, sim.design)
+        deformation = Composed(dents, deformation) if deformation else dents
     if deformation is None:
         raise ConfigurationError("the scene does not deform the sensor")
     low, high = _bounds(deformation)
@@ -149,30 +149,17 @@ def _scene(scene: Scene, fixture: Fixture | None = None, quick: bool = True) -> 
     return dataclasses.replace(found, invariant=volume)
 
 
-def _quickly(sim: Simulator, scene: Scene) -> Deformation | None:
-    """Deformation by a scene, its dents as for drawings."""
-    bent = sim.deformation(dataclasses.replace(scene, touches=()))
-    if not scene.touches:
-        return bent
-    dents = sketched_dents(scene.touches, sim.design)
-    return Composed(dents, bent) if bent else dents
-
-
 def _two(gap: float, quick: bool) -> CaseValues:
     """Two presses near each other, whose dents overlap."""
     touches = tuple(Touch(0.075 + side * gap, 0.030) for side in (-0.5, 0.5))
     return _scene(Scene(touches=touches), FreeArc(L), quick)
 
 
-def _last(fixture: Hinge | FreeArc, sign: float) -> CaseValues:
-    """Bar at the last possible angle, as the refusal of a larger one names it."""
+def _end(fixture: Hinge | FreeArc, sign: float, past: float = 0.0) -> CaseValues:
+    """Bar at the last possible angle, as the refusal of a larger one names it, or past it [deg]."""
     angle = _last_angle(fixture, sign)
-    found = _scene(Scene(Bend(angle)), fixture)
+    found = _scene(Scene(Bend(angle + sign * past)), fixture)
     return dataclasses.replace(found, reached=f"{angle:g} deg")
-
-
-def _past(fixture: Hinge | FreeArc, sign: float) -> CaseValues:
-    return _scene(Scene(Bend(_last_angle(fixture, sign) + 0.2 * sign)), fixture)
 
 
 @cache

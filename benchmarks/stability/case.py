@@ -7,7 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 
 Outcome = Literal["ok", "refused", "left out", "wrong"]
+QUANTITIES = ("residual", "invariant", "error")
 
 _PATIENCE = 300.0  # s: what takes longer counts as a hang
 
@@ -30,14 +31,14 @@ class CaseValues:
         invariant: worst relative violation of what always holds; see the families.
         error: relative, against a closed form, or outside rigorous bounds.
         reached: in words, how far it went.
-        refused: why it went no further.
+        reason: why it went no further.
     """
 
     residual: float | None = None
     invariant: float | None = None
     error: float | None = None
     reached: str = ""
-    refused: str = ""
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,6 @@ class Case:
     """Case to compute and its expected outcome.
 
     Attributes:
-        family: row of the table of extreme cases that it belongs to.
         name: what is special about it.
         solve: computes it; raises ConfigurationError where it cannot be.
         expected: whether it can be; None where either will do.
@@ -53,7 +53,6 @@ class Case:
         residual_limit, invariant_limit, error_limit: beyond which the result is wrong.
     """
 
-    family: str
     name: str
     solve: Callable[[], CaseValues]
     expected: Literal["ok", "refused"] | None = "ok"
@@ -64,74 +63,61 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class CaseResult:
-    """Outcome and values of one case.
+class CaseResult(CaseValues):
+    """Outcome of one case beside its values; None also for what is not a number.
 
     Attributes:
-        family, case: as in `Case`.
+        family: row of the table of extreme cases that it belongs to.
+        case: its name.
         outcome: "ok"; "refused" by a ConfigurationError; "left out" where something is not
             installed; or "wrong": not a number, beyond a limit, another exception, a hang, or
             another outcome than the expected one.
-        reached: how far it went, in words.
-        reason: why it is not ok, or went no further.
-        residual, invariant, error: as in `CaseValues`; None also for what is not a number.
         seconds: that it took [s].
     """
 
-    family: str
-    case: str
-    outcome: Outcome
-    reached: str
-    reason: str
-    residual: float | None
-    invariant: float | None
-    error: float | None
-    seconds: float
+    family: str = ""
+    case: str = ""
+    outcome: Outcome = "ok"
+    seconds: float = 0.0
 
 
-def judge(case: Case, patience: float = _PATIENCE) -> CaseResult:
+def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> CaseResult:
     """Compute a case and judge its outcome; a warning counts as a failure.
 
     Where the system has no alarm clock, hangs are not ended.
     """
     start = time.perf_counter()
     outcome: Outcome
-    found = CaseValues()
+    values = CaseValues()
     try:
         with _alarm(patience), warnings.catch_warnings():
             warnings.simplefilter("error")
-            found = case.solve()
-        outcome, reason = _outcome(case, found)
+            values = case.solve()
+        outcome, reason = _outcome(case, values)
     except ConfigurationError as error:
         outcome, reason = _refusal(case, str(error))
     except ImportError as error:
         outcome, reason = "left out", str(error)
     except Exception as error:  # whatever else comes is a bug to be listed
         outcome, reason = "wrong", f"{type(error).__name__}: {error}"
-    return CaseResult(
-        family=case.family,
-        case=case.name,
-        outcome=outcome,
-        reached=found.reached,
-        reason=reason,
-        residual=_number(found.residual),
-        invariant=_number(found.invariant),
-        error=_number(found.error),
-        seconds=time.perf_counter() - start,
-    )
+    row: dict[str, Any] = asdict(values) | {"reason": reason}
+    for name in QUANTITIES:
+        row[name] = None if row[name] is None or not np.isfinite(row[name]) else float(row[name])
+    seconds = time.perf_counter() - start
+    return CaseResult(**row, family=family, case=case.name, outcome=outcome, seconds=seconds)
 
 
-def _outcome(case: Case, found: CaseValues) -> tuple[Outcome, str]:
-    for name in ("residual", "invariant", "error"):
-        value, limit = getattr(found, name), getattr(case, f"{name}_limit")
+def _outcome(case: Case, values: CaseValues) -> tuple[Outcome, str]:
+    for name in QUANTITIES:
+        value, limit = getattr(values, name), getattr(case, f"{name}_limit")
         if value is None:
             continue
         if not np.isfinite(value):
             return "wrong", f"{name} is not a number"
         if value > limit:
             return "wrong", f"{name} of {value:.2g}, at most {limit:g} was expected"
-    if found.refused:
-        return _refusal(case, found.refused)
+    if values.reason:
+        return _refusal(case, values.reason)
     if case.expected == "refused":
         return "wrong", "was not refused"
     return "ok", ""
@@ -143,10 +129,6 @@ def _refusal(case: Case, reason: str) -> tuple[Outcome, str]:
     if case.says not in reason:
         return "wrong", f"the refusal does not say '{case.says}': {reason}"
     return "refused", reason
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
 
 
 @contextmanager

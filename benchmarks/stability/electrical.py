@@ -8,6 +8,7 @@ import cmath
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ def apart(first: Numbers, second: Numbers) -> float:
 def solved(
     design: SensorDesign,
     resolution: Resolution | Discretisation,
-    exact: Callable[[Numbers, ForwardModel], float] | None = None,
+    exact: Callable[[Numbers, ForwardModel], float] | complex | None = None,
     *,
     cells: CellKind | None = None,
     breaks: Sequence[float] = (),
@@ -72,8 +73,8 @@ def solved(
 ) -> CaseValues:
     """Impedances of all pairs of a sensor by both solvers, as values of a case.
 
-    `exact` gives the error of the impedances of the pairs; `conductivity` the values at the
-    middles (cells, 3) [m] of cells.
+    `exact` is the impedance of the only pair, or gives the error of the impedances of all pairs;
+    `conductivity` gives the values at the middles (cells, 3) [m] of cells.
     """
     protocol = Protocol.pairwise(len(design.electrodes))
     found = []
@@ -85,11 +86,12 @@ def solved(
         found.append(protocol.measure(model.impedance(sigma)))
         if cells == "tetrahedra":  # no two meshes are the same
             break
-    return CaseValues(
-        residual=apart(found[0], found[1]) if len(found) > 1 else None,
-        invariant=imbalance(model, sigma),
-        error=None if exact is None else exact(found[-1], model),
-    )
+    if not callable(exact):
+        error = None if exact is None else apart(found[-1], np.array([exact]))
+    else:
+        error = exact(found[-1], model)
+    residual = apart(found[0], found[1]) if len(found) > 1 else None
+    return CaseValues(residual, imbalance(model, sigma), error)
 
 
 def bar(
@@ -120,25 +122,20 @@ def contrasts(ratios: Sequence[float]) -> Iterator[Case]:
     for ratio in ratios:
         cases = {"in series": _in_series, "in parallel": _in_parallel, "half a sensor": _half}
         for name, solve in cases.items():
-            yield Case(
-                "conductivity contrast",
-                f"{name}, 1 : {ratio:g}",
-                partial(solve, ratio),
-                # Digits are lost in proportion to the contrast.
-                invariant_limit=1e-11 * max(ratio, 1.0 / ratio) + 1e-10,
-                error_limit=1e-6,
-            )
+            # Digits are lost in proportion to the contrast.
+            limit = 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
+            title, part = f"{name}, 1 : {ratio:g}", partial(solve, ratio)
+            yield Case(title, part, invariant_limit=limit, error_limit=1e-6)
 
 
 def _in_series(ratio: float) -> CaseValues:
     exact = block(0.5 * L, AREA, 1.0, 1e-9) + block(0.5 * L, AREA, ratio, 1e-9)
-    return solved(
-        bar(1e-9),
-        ((2,), COARSE),
-        lambda R, _: apart(R, np.array([exact])),
-        breaks=(0.5 * L,),
-        conductivity=lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio),
-    )
+    return solved(bar(1e-9), ((2,), COARSE), exact, **_changed_half(ratio))
+
+
+def _changed_half(ratio: float) -> dict[str, Any]:
+    """Options of `solved` for a conductivity of 1 S/m, and of `ratio` in the far half."""
+    return {"breaks": (0.5 * L,), "conductivity": lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio)}
 
 
 def _in_parallel(ratio: float, thin: float = 0.5) -> CaseValues:
@@ -150,13 +147,10 @@ def _in_parallel(ratio: float, thin: float = 0.5) -> CaseValues:
         each = [1.0 / block(L, share * AREA, sigma, *contact) for share, sigma in shares]
         return np.array([1.0 / sum(each)])
 
-    bounds = together(), together(z, z)
-    found = partial(_outside_bounds, bounds=bounds)
-    return solved(bar(z, layers=sheets), ((2, 2, 2), COARSE), found)
+    def error(R: Numbers, _: ForwardModel) -> float:
+        return outside(R, together(), together(z, z))
 
-
-def _outside_bounds(R: Numbers, _: ForwardModel, bounds: tuple[Numbers, Numbers]) -> float:
-    return outside(R, *bounds)
+    return solved(bar(z, layers=sheets), ((2, 2, 2), COARSE), error)
 
 
 def _half(ratio: float) -> CaseValues:
@@ -167,13 +161,7 @@ def _half(ratio: float) -> CaseValues:
         ends = [protocol.measure(model.impedance(sigma)) for sigma in (1.0, ratio)]
         return outside(R, np.minimum(*ends), np.maximum(*ends))
 
-    return solved(
-        SensorDesign.reference(),
-        "fast",
-        error,
-        breaks=(0.5 * L,),
-        conductivity=lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio),
-    )
+    return solved(SensorDesign.reference(), "fast", error, **_changed_half(ratio))
 
 
 # Layers and cells
@@ -185,15 +173,9 @@ def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
         for ratio in ratios:
             name = f"1 : {ratio:g} S/m, {1.0 / thin - 1.0:.0f} : 1"
             limit = 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
-            kinds = {"across": _across, "along": _in_parallel}
-            for kind, solve in kinds.items():
-                yield Case(
-                    "thin layers",
-                    f"{kind}, {name}",
-                    partial(solve, ratio, thin),
-                    invariant_limit=limit,
-                    error_limit=1e-7,
-                )
+            for kind, solve in (("across", _across), ("along", _in_parallel)):
+                part = partial(solve, ratio, thin)
+                yield Case(f"{kind}, {name}", part, invariant_limit=limit, error_limit=1e-7)
 
 
 def _across(ratio: float, thin: float) -> CaseValues:
@@ -201,7 +183,7 @@ def _across(ratio: float, thin: float) -> CaseValues:
     sheets = (Layer((1.0 - thin) * H, 1.0), Layer(thin * H, ratio))
     exact = H * (1.0 - thin + thin / ratio) / (L * W) + 2e-9 / (L * W)
     design = SensorDesign(OUTLINE, H, faces, layers=sheets)
-    return solved(design, ((1, 1), COARSE), lambda R, _: apart(R, np.array([exact])))
+    return solved(design, ((1, 1), COARSE), exact)
 
 
 # Contacts
@@ -214,31 +196,33 @@ def contacts() -> Iterator[Case]:
     pairs += [(cmath.rect(z, 1.5), cmath.rect(z, -1.5)) for z in (1e-9, 1e-3, 1e3)]
     for one, other in pairs:
         name = ", ".join(f"{z:.1g}" for z in dict.fromkeys((one, other)))
-        yield Case("contact impedance", f"block, {name}", partial(_body, one, other))
+        yield Case(f"block, {name}", partial(_bar, (one, other)))
     for z in (1e-9, 1e-3, 1e3, 1e3 * cmath.exp(1.5j)):
-        yield Case("contact impedance", f"{z:.2g}, but 1e6 before one", partial(_buried, z))
+        yield Case(f"{z:.2g}, but 1e6 before one", partial(_buried, z))
     for sigma in (1.0, 1e-2, 1e-4):
-        solve = partial(_strips, sigma)
         name = f"2 mm high, 1e-09, {sigma:g} S/m"
         # The part shared by all heights and the part of one height cancel: 2e-18 m / (z sigma).
-        yield Case("contact impedance", name, solve, invariant_limit=1e-4)
+        yield Case(name, partial(_strips, sigma), invariant_limit=1e-4)
     for bad in (0.0, 1e-11, 1e7, -1e-3, 1e-3j, float("nan"), float("inf")):
-        yield Case(
-            "contact impedance",
-            f"{bad:.2g}",
-            partial(_body, bad, bad),
-            "refused",
-            "contact_impedance must be",
-        )
+        solve = partial(_bar, (bad, bad))
+        yield Case(f"{bad:.2g}", solve, "refused", "contact_impedance must be")
 
 
-def _body(one: complex, other: complex) -> CaseValues:
+def _bar(
+    z: tuple[complex, complex] = (1e-9, 1e-9),
+    outline: Rectangle = OUTLINE,
+    sizes: Grading = COARSE,
+    cells: CellKind | None = None,
+    thickness: float = H,
+) -> CaseValues:
     """Block whose own resistance L / (sigma A) must stay accurate beside large contacts."""
+    area = outline.width * thickness
 
     def error(R: Numbers, _: ForwardModel) -> float:
-        return apart(R - (one + other) / AREA, np.array([L / AREA]))
+        return apart(R - sum(z) / area, np.array([outline.length / area]))
 
-    return solved(bar(one, other), ((2,), COARSE), error)
+    design = bar(*z, outline=outline, thickness=thickness)
+    return solved(design, ((2,), sizes), error, cells=cells)
 
 
 def _strips(sigma: float) -> CaseValues:
@@ -289,14 +273,14 @@ REFUSED: dict[str, tuple[Spans, str]] = {
 def electrodes(quick: bool) -> Iterator[Case]:
     """Cases of shunt electrodes against the closed form, touching ones, and impossible ones."""
     for name, spans in list(SPANS.items())[:: 3 if quick else 1]:
-        yield Case("electrodes", name, partial(_shunt, spans))
+        yield Case(name, partial(_shunt, spans))
     for name in () if quick else ("10 um and 5 mm", "round one corner", "1 um short of a corner"):
         solve = partial(_shunt, SPANS[name], "prisms")
-        yield Case("electrodes", f"{name}, prisms", solve)
+        yield Case(f"{name}, prisms", solve)
     touching = partial(_unknown, ((0.03, 0.035), (0.035, 0.04)))
-    yield Case("electrodes", "touching, z = 1e-3", touching)
+    yield Case("touching, z = 1e-3", touching)
     for name, (spans, says) in REFUSED.items():
-        yield Case("electrodes", name, partial(_unknown, spans), "refused", says)
+        yield Case(name, partial(_unknown, spans), "refused", says)
 
 
 def pair(spans: Spans, z: complex) -> SensorDesign:
@@ -312,9 +296,7 @@ def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
     finest = np.diff(np.ravel(spans)).min()
     share, growth = (1e-2, 1.0) if cells == "prisms" else (1e-3, 1.5)
     fine = Grading(share * finest, 2e-2, growth)
-    return solved(
-        pair(spans, 1e-10), ((4,), fine), lambda R, _: apart(R, np.array([exact])), cells=cells
-    )
+    return solved(pair(spans, 1e-10), ((4,), fine), exact, cells=cells)
 
 
 def _unknown(spans: Spans) -> CaseValues:
@@ -324,42 +306,25 @@ def _unknown(spans: Spans) -> CaseValues:
 
 def cells(quick: bool) -> Iterator[Case]:
     """Cases of long, thin and sharp cells: blocks of known resistance, and sharp corners."""
-    sizes = Grading(1e-7, 1e-2, 1.5)
-    yield Case("cells", "hexahedra, 0.1 um to 10 mm", partial(_bar, OUTLINE, sizes))
+    graded = Grading(1e-7, 1e-2, 1.5)
+    yield Case("hexahedra, 0.1 um to 10 mm", partial(_bar, sizes=graded, cells="hexahedra"))
     for width in (1e-3, 1e-4, 1e-5):
-        needle, sizes = Rectangle(L, width), Grading(width, 1e-1, 1.0)
-        name = f"{L / width:g} : 1 needle"
-        yield Case("cells", f"{name}, hexahedra", partial(_bar, needle, sizes))
-        sizes = Grading(min(width, 1e-3), 4e-3, 1.0)
-        if width > 1e-4:
-            yield Case("cells", f"{name}, prisms", partial(_bar, needle, sizes, "prisms"))
-    if not quick:
-        for thickness in (H, 1e-3):
-            yield Case(
-                "cells",
-                f"{1e3 * thickness:g} mm sheet, tetrahedra",
-                partial(_tetrahedra, thickness),
-            )
+        kinds: dict[CellKind, float] = {"hexahedra": 1e-1, "prisms": 4e-3}
+        if width <= 1e-4:
+            del kinds["prisms"]
+        for kind, coarsest in kinds.items():
+            sizes = Grading(min(width, 1e-3), coarsest, 1.0)
+            solve = partial(_bar, outline=Rectangle(L, width), sizes=sizes, cells=kind)
+            yield Case(f"{L / width:g} : 1 needle, {kind}", solve)
+    for thickness in () if quick else (H, 1e-3):
+        sizes = Grading(2.0 * thickness, 6.0 * thickness, 1.0)
+        solve = partial(_bar, sizes=sizes, cells="tetrahedra", thickness=thickness)
+        yield Case(f"{1e3 * thickness:g} mm sheet, tetrahedra", solve)
     for degrees in (10.0, 1.0) if quick else (10.0, 1.0, 0.1):
-        yield Case("cells", f"{degrees:g} deg corner, prisms", partial(_corner, degrees), None)
-    yield Case("cells", "hexahedra sheared by 100", partial(_gate, 1e2))
+        yield Case(f"{degrees:g} deg corner, prisms", partial(_corner, degrees), None)
+    yield Case("hexahedra sheared by 100", partial(_gate, 1e2))
     solve, says = partial(_gate, 1e4), "inverted or degenerate"
-    yield Case("cells", "hexahedra sheared by 10000", solve, "refused", says)
-
-
-def _bar(outline: Rectangle, sizes: Grading, cells: CellKind = "hexahedra") -> CaseValues:
-    exact = block(outline.length, outline.width * H, 1.0, 1e-9, 1e-9)
-    design = bar(1e-9, outline=outline)
-    return solved(design, ((2,), sizes), lambda R, _: apart(R, np.array([exact])), cells=cells)
-
-
-def _tetrahedra(thickness: float) -> CaseValues:
-    design = bar(1e-9, thickness=thickness)
-    exact = block(L, W * thickness, 1.0, 1e-9, 1e-9)
-    sizes = Grading(2.0 * thickness, 6.0 * thickness, 1.0)
-    return solved(
-        design, ((2,), sizes), lambda R, _: apart(R, np.array([exact])), cells="tetrahedra"
-    )
+    yield Case("hexahedra sheared by 10000", solve, "refused", says)
 
 
 def _corner(degrees: float) -> CaseValues:

@@ -2,11 +2,9 @@
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
@@ -21,38 +19,25 @@ from eitskin.simulator.deformation.touches import sketched_dents
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
-Array = NDArray[np.float64]
 
-RANDOM = "random designs"
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """Random sensor on a fixture, and its scene."""
-
-    design: SensorDesign
-    fixture: Fixture
-    scene: Scene
-
-
-def draw(rng: np.random.Generator) -> Drawn:
+def draw(rng: np.random.Generator) -> tuple[SensorDesign, Fixture, Scene]:
     """Random sensor, fixture and scene; raises ConfigurationError where one is impossible."""
     extent = _log_uniform(rng, 1e-2, 0.5)
     outline = _outline(rng, extent)
     thickness = extent * _log_uniform(rng, 3e-3, 0.3)
     count = int(rng.integers(2, 9))
     electrodes = tuple(_electrode(rng, outline, thickness, count) for _ in range(count))
-    kinds = rng.integers(4) == 0
-    shares = rng.dirichlet(np.ones(3)) if kinds else np.ones(1)
+    layered = rng.integers(4) == 0
+    shares = rng.dirichlet(np.ones(3)).tolist() if layered else []
     design = SensorDesign(
         outline=outline,
         thickness=thickness,
         electrodes=electrodes,
-        conductivity=1.0 if kinds else _log_uniform(rng, 1e-3, 1e2),
-        layers=_layers(rng, thickness, shares) if kinds else (),
+        conductivity=1.0 if layered else _log_uniform(rng, 1e-3, 1e2),
+        layers=tuple(Layer(share * thickness, _log_uniform(rng, 1e-3, 1e3)) for share in shares),
         encapsulated_thickness=thickness * rng.uniform(1.0, 3.0),
     )
-    return Drawn(design, _fixture(rng, outline), _scene(rng, outline))
+    return design, _fixture(rng, outline), _scene(rng, outline)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -77,7 +62,10 @@ def _outline(rng: np.random.Generator, extent: float) -> PlaneOutline:
 def _electrode(
     rng: np.random.Generator, outline: PlaneOutline, thickness: float, count: int
 ) -> Electrode:
-    impedance = _log_uniform(rng, 1e-9, 1e3) * np.exp(1j * _phase(rng))
+    size = _log_uniform(rng, 1e-9, 1e3)
+    # Seldom an active contact.
+    phase = 0.0 if rng.integers(3) else float(rng.uniform(-0.51, 0.51) * np.pi)
+    impedance = size * np.exp(1j * phase)
     z = complex(impedance) if impedance.imag else float(impedance.real)
     share = outline.perimeter / count
     make = partial(Electrode, contact_impedance=z)
@@ -92,17 +80,6 @@ def _electrode(
     on: On = ("top", "bottom", "inside")[int(rng.integers(3))]
     inside = thickness * float(rng.uniform(0.0, 1.1)) if on == "inside" else None
     return make(x, y, width, height=height, z=inside, on=on, shape=shape)
-
-
-def _phase(rng: np.random.Generator) -> float:
-    """Random phase [rad] of a contact impedance, seldom an active one."""
-    if rng.integers(3):
-        return 0.0
-    return float(rng.uniform(-0.51, 0.51) * np.pi)
-
-
-def _layers(rng: np.random.Generator, thickness: float, shares: Array) -> tuple[Layer, ...]:
-    return tuple(Layer(float(share * thickness), _log_uniform(rng, 1e-3, 1e3)) for share in shares)
 
 
 def _fixture(rng: np.random.Generator, outline: PlaneOutline) -> Fixture:
@@ -130,21 +107,20 @@ def random_designs(seed: int, count: int) -> Iterator[Case]:
     for number in range(count):
         solve = partial(_measured, (seed, number))
         # Contrasts of a million between layers leave ten digits of a frame, and fewer of the heat.
-        yield Case(RANDOM, f"{seed}-{number}", solve, None, invariant_limit=1e-4)
+        yield Case(f"{seed}-{number}", solve, None, invariant_limit=1e-4)
 
 
 def _measured(seed: tuple[int, int]) -> CaseValues:
     """Frame of the scene, with positive resistances as in the flat sensor."""
-    drawn = draw(np.random.default_rng(seed))
-    design, outline = drawn.design, drawn.design.outline
-    size = 0.2 * max(outline.length, outline.width)
+    design, fixture, scene = draw(np.random.default_rng(seed))
+    size = 0.2 * max(design.outline.length, design.outline.width)
     finest = min(min(e.width, e.height or e.width) for e in design.electrodes)
     sizes = Grading(float(np.clip(0.5 * finest, 0.1 * size, size)), size, 3.0)
-    sim = Simulator(design, ((1, 1), sizes), drawn.fixture)
+    sim = Simulator(design, ((1, 1), sizes), fixture)
     flat = imbalance(sim.model)
     # Every stack would need presses of its own, which take a minute: dents as for drawings.
-    bare = dataclasses.replace(drawn.scene, touches=())
-    dents, bent = sketched_dents(drawn.scene.touches, design), sim.deformation(bare)
+    bare = dataclasses.replace(scene, touches=())
+    dents, bent = sketched_dents(scene.touches, design), sim.deformation(bare)
     R = sim.deformed(Composed(dents, bent) if bent else dents).impedance.real
     if not np.all(R > 0.0):
         raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")

@@ -6,7 +6,6 @@ the dent on coarse cells, and the gel keeps its volume.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -42,17 +41,19 @@ _LAST = 0.9  # depth, of the thickness
 def incompressible(quick: bool) -> Iterator[Case]:
     """Cases of a punch on a layer, from compressible to nearly incompressible."""
     for nu in (0.3, 0.499, 0.49999) if quick else (0.3, 0.4, 0.49, 0.499, 0.4999, 0.49999):
-        ratio = 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
-        solve = partial(_punched, ratio)
-        yield Case("incompressible", f"nu = {nu:g}", solve, error_limit=1e-2)
+        solve = partial(_punched, _bulk_ratio(nu))
+        yield Case(f"nu = {nu:g}", solve, error_limit=1e-2)
     for ratio in (1e6, STIFFEST):
         solve = partial(_punched, ratio)
-        yield Case("incompressible", f"bulk modulus {ratio:g} mu", solve, error_limit=1e-2)
+        yield Case(f"bulk modulus {ratio:g} mu", solve, error_limit=1e-2)
     for ratio in (1e9, 0.0, float("nan")):
         solve = partial(_punched, ratio)
-        yield Case(
-            "incompressible", f"bulk modulus {ratio:g} mu", solve, "refused", "bulk_ratio must"
-        )
+        yield Case(f"bulk modulus {ratio:g} mu", solve, "refused", "bulk_ratio must")
+
+
+def _bulk_ratio(nu: float) -> float:
+    """Bulk modulus over shear modulus for Poisson's ratio."""
+    return 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
 
 
 def _punched(ratio: float) -> CaseValues:
@@ -111,7 +112,7 @@ def presses(quick: bool) -> Iterator[Case]:
         solve = partial(_pressed, *bodies[name], finest, steps)
         # Layers change volume by mean pressure over bulk modulus, 1e4 mu.
         limits = {"residual_limit": 1e-6, "invariant_limit": 1e-4}
-        yield Case("presses", name, solve, None, "of the load only", **limits)
+        yield Case(name, solve, None, "of the load only", **limits)
 
 
 def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> CaseValues:
@@ -139,11 +140,10 @@ def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Cas
         invariant=max(abs(float(inside[base].sum()) / found.force - 1.0), float(volumes.max())),
         reached=f"{found.depth / stack.levels[-1]:.0%} deep, {found.force:.1f} N, layers left "
         f"{', '.join(f'{share:.1%}' for share in left)}, least J {least:.2f}",
-        refused=refused,
+        reason=refused,
     )
 
 
-FAMILY = "whole stacks"
 _OUTLINE = Rectangle(0.090, 0.050)
 _PLACE = (0.040, 0.022)
 _GEL = 5.0 / 12.0  # of the thickness of the stack
@@ -153,57 +153,47 @@ _ONE_LAYER = Fineness(ends=0.0, sides=0.0, layers=1)
 
 def stacks(quick: bool) -> Iterator[Case]:
     """Cases of a rough cylinder of 15 mm, or as thick as a thin stack, on 90 x 50 mm."""
-    supports: dict[str, tuple[Support, float]] = {
-        "rigid": (Rigid(), _DEEP),
-        "plates, shallow": (Plates(), 0.05),
-        "plates, deep": (Plates(), 0.2),
-        "substrate of 1 kPa": (Substrate(0.01, 1e3), _DEEP),
-        "substrate of 1 MPa": (Substrate(0.01, 1e6), _DEEP),
-        "free, shallow": (Free(), 0.02),
-        "free, deep": (Free(), 0.1),
-    }
-    for name, (support, depth) in supports.items():
-        if not quick or name == "rigid":
-            yield _stack_case(name, _design(0.012, support), Mechanics(), depth=depth)
+    yield _stack("rigid")
     if quick:
         return
+    yield _stack("plates, shallow", support=Plates(), depth=0.05)
+    yield _stack("plates, deep", support=Plates(), depth=0.2)
+    yield _stack("substrate of 1 kPa", support=Substrate(0.01, 1e3))
+    yield _stack("substrate of 1 MPa", support=Substrate(0.01, 1e6))
+    yield _stack("free, shallow", support=Free(), depth=0.02)
+    yield _stack("free, deep", support=Free(), depth=0.1)
     for angle in (-20.0, 60.0):
-        name = f"plates bent by {angle:g} deg"
-        yield _stack_case(name, _design(0.012, Plates()), Mechanics(), depth=0.05, angle=angle)
+        yield _stack(f"plates bent by {angle:g} deg", support=Plates(), depth=0.05, angle=angle)
     for nu in (0.4999, 0.49999):
-        ratio = 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
-        yield _stack_case(f"nu = {nu:g}", _design(0.012), Mechanics(bulk_ratio=ratio))
+        yield _stack(f"nu = {nu:g}", Mechanics(bulk_ratio=_bulk_ratio(nu)))
     for factor in (0.01, 100.0):
         around = NeoHookean(factor * Mechanics().gel.shear_modulus)
-        yield _stack_case(
-            f"casing of {factor:g} mu", _design(0.012), Mechanics(encapsulation=around)
-        )
+        yield _stack(f"casing of {factor:g} mu", Mechanics(encapsulation=around))
     for thickness in (0.0005, 0.002, 0.030):
-        yield _stack_case(f"{1e3 * thickness:g} mm thick", _design(thickness), Mechanics())
-    yield _stack_case("gel thinned by 40 %", _design(0.012), Mechanics(), thinning=0.4)
+        yield _stack(f"{1e3 * thickness:g} mm thick", thickness=thickness)
+    yield _stack("gel thinned by 40 %", thinning=0.4)
 
 
-def _design(thickness: float, support: Support | None = None) -> SensorDesign:
-    """Rectangular sensor whose stack has a thickness [m]."""
+def _stack(
+    name: str,
+    mechanics: Mechanics = Mechanics(),  # noqa: B008 - frozen
+    *,
+    support: Support = Rigid(),  # noqa: B008 - frozen
+    thickness: float = 0.012,
+    depth: float = _DEEP,
+    thinning: float | None = None,
+    angle: float = 0.0,
+) -> Case:
+    """Case of a stack of a thickness [m] on a support; the others as in `_pressed_stack`."""
     design = SensorDesign(
         _OUTLINE,
         _GEL * thickness,
         uniform(_OUTLINE, 8),
         encapsulated_thickness=thickness,
+        support=support,
     )
-    return replace(design, support=support or Rigid())
-
-
-def _stack_case(
-    name: str,
-    design: SensorDesign,
-    mechanics: Mechanics,
-    depth: float = _DEEP,
-    thinning: float | None = None,
-    angle: float = 0.0,
-) -> Case:
     solve = partial(_pressed_stack, design, mechanics, depth, thinning, angle)
-    return Case(FAMILY, name, solve, None, "", invariant_limit=0.05)
+    return Case(name, solve, None, invariant_limit=0.05)
 
 
 def _pressed_stack(
