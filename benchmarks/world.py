@@ -6,22 +6,23 @@ deformation of each model is evaluated on the mesh of the reference, so that the
 no part in the error.
 """
 
-import dataclasses
+import json
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.plots import plot_errors
-from eitskin.benchmarks.reference_cases import KINDS, ReferenceCase, cases
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
-from eitskin.geometry.deformation.fixtures import Clamp, Fixture, Hinge
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, Displaced
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.dents import Dents, PlacedDent
@@ -36,6 +37,10 @@ from eitskin.simulator.deformation.touches import (
     resolve_touch_model,
 )
 from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.threads import one_thread
 
@@ -45,39 +50,118 @@ MEDIAN, WORST = 0.02, 0.04
 """Targets of the signal error of presses by the default models: in the middle, and at most."""
 BENDS = 0.01
 """Target of the signal error of bends."""
-_HEADINGS = ("case", "model", "error [%]", "reference [%]", "s")
 _QUICK_CASES = ("75_30", "independent_bend_20")
 # Presses that are solved in 3D besides those without a table: half a minute to minutes each.
 _SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
-KINEMATIC, TABULATED, SOLVED = "kinematic", "tabulated", "solved"
+KINEMATIC: Final = "kinematic"
+TABULATED: Final = "tabulated"
+SOLVED: Final = "solved"
 """Names of models: unbounded dents or `Hinge()`; the tables; solutions in 3D."""
-QUICK = (KINEMATIC, TABULATED)
+MODELS = (KINEMATIC, TABULATED, SOLVED)
+
 
 Model = Callable[[], Deformation]
+KINDS = ("press", "supported press", "bent press", "bend")
+"""Kinds of cases: flat on a rigid base, flat on another support, pressed and bent, bent only."""
+PUBLISHED = Path(__file__).parent / "published" / "world_reference.json"
+_SUPPORTS: dict[str, Support] = {"plates": Plates(), "free": Free()}
 
 
-def deformations(case: ReferenceCase) -> dict[str, Model | None]:
-    """Models of one case by name; None where the tables of the case are not shipped."""
-    scene = case.scene
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceCase:
+    """Case of the reference: presses on a support, flat or bent, or a clamped bend.
+
+    Attributes:
+        name: of the case.
+        design: of the sensor, with its support.
+        mechanics: materials of the sensor.
+        scene: touches, bend, or both.
+        changes: relative changes of the 28 pair resistances, (28,).
+        signal: those that the touches make, or the bend of an untouched sensor, (28,).
+        error: of the changes over their norm, by estimate.
+        depth: of each indenter [m].
+    """
+
+    name: str
+    design: SensorDesign
+    mechanics: Mechanics
+    scene: Scene
+    changes: Array
+    signal: Array
+    error: float
+    depth: tuple[float, ...]
+
+    @property
+    def is_bend(self) -> bool:
+        """Whether the sensor is bent rather than pressed."""
+        return not self.scene.touches
+
+    @property
+    def kind(self) -> str:
+        """One of `KINDS`."""
+        if self.is_bend:
+            return "bend"
+        if self.scene.bend.angle_deg:
+            return "bent press"
+        return "press" if isinstance(self.design.support, Rigid) else "supported press"
+
+
+def cases(path: Path = PUBLISHED) -> list[ReferenceCase]:
+    """Cases that are solved."""
+    solutions = json.loads(path.read_text(encoding="utf-8"))["solutions"]
+    return [_case(one) for one in solutions if one["changes"] is not None]
+
+
+def _case(solution: dict[str, Any]) -> ReferenceCase:
+    """Case of a solution; the clamp holds a sensor that is bent without presses."""
+    support = _SUPPORTS.get(solution["support"], Rigid())
+    if solution["support"] == "substrate":
+        thickness, modulus = solution["substrate"]
+        support = Substrate(1e-3 * thickness, 1e3 * modulus)
+    design = replace(SensorDesign.reference(), support=support)
+    if (factor := solution["thickness"]) != 1.0:
+        design = replace(
+            design,
+            thickness=factor * design.thickness,
+            encapsulated_thickness=factor * design.encapsulated_thickness,
+        )
+    materials = Mechanics()
+    around = NeoHookean(solution["ratio"] * materials.gel.shear_modulus)
+    shape = Cylinder if solution["indenter"]["shape"] == "cylinder" else Sphere
+    indenter = shape(1e-3 * solution["indenter"]["radius"])
+    touches = (
+        Touch(1e-3 * x, 1e-3 * y, solution["force"], indenter) for x, y in solution["touches"]
+    )
+    changes = np.array(solution["changes"])
+    return ReferenceCase(
+        name=solution["name"],
+        design=design,
+        mechanics=replace(materials, encapsulation=around),
+        scene=Scene(Bend(solution["angle"]), tuple(touches)),
+        changes=changes,
+        signal=changes - solution.get("bend_changes", np.zeros(len(changes))),
+        error=solution["error"],
+        depth=tuple(1e-3 * depth for depth in solution["depth"]),
+    )
+
+
+def deformations(case: ReferenceCase) -> dict[str, Model]:
+    """Models of one case by name, without tables where those of the case are not shipped."""
+    touches = case.scene.touches
     if case.is_bend:
         return {
             KINEMATIC: partial(bend, case, KINEMATIC),
             TABULATED: partial(bend, case, TABULATED),
             SOLVED: partial(_clamped_3d, case),
         }
-    if scene.bend.angle_deg:
-        return {
-            KINEMATIC: lambda: Composed(_unbounded(case), bend(case, KINEMATIC)),
-            TABULATED: None,
-            SOLVED: partial(_pressed_bent, case),
-        }
-    shipped = resolve_touch_model(scene.touches, _sensor(case, None)) == TABULATED
-    tabulated = partial(dents, scene.touches, _sensor(case, "tabulated"))
-    return {
+    models: dict[str, Model] = {
         KINEMATIC: partial(_unbounded, case),
-        TABULATED: tabulated if shipped else None,
         SOLVED: partial(_pressed_3d, case),
     }
+    shipped = resolve_touch_model(touches, _sensor(case, None)) == TABULATED
+    if shipped and not case.scene.bend.angle_deg:
+        models[TABULATED] = partial(dents, touches, _sensor(case, TABULATED))
+    return models
 
 
 def _sensor(case: ReferenceCase, model: TouchModel | None) -> PressedSensor:
@@ -96,10 +180,10 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         return None
     if model == KINEMATIC:
         touch = case.scene.touches[0]
-        found = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
-        return float(found.depth)
-    way: TouchModel = "tabulated" if model == TABULATED else "solved"
-    return pressed_touches(case.scene.touches, _sensor(case, way), _bent_state(case))[0].depth
+        dent = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
+        return float(dent.depth)
+    sensor = _sensor(case, TABULATED if model == TABULATED else SOLVED)
+    return pressed_touches(case.scene.touches, sensor, _bent_state(case))[0].depth
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:
@@ -108,21 +192,18 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
     return next(stack.equilibria([case.scene.bend.angle_deg]))
 
 
-def _pressed_3d(case: ReferenceCase) -> Deformation:
-    solved_presses.cache_clear()
-    return dents(case.scene.touches, _sensor(case, "solved"))
-
-
 def _bent_state(case: ReferenceCase) -> BentStack | None:
     if not case.scene.bend.angle_deg:
         return None
     return bend_table.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
 
 
-def _pressed_bent(case: ReferenceCase) -> Deformation:
+def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    state = bend_table.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
-    return bent_dents(case.scene.touches, _sensor(case, "solved"), bend(case, SOLVED), state)
+    touches, sensor, state = case.scene.touches, _sensor(case, SOLVED), _bent_state(case)
+    if state is None:
+        return dents(touches, sensor)
+    return bent_dents(touches, sensor, bend(case, SOLVED), state)
 
 
 def _unbounded(case: ReferenceCase) -> Deformation:
@@ -131,7 +212,8 @@ def _unbounded(case: ReferenceCase) -> Deformation:
     for touch in case.scene.touches:
         table = press_table(case.design, case.mechanics, touch.indenter)
         placed.append(PlacedDent(touch.x, touch.y, table.at_force(touch.force)))
-    return Dents(tuple(placed))
+    pressed = Dents(tuple(placed))
+    return Composed(pressed, bend(case, KINEMATIC)) if case.scene.bend.angle_deg else pressed
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,37 +239,6 @@ class ModelError:
     reference_error: float
     depth: float | None
     reference_depth: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class World:
-    """Errors of all models at all cases."""
-
-    errors: tuple[ModelError, ...]
-
-    def of(self, model: str, kind: str) -> list[ModelError]:
-        """Errors of one model at cases of one kind."""
-        return [row for row in self.errors if (row.model, row.kind) == (model, kind)]
-
-    def default(self, kind: str) -> list[ModelError]:
-        """Errors of the default model at cases of one kind: the tables, else the 3D solution."""
-        tabulated = {row.case for row in self.of(TABULATED, kind)}
-        return self.of(TABULATED, kind) + [
-            row for row in self.of(SOLVED, kind) if row.case not in tabulated
-        ]
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """Kinds of cases that were compared."""
-        return tuple(kind for kind in KINDS if self.default(kind))
-
-    def median(self, kind: str) -> float:
-        """Median error of the default models at cases of one kind."""
-        return statistics.median(row.error for row in self.default(kind))
-
-    def worst(self, kind: str) -> ModelError:
-        """Largest error of the default models at cases of one kind."""
-        return max(self.default(kind), key=lambda row: row.error)
 
 
 class Gauge:
@@ -217,61 +268,47 @@ class Gauge:
         return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Modelled:
-    """Result of one model for one scene.
-
-    Attributes:
-        signal: relative changes of the resistances; of a bent, pressed sensor without those by its
-            bend, (28,).
-        seconds: of the deformation at the points of the mesh [s].
-        depth: of the first indenter [m]; None for bends.
-    """
-
-    signal: Array
-    seconds: float
-    depth: float | None
-
-
-def modelled(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> dict[str, Modelled]:
-    """Results of models for the scene of a case, by name; none without a table of the case."""
-    found = {}
+def compare(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> Iterator[ModelError]:
+    """Errors of models at the scene of a case; presses that have a table are seldom solved."""
     known = deformations(case)
-    spared = not case.is_bend and known[TABULATED] and case.name not in _SOLVED_TOO
-    for name, model in known.items():
-        if name not in models or model is None or (name == SOLVED and spared):
-            continue
+    if not case.is_bend and TABULATED in known and case.name not in _SOLVED_TOO:
+        del known[SOLVED]
+    for name in (each for each in models if each in known):
         if name != SOLVED:
-            model()  # tables are read once
+            known[name]()  # tables are read once
         start = time.process_time()
-        deformation = model()
+        deformation = known[name]()
         for part in gauge.points:
             deformation.gradient(part)
         seconds = time.process_time() - start
         signal = gauge.changes(deformation)
         if case.kind == "bent press":
             signal -= gauge.changes(bend(case, name))
-        found[name] = Modelled(signal, seconds, depth(case, name))
-    return found
+        error = np.linalg.norm(signal - case.signal) / np.linalg.norm(case.signal)
+        yield ModelError(
+            case=case.name,
+            kind=case.kind,
+            model=name,
+            error=float(error),
+            seconds=seconds,
+            reference_error=case.error,
+            depth=depth(case, name),
+            reference_depth=case.depth[0] if case.depth else None,
+        )
 
 
-def _compared(case: ReferenceCase, name: str, model: Modelled) -> ModelError:
-    error = np.linalg.norm(model.signal - case.signal) / np.linalg.norm(case.signal)
-    return ModelError(
-        case=case.name,
-        kind=case.kind,
-        model=name,
-        error=float(error),
-        seconds=model.seconds,
-        reference_error=case.error,
-        depth=model.depth,
-        reference_depth=case.depth[0] if case.depth else None,
-    )
+def errors_of(errors: Sequence[ModelError], model: str, kind: str) -> list[ModelError]:
+    """Errors of one model at cases of one kind; "default" is the tables, else the 3D solution."""
+    if model != "default":
+        return [row for row in errors if (row.model, row.kind) == (model, kind)]
+    tabulated = errors_of(errors, TABULATED, kind)
+    cases = {row.case for row in tabulated}
+    return tabulated + [row for row in errors_of(errors, SOLVED, kind) if row.case not in cases]
 
 
-def figures(found: World) -> Iterator[tuple[str, float]]:
+def figures(errors: Sequence[ModelError]) -> Iterator[tuple[str, float]]:
     """All figures by name: errors and depths by case and model."""
-    for row in found.errors:
+    for row in errors:
         yield f"{row.case} / {row.model} [%]", 100 * row.error
         if row.depth is not None:
             yield f"{row.case} / {row.model}, depth [mm]", 1e3 * row.depth
@@ -280,33 +317,31 @@ def figures(found: World) -> Iterator[tuple[str, float]]:
         if row.reference_depth is not None:
             yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
     for kind in KINDS:
-        for model in (KINEMATIC, TABULATED, SOLVED):
-            rows = found.of(model, kind)
-            if rows:
-                yield (
-                    f"{kind} / {model}, median [%]",
-                    100 * statistics.median(r.error for r in rows),
-                )
-                yield f"{kind} / {model}, worst [%]", 100 * max(r.error for r in rows)
-                yield f"{kind} / {model}, median [s]", statistics.median(r.seconds for r in rows)
-        if found.default(kind):
-            yield f"{kind} / default, cases", len(found.default(kind))
-            yield f"{kind} / default, median [%]", 100 * found.median(kind)
-            yield f"{kind} / default, worst [%]", 100 * found.worst(kind).error
+        for model in (*MODELS, "default"):
+            if rows := errors_of(errors, model, kind):
+                name, percent = f"{kind} / {model}", [100 * row.error for row in rows]
+                yield f"{name}, median [%]", statistics.median(percent)
+                yield f"{name}, worst [%]", max(percent)
+                if model == "default":
+                    yield f"{name}, cases", len(rows)
+                else:
+                    yield f"{name}, median [s]", statistics.median(row.seconds for row in rows)
 
 
-def sentences(found: World) -> Iterator[str]:
+def sentences(errors: Sequence[ModelError]) -> Iterator[str]:
     """Median and worst error beside their targets."""
-    for kind in found.kinds:
-        worst = found.worst(kind)
+    for kind in KINDS:
+        if not (rows := errors_of(errors, "default", kind)):
+            continue
+        middle, worst = statistics.median(r.error for r in rows), max(rows, key=lambda r: r.error)
         median, most = (BENDS, BENDS) if kind == "bend" else (MEDIAN, WORST)
         yield (
-            f"{kind}, {len(found.default(kind))} cases: median {100 * found.median(kind):.2f} % "
+            f"{kind}, {len(rows)} cases: median {100 * middle:.2f} % "
             f"(target {100 * median:g} %), worst {100 * worst.error:.2f} % at {worst.case} "
             f"(target {100 * most:g} %); the reference itself is good to "
             f"{100 * worst.reference_error:.2g} % there, by estimate"
         )
-    baseline = [row.error for row in found.of(KINEMATIC, "press")]
+    baseline = [row.error for row in errors_of(errors, KINEMATIC, "press")]
     yield f"unbounded dents without corrections: {100 * min(baseline):.0f} % at least"
 
 
@@ -320,34 +355,34 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     """
     began = time.perf_counter()
     chosen = [case for case in cases() if not quick or case.name in _QUICK_CASES]
-    models = QUICK if quick else (KINEMATIC, TABULATED, SOLVED)
-    errors: list[ModelError] = []
+    models = MODELS[:2] if quick else MODELS
+    gauge = cache(partial(Gauge, resolution="standard" if quick else "fine"))
     with one_thread():
-        gauges: dict[SensorDesign, Gauge] = {}
-        for case in watch("cases", chosen):
-            if case.design not in gauges:
-                gauges[case.design] = Gauge(case.design, "standard" if quick else "fine")
-            found = modelled(case, gauges[case.design], models)
-            errors += [_compared(case, name, model) for name, model in found.items()]
-    world = World(tuple(errors))
+        errors = [
+            row
+            for case in watch("cases", chosen)
+            for row in compare(case, gauge(case.design), models)
+        ]
     points = {
         model: [(max(e.seconds, 1e-4), 100 * e.error) for e in errors if e.model == model]
         for model in models
     }
     limits = {"target, median": 100 * MEDIAN, "target, worst": 100 * WORST}
     x, y = "time of the deformation at all points [s]", "error of the signal [%]"
+    cells = [
+        (
+            row.case,
+            row.model,
+            f"{100 * row.error:.2f}",
+            f"{100 * row.reference_error:.1f}",
+            f"{row.seconds:.3f}",
+        )
+        for row in errors
+    ]
     return Report(
-        results=measured("world", figures(world), began=began, seed=seed, quick=quick),
-        rows=[dataclasses.asdict(row) for row in errors],
-        tables=[
-            ReportTable(("case", "model", "error [%]", "reference [%]", "s"), [*_cells(world)], 2)
-        ],
-        sentences=[*sentences(world)],
+        results=measured("world", figures(errors), began=began, seed=seed, quick=quick),
+        rows=[asdict(row) for row in errors],
+        tables=[ReportTable(("case", "model", "error [%]", "reference [%]", "s"), cells, 2)],
+        sentences=[*sentences(errors)],
         plots={"world.png": partial(plot_errors, panels={"": points}, x=x, y=y, limits=limits)},
     )
-
-
-def _cells(found: World) -> Iterator[tuple[str, ...]]:
-    for row in found.errors:
-        error, reference = f"{100 * row.error:.2f}", f"{100 * row.reference_error:.1f}"
-        yield row.case, row.model, error, reference, f"{row.seconds:.3f}"

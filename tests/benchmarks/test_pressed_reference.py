@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.reference_cases import cases
+from eitskin.benchmarks.world import cases
 
 ngsolve = pytest.importorskip("ngsolve", reason="needs the extra `reference` (NGSolve)")
 
 from eitskin.benchmarks.pressed_reference import ReferenceStack  # noqa: E402
-from eitskin.benchmarks.reference_solid import (  # noqa: E402
+from eitskin.benchmarks.pressed_reference import (  # noqa: E402
     Held,
     MixedSolid,
     Numerics,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command_line import printed_json
 
-from eitskin.benchmarks.reference_cases import KINDS, cases
+from eitskin.benchmarks.world import KINDS, cases
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world import (
     KINEMATIC,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.reference_cases import cases
+from eitskin.benchmarks.world import cases
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.regular_layouts import uniform
