@@ -1,27 +1,33 @@
 """Run of `bench transfer`: every pipeline in every world, by the labelled frames.
 
-A pipeline is scored as it is, and adapted to each sensor by labelled frames. Cramer-Rao bounds say
-what the noise of one frame leaves of any method.
+Sensors of a world differ from those of the recipe "training". A pipeline is scored as it is, and
+adapted to each sensor by labelled frames. Cramer-Rao bounds say what the noise of one frame leaves
+of any method.
 """
 
-import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.paper.scores import scene_of
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
-from eitskin.benchmarks.transfer_worlds import FEW, World, make, recipes
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Mounts
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError, EitskinError
+from eitskin.geometry.design.sensor import Plates
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.scores import match, root_mean_square
 from eitskin.training.method.predictions import Predictions
@@ -30,6 +36,70 @@ from eitskin.training.pipeline.pipeline import Pipeline
 Array = NDArray[np.float64]
 Figures = dict[str, float]
 
+SENSORS, QUICK_SENSORS = 16, 2
+SEED = 4000  # added to seeds, which keeps test sensors apart from those of training sets
+SENSOR_FRAMES = (
+    SceneGroup("idle", count=3),
+    SceneGroup("bend", count=3, angle_deg=(-20.0, -5.0)),
+    SceneGroup("bend", count=9, angle_deg=(5.0, 50.0)),
+    SceneGroup("touch", count=6, force=(4.0, 12.0)),
+    SceneGroup("touch", count=6, force=(4.0, 12.0), angle_deg=(-20.0, 50.0), per_bend=3),
+)
+"""Frames of each sensor. The state of bends below 5 deg, which are nearly flat, is not asked."""
+KNOWN_FRAMES = (
+    SceneGroup("idle", count=1),
+    *(SceneGroup("bend", count=1, angle_deg=(angle, angle)) for angle in KNOWN_DEG),
+    SceneGroup("bend", count=15, angle_deg=(-20.0, 50.0)),
+    SceneGroup("touch", count=80, force=(4.0, 12.0)),
+)
+"""Labelled frames of each sensor, to adapt by: angles, and presses on the flat sensor."""
+PLACES = (
+    *((0.030, 0.020), (0.045, 0.040), (0.112, 0.017), (0.125, 0.033)),
+    *((0.026, 0.044), (0.040, 0.025), (0.108, 0.038), (0.118, 0.022)),
+)
+"""Presses of "pressed while bent" [m], on the plates, two at each of four angles."""
+FEW_SENSORS = 2
+FEW_FRAMES = (
+    SceneGroup("idle", count=2),
+    SceneGroup("bend", count=6, angle_deg=(10.0, 40.0)),
+    SceneGroup("touch", positions=PLACES, force=(4.0, 8.0), angle_deg=(10.0, 40.0), per_bend=2),
+)
+"""All frames to be judged of the world whose presses take half a minute to minutes each."""
+
+# The spread of specimens that share the bends of their mounts.
+_SHARED_BENDS = dict.fromkeys(
+    ("thickness", "gel_modulus", "encapsulation_modulus", "hinge_span", "hinge_offset"), 0.0
+)
+WORLDS: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
+    "as trained": ({}, {}),
+    # Clamps with other spans, axes and held faces, without a spread about each.
+    "other clamps": (
+        _SHARED_BENDS,
+        {"mounts": Mounts(8, (0.028, 0.057), (0.005, 0.013), faces=("both", "bottom"))},
+    ),
+    # Encapsulations 0.7 to 2 times as stiff, in clamps as in training: softer ones are out of
+    # reach of 12 N.
+    "other stiffness": (_SHARED_BENDS, {"mounts": Mounts(4, stiffness=(0.7, 2.0))}),
+    # Electrodes placed within 1 mm, contacts that differ by a factor of 2 between them.
+    "rough electrodes": (
+        {"conductivity": 0.5, "contact_impedance": 0.8, "electrode_place": 0.001},
+        {},
+    ),
+    # Loads to ground of the board's source, its sink and its idle electrodes.
+    "other board": (
+        {},
+        {
+            "instrument": Instrument(
+                snr_db=72.0,
+                meter=FourTerminalMeter(source=2e-5, sink=2e-4, idle=2e-5, common_mode=0.01),
+            )
+        },
+    ),
+}
+"""Of each world, what its recipe changes in the spread of the sensors, and besides."""
+FEW = "pressed while bent"
+"""World of a handful of frames on two sensors on the plates that bend them, without known presses:
+presses are solved as one problem with the bend."""
 BOUND = "Cramer-Rao bound"
 _COLUMNS = {
     "states [%]": ("untouched states right", 100.0),
@@ -42,6 +112,75 @@ _COLUMNS = {
     "refused [%]": ("sensors refused", 100.0),
 }
 """Figure of each column, and the factor to its unit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """Frames of the sensors of one world.
+
+    Attributes:
+        name: of the world.
+        frames: flat, bent and touched, to be judged.
+        known: labelled frames of the same sensors in the same sessions, to adapt by.
+    """
+
+    name: str
+    frames: Dataset
+    known: Dataset
+
+
+def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress) -> list[World]:
+    """Generate the frames that `folder` does not have yet, and read all of them.
+
+    Raises ConfigurationError where `folder` holds frames of other recipes.
+    """
+    made = []
+    for name in (*WORLDS, *(() if quick else (FEW,))):
+        sets = []
+        for recipe in recipes(name, seed, quick):
+            place = folder / recipe.name.replace(" ", "-").replace(",", "")
+            part = f"frames: {recipe.name}"
+            sets.append(generate_missing(recipe, place, workers, progress, part))
+        made.append(World(name, sets[0], _apart(*sets)))
+    return made
+
+
+def _apart(frames: Dataset, known: Dataset) -> Dataset:
+    """Known frames less presses whose place and noise were drawn as those of a judged frame.
+
+    Draws follow from a frame's number; only the first sensor has the same numbers in both sets.
+    """
+    judged = dict(zip(frames.number.tolist(), frames.specimen.tolist(), strict=True))
+    pairs = zip(known.number.tolist(), known.specimen.tolist(), strict=True)
+    same = np.array([judged.get(number) == specimen for number, specimen in pairs])
+    return known.select(np.flatnonzero(~same | (known.state != State.TOUCH)))
+
+
+def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
+    """Recipes of the frames to be judged and of the known frames of a world."""
+    training = Recipe.shipped("training")
+    known, count, spread = KNOWN_FRAMES, QUICK_SENSORS if quick else SENSORS, _SHARED_BENDS
+    changes: dict[str, Any] = {}
+    if world == FEW:
+        known, count = tuple(each for each in known if each.state != "touch"), FEW_SENSORS
+        changes["sensor"] = replace(training.sensor, support=Plates())
+    else:
+        spread, changes = WORLDS[world]
+
+    def of_every_sensor(groups: Sequence[SceneGroup]) -> tuple[SceneGroup, ...]:
+        return tuple(replace(group, count=group.count * count) for group in groups)
+
+    frames = replace(
+        training,
+        name=world,
+        description="",
+        seed=SEED + seed,
+        specimens=replace(training.specimens, count=count, **spread),
+        reference_frames=8,
+        scenes=FEW_FRAMES if world == FEW else of_every_sensor(SENSOR_FRAMES),
+    )
+    frames = replace(frames, **changes)
+    return frames, replace(frames, name=f"{world}, known", scenes=of_every_sensor(known))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +255,7 @@ def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
     """
     judged, refused = [], 0
     for number in np.unique(world.frames.specimen):
-        own = dataclasses.replace(pipeline)
+        own = replace(pipeline)
         if labelled.angles or labelled.presses:
             mine = world.known.select(world.known.specimen == number)
             try:
@@ -163,7 +302,10 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
         simulator = made.simulator(recipe.sensor, recipe.resolution, recipe.protocol)
         full_scale = simulator.full_scale_on(recipe.instrument)
         for state, count in ((State.TOUCH, TOUCHED), (State.BEND, BENT)):
-            for row in _rows(world, number, state, count):
+            mine = (world.frames.specimen == number) & (world.frames.state == state)
+            rows = np.flatnonzero(mine)
+            spread = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)
+            for row in rows[spread].tolist():
                 scene = scene_of(world.frames, row)
                 found = scene_derivatives(simulator, scene, instrument=recipe.instrument)
                 noise = found.noise(recipe.instrument, full_scale)
@@ -178,25 +320,8 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
     }
 
 
-def _rows(world: World, number: int, state: State, count: int) -> Iterator[int]:
-    """Some frames of a sensor in one state, evenly spaced among these."""
-    data = world.frames
-    rows = np.flatnonzero((data.specimen == number) & (data.state == state))
-    yield from rows[np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)].tolist()
-
-
 LABELLED = tuple(Labelled(*each) for each in ((0, 0), (1, 0), (5, 0), (5, 15), (20, 80)))
 """Labelled frames that a sensor is adapted by."""
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """Figures of one pipeline in one world, adapted by some labelled frames."""
-
-    pipeline: str
-    world: str
-    labelled: Labelled
-    figures: Figures
 
 
 def run(
@@ -213,51 +338,42 @@ def run(
     """
     began = time.perf_counter()
     worlds = make(folder, seed, quick, workers, progress)
-    limits = {
-        world.name: bounds(world, recipes(world.name, seed, quick)[0], progress)
-        for world in worlds
-        if world.name not in FEW
-    }
-    rows = tuple(_scored(pipelines, worlds, progress))
-    headings = ("pipeline", "world", "labelled", *_COLUMNS)
-    cells = [(row.pipeline, row.world, str(row.labelled), *_cells(row.figures)) for row in rows]
-    cells += [(BOUND, world, "", *_cells(figures)) for world, figures in limits.items()]
-    return Report(
-        results=measured("transfer", _figures(rows, limits), began=began, seed=seed, quick=quick),
-        rows=[
-            {"pipeline": row.pipeline, "world": row.world, "labelled": str(row.labelled)}
-            | {name: row.figures.get(name) for name, _ in _COLUMNS.values()}
-            for row in rows
-        ],
-        tables=[ReportTable(headings, cells, 3)],
-    )
-
-
-def _figures(rows: Sequence[Row], limits: Mapping[str, Figures]) -> Iterator[tuple[str, float]]:
-    """All figures by name, bounds last."""
-    for row in rows:
-        for name, value in row.figures.items():
-            yield f"{row.pipeline} / {row.world}, {row.labelled} / {name}", value
-    for world, figures in limits.items():
-        for name, value in figures.items():
-            yield f"{BOUND} / {world} / {name}", value
-
-
-def _cells(figures: Figures) -> Iterator[str]:
-    for name, factor in _COLUMNS.values():
-        yield f"{factor * figures[name]:.3g}" if name in figures else "-"
-
-
-def _scored(
-    pipelines: Mapping[str, Path], worlds: Sequence[World], progress: Progress
-) -> Iterator[Row]:
-    total = len(worlds) * len(pipelines)
+    rows: list[tuple[str, str, str, Figures]] = []
     for number, (name, path) in enumerate(pipelines.items()):
         pipeline = Pipeline.load(path)
         for place, world in enumerate(worlds):
-            progress("scores", number * len(worlds) + place, total)
+            progress("scores", number * len(worlds) + place, len(worlds) * len(pipelines))
             for labelled in LABELLED:
-                if labelled.presses and world.name in FEW:
-                    continue
-                yield Row(name, world.name, labelled, scores(pipeline, world, labelled))
-    progress("scores", total, total)
+                if not (labelled.presses and world.name == FEW):
+                    row = name, world.name, str(labelled), scores(pipeline, world, labelled)
+                    rows.append(row)
+    progress("scores", len(worlds) * len(pipelines), len(worlds) * len(pipelines))
+    limits = [
+        (BOUND, world.name, "", bounds(world, recipes(world.name, seed, quick)[0], progress))
+        for world in worlds
+        if world.name != FEW
+    ]
+    figures = {
+        f"{pipeline} / {', '.join(filter(None, (world, labelled)))} / {name}": value
+        for pipeline, world, labelled, values in (*rows, *limits)
+        for name, value in values.items()
+    }
+    columns = _COLUMNS.values()
+    return Report(
+        results=measured("transfer", figures.items(), began=began, seed=seed, quick=quick),
+        rows=[
+            dict(zip(("pipeline", "world", "labelled"), names, strict=True))
+            | {column: values.get(column) for column, _ in columns}
+            for *names, values in rows
+        ],
+        tables=[
+            ReportTable(
+                ("pipeline", "world", "labelled", *_COLUMNS),
+                [
+                    (*names, *(f"{f * values[c]:.3g}" if c in values else "-" for c, f in columns))
+                    for *names, values in (*rows, *limits)
+                ],
+                3,
+            )
+        ],
+    )

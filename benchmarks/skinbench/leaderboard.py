@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from eitskin.benchmarks.results import Results, read_results
-from eitskin.benchmarks.transfer_worlds import WORLDS
+from eitskin.benchmarks.transfer import WORLDS
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file, read_bytes
 from eitskin.provenance import Provenance
