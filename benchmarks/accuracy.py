@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks import forward_models as models
 from eitskin.benchmarks.forward_models import ModelCase, Truth, judge, model_frame
-from eitskin.benchmarks.plots import plot_errors
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.sensor import SensorDesign

@@ -24,14 +24,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from eitskin.benchmarks.results import NUMBER, RESULTS, Results, found_results, row_labels
-from eitskin.benchmarks.skinbench.leaderboard import (
-    TRACKS,
-    fill,
-    page_with,
-    read_leaderboard,
-    write_leaderboard,
-)
+from eitskin.benchmarks.leaderboard import TRACKS, page_with, read_leaderboard, write_leaderboard
+from eitskin.benchmarks.results import NUMBER, Results, found_results, row_labels
 from eitskin.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -141,9 +135,9 @@ def main(folders: Sequence[str]) -> None:
             print(f"changed: {page.relative_to(ROOT)}")
     path = ROOT / "docs" / "leaderboard.json"
     if not folders and path.is_file():
-        board = fill(
-            read_leaderboard(path), [PUBLISHED / track.results / RESULTS for track in TRACKS]
-        )
+        board = read_leaderboard(path)
+        for track in TRACKS:
+            board = board.with_results(results[track.results])
         write_leaderboard(path, board)
         page = path.with_suffix(".md")
         page.write_text(page_with(page.read_text(encoding="utf-8"), board), encoding="utf-8")

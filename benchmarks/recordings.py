@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
-from eitskin.benchmarks.plots import plot_errors
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
 from eitskin.datasets.recordings.recorded_file import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import DataError, FrameError

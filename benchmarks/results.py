@@ -19,13 +19,14 @@ import msgspec
 
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import DataError
+from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.provenance import Provenance
 
 NUMBER = re.compile(r"[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[-+]?\d+)?")
 RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
-Plots = Mapping[str, Callable[[Path], object]]
-"""What draws each picture into the path given, by the picture's name."""
+Points = Mapping[str, Sequence[tuple[float, float]]]
+"""Points (x, y) by label."""
 Watch = Callable[[str, Sequence[Any]], Iterable[Any]]
 """Gives back the items that its text is about; shows progress where wanted."""
 Progress = Callable[[str, int, int], None]
@@ -112,7 +113,7 @@ class Report:
         rows: of table.csv; the figures themselves where there are none.
         tables: as shown.
         sentences: below the tables.
-        plots: pictures to draw.
+        plots: what draws each picture into the path given, by the picture's name.
         failed: whether the run found something wrong.
     """
 
@@ -120,12 +121,32 @@ class Report:
     rows: Sequence[dict[str, Any]] = ()
     tables: Sequence[ReportTable] = ()
     sentences: Sequence[str] = ()
-    plots: Plots = field(default_factory=dict)
+    plots: Mapping[str, Callable[[Path], object]] = field(default_factory=dict)
     failed: bool = False
 
     def write(self, out: Path) -> list[Path]:
-        """Write the results as `write_results` does; returns all paths."""
-        return write_results(self.results, out, self.rows, self.plots)
+        """Write `out/NAME/`: pictures and table first, results.json last, which vouches for all.
+
+        Returns all paths. Raises ConfigurationError where one cannot be written; what was there
+        stays.
+        """
+        folder, results = out / self.results.name, self.results
+        make_folder(folder)
+        for name, draw in self.plots.items():
+            with atomic_file(folder / name) as temporary:
+                draw(temporary)
+        rows = self.rows or [{"figure": k, "value": v} for k, v in results.figures.items()]
+        text = io.StringIO()
+        text.write(f"# {results.provenance}\n")
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        with atomic_file(folder / TABLE) as temporary:
+            temporary.write_text(text.getvalue(), encoding="utf-8")
+        with atomic_file(folder / RESULTS) as temporary:
+            content = msgspec.json.format(msgspec.json.encode(results), indent=1)
+            temporary.write_bytes(content + b"\n")
+        return [folder / name for name in (*self.plots, TABLE, RESULTS)]
 
 
 def measured(
@@ -157,48 +178,6 @@ def measured(
     )
 
 
-def write_results(
-    results: Results, out: Path, rows: Sequence[dict[str, Any]] = (), plots: Plots | None = None
-) -> list[Path]:
-    """Write `out/NAME/`: pictures and table first, results.json last as a mark of completeness.
-
-    Args:
-        results: of the run.
-        out: folder of all results; made where it is missing.
-        rows: of table.csv; the figures themselves when omitted.
-        plots: pictures to draw.
-
-    Returns all paths. Raises ConfigurationError where one cannot be written; what was there stays.
-    """
-    folder = out / results.name
-    make_folder(folder)
-    paths = [folder / name for name in (*(plots or {}), TABLE, RESULTS)]
-    for name, draw in (plots or {}).items():
-        with atomic_file(folder / name) as temporary:
-            draw(temporary)
-    figures = {name: value for name, value in results.figures.items() if math.isfinite(value)}
-    long = [{"figure": name, "value": value} for name, value in figures.items()]
-    write_table(folder / TABLE, list(rows) or long, str(results.provenance))
-    data = msgspec.to_builtins(results) | {"figures": figures}
-    with atomic_file(folder / RESULTS) as temporary:
-        temporary.write_bytes(msgspec.json.format(msgspec.json.encode(data), indent=1) + b"\n")
-    return paths
-
-
-def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> None:
-    """Write rows as CSV with a header, after a comment line on how they were measured.
-
-    Raises ConfigurationError where the file cannot be written; what was there is kept.
-    """
-    text = io.StringIO()
-    text.write(f"# {comment}\n")
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_file(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
-
-
 def read_results(path: Path) -> Results:
     """Results read from a file; raises DataError where the file holds none."""
     try:
@@ -219,7 +198,11 @@ def write_index(out: Path, left_out: Mapping[str, str] | None = None) -> Path:
     """Write index.md: all results with their dates and files, and benchmarks left out, with why."""
     lines = ["# Measured", "", "| benchmark | figures | seconds | seed | date | files |"]
     lines.append("|---" * 6 + "|")
+    machines = set()
     for one in found_results(out):
+        packages = ", ".join(" ".join(each) for each in one.provenance.packages.items())
+        made = f"{one.provenance.machine}; Python {one.provenance.python}, {packages}"
+        machines.add(f"- {made}")
         files = sorted(p.name for p in (out / one.name).iterdir() if p.is_file())
         links = ", ".join(f"[{name}]({one.name}/{name})" for name in files)
         date, name = one.provenance.date, f"{one.name}{', quick' if one.quick else ''}"
@@ -228,12 +211,41 @@ def write_index(out: Path, left_out: Mapping[str, str] | None = None) -> Path:
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     if left_out:
         lines += ["", *(f"- `{name}` left out: {why}" for name, why in left_out.items())]
-    lines += ["", *sorted({f"- {_machine(one)}" for one in found_results(out)}), ""]
+    lines += ["", *sorted(machines), ""]
     with atomic_file(out / INDEX) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8")
     return out / INDEX
 
 
-def _machine(one: Results) -> str:
-    packages = ", ".join(f"{name} {version}" for name, version in one.provenance.packages.items())
-    return f"{one.provenance.machine}; Python {one.provenance.python}, {packages}"
+def plot_errors(
+    path: Path,
+    panels: Mapping[str, Points],
+    x: str,
+    y: str,
+    limits: Mapping[str, float] | None = None,
+) -> None:
+    """Plot points on logarithmic scales, a panel for each title.
+
+    Args:
+        path: of the PNG file.
+        panels: points by label, by title.
+        x, y: labels of the axes.
+        limits: values of y to be marked, by name.
+    """
+    figure = require("matplotlib.figure", "bench").Figure(
+        figsize=(8.0 * len(panels), 5.4), layout="constrained"
+    )
+    grid = figure.subplots(1, len(panels), squeeze=False, sharex=True)
+    for axes, (title, series) in zip(grid.ravel(), panels.items(), strict=True):
+        for label, points in series.items():
+            ordered = list(zip(*sorted(points), strict=True)) or [(), ()]
+            axes.loglog(*ordered, "o-", ms=4, lw=0.8, label=label)
+        for name, value in (limits or {}).items():
+            axes.axhline(value, color="#999999", linewidth=0.8, linestyle=(0, (4, 3)))
+            axes.text(0.01, 1.04 * value, name, transform=axes.get_yaxis_transform())
+        axes.set(xlabel=x, ylabel=y, title=title)
+        axes.grid(visible=True, which="major", color="#e4e4e4", linewidth=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8)
+    figure.savefig(path, dpi=120, facecolor="white", format="png")

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.forward_models import PEERS, PointElectrodeModel, drops, has_pyeit
-from eitskin.benchmarks.plots import plot_errors
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe

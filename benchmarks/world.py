@@ -18,8 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.plots import plot_errors
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, Displaced
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support

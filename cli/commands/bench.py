@@ -149,7 +149,7 @@ def methods(
 
     The baselines where none is named. Frames are kept.
     """
-    from eitskin.benchmarks.skinbench.methods import run
+    from eitskin.benchmarks.methods import run
 
     require_all(training=TRAINING)
     own = {each.KIND: (each, code) for code in method or () if (each := own_method(code))}
@@ -316,7 +316,7 @@ def _present(
 
     paths = found.write(out)
     if leaderboard is not None:
-        from eitskin.benchmarks.skinbench.leaderboard import enter
+        from eitskin.benchmarks.leaderboard import enter
 
         enter(leaderboard, found.results, out / found.results.name, codes or {})
         paths.append(leaderboard)
@@ -343,7 +343,7 @@ def _require_whole(leaderboard: Path | None, quick: bool, seed: int = 0) -> None
     """Raise ConfigurationError, before the work, where a run would be no entry; DataError too."""
     if leaderboard is None:
         return
-    from eitskin.benchmarks.skinbench.leaderboard import SEED, read_leaderboard
+    from eitskin.benchmarks.leaderboard import SEED, read_leaderboard
 
     if quick or seed != SEED:
         raise ConfigurationError(

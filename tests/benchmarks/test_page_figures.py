@@ -4,7 +4,7 @@ import pytest
 
 from eitskin.benchmarks import page_figures
 from eitskin.benchmarks.page_figures import figures_in, full_results, pages, rendered, rewritten
-from eitskin.benchmarks.results import Results, write_results
+from eitskin.benchmarks.results import Report, Results
 from eitskin.errors import ConfigurationError
 from eitskin.provenance import Provenance
 
@@ -119,15 +119,15 @@ def test_the_script_writes_pages_by_the_results_of_another_run(tmp_path, monkeyp
     (tmp_path / "docs" / "plain.md").write_text("42\n")
     published, out = tmp_path / "published", tmp_path / "out"
     for one in made().values():
-        write_results(one, published)
+        Report(one).write(published)
     monkeypatch.setattr(page_figures.pages, "__defaults__", (tmp_path,))
     monkeypatch.setattr(page_figures.full_results, "__defaults__", (published,))
     monkeypatch.setattr(page_figures, "ROOT", tmp_path)
     page_figures.main([])
     assert page.read_text() == PAGE
     assert capsys.readouterr().out == ""
-    write_results(results("live", LIVE | {"idle / found": 12.0}), out)
-    write_results(results("speed", SPEED | {"ms": 1.0}, quick=True), out)
+    Report(results("live", LIVE | {"idle / found": 12.0})).write(out)
+    Report(results("speed", SPEED | {"ms": 1.0}, quick=True)).write(out)
     page_figures.main([str(out)])
     assert page.read_text() == PAGE.replace("99 %", "12 %")
     assert capsys.readouterr().out == "changed: README.md\n"

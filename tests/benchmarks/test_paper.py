@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from eitskin.benchmarks.leaderboard import read_leaderboard
 from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import scores as paper_scores
 from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.paper.scores import SignalToNoise
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.skinbench.leaderboard import read_leaderboard
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen

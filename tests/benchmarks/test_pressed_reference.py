@@ -9,11 +9,11 @@ from eitskin.benchmarks.world import cases
 
 ngsolve = pytest.importorskip("ngsolve", reason="needs the extra `reference` (NGSolve)")
 
-from eitskin.benchmarks.pressed_reference import ReferenceStack  # noqa: E402
 from eitskin.benchmarks.pressed_reference import (  # noqa: E402
     Held,
     MixedSolid,
     Numerics,
+    ReferenceStack,
     extruded,
     triangulated,
 )

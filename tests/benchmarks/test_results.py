@@ -7,15 +7,18 @@ import math
 import pytest
 
 from eitskin.benchmarks.results import (
+    Report,
     ReportTable,
     Results,
     found_results,
+    measured,
     read_results,
     write_index,
-    write_results,
 )
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
+
+PICTURE = {"p.png": lambda path: path.write_bytes(b"p")}
 
 
 def made(name="one", quick=False, seed=0, **given):
@@ -25,7 +28,7 @@ def made(name="one", quick=False, seed=0, **given):
 
 def test_what_is_written_is_read_and_pictures_stand_beside(tmp_path):
     results = made()
-    paths = write_results(results, tmp_path, plots={"p.png": lambda path: path.write_bytes(b"p")})
+    paths = Report(results, plots=PICTURE).write(tmp_path)
     assert [path.name for path in paths] == ["p.png", "table.csv", "results.json"]
     assert read_results(tmp_path / "one" / "results.json") == results
     assert (tmp_path / "one" / "p.png").read_bytes() == b"p"
@@ -38,7 +41,8 @@ def test_what_is_written_is_read_and_pictures_stand_beside(tmp_path):
 
 
 def test_a_figure_that_is_no_number_is_left_out(tmp_path):
-    write_results(made(a=1.0, b=math.nan, c=math.inf), tmp_path)
+    figures = {"a": 1.0, "b": math.nan, "c": math.inf}
+    Report(measured("one", figures.items(), began=0.0)).write(tmp_path)
     data = json.loads((tmp_path / "one" / "results.json").read_text())
     assert data["figures"] == {"a": 1.0}
     assert data["provenance"]["machine"] == Provenance.now(0).machine
@@ -50,7 +54,7 @@ def test_a_picture_that_fails_leaves_no_results_that_vouch_for_it(tmp_path):
         raise OverflowError
 
     with pytest.raises(OverflowError):
-        write_results(made(), tmp_path, plots={"p.png": broken})
+        Report(made(), plots={"p.png": broken}).write(tmp_path)
     assert list((tmp_path / "one").iterdir()) == []
 
 
@@ -66,10 +70,10 @@ def test_a_folder_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "table.csv").mkdir()
     with pytest.raises(ConfigurationError):
-        write_results(made(), tmp_path)
+        Report(made()).write(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="cannot use the folder"):
-        write_results(made(), tmp_path / "file")
+        Report(made()).write(tmp_path / "file")
 
 
 def test_results_answer_for_the_same_seed_and_whole_ones_also_for_quick():
@@ -81,8 +85,8 @@ def test_results_answer_for_the_same_seed_and_whole_ones_also_for_quick():
 
 
 def test_the_index_names_every_result_and_its_files(tmp_path):
-    write_results(made("two", quick=True), tmp_path)
-    write_results(made("one"), tmp_path, plots={"p.png": lambda path: path.write_bytes(b"p")})
+    Report(made("two", quick=True)).write(tmp_path)
+    Report(made("one"), plots=PICTURE).write(tmp_path)
     (tmp_path / "frames").mkdir()  # no results in it
     assert [each.name for each in found_results(tmp_path)] == ["one", "two"]
     text = write_index(tmp_path).read_text()

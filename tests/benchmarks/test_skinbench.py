@@ -11,11 +11,7 @@ import pytest
 from command_line import run
 
 from eitskin.benchmarks import transfer
-from eitskin.benchmarks import transfer_worlds as worlds
-from eitskin.benchmarks.page_figures import PUBLISHED
-from eitskin.benchmarks.paper import sets as paper_sets
-from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
-from eitskin.benchmarks.skinbench.leaderboard import (
+from eitskin.benchmarks.leaderboard import (
     RECORDING_SHA256,
     SEED,
     TRACKS,
@@ -23,21 +19,23 @@ from eitskin.benchmarks.skinbench.leaderboard import (
     Leaderboard,
     code_digest,
     enter,
-    fill,
     frames_digest,
     page_with,
     read_leaderboard,
-    track_of,
     write_leaderboard,
 )
-from eitskin.benchmarks.skinbench.methods import FRAMES, SPECIMENS, small_recipe
-from eitskin.benchmarks.transfer_worlds import WORLDS
+from eitskin.benchmarks.methods import FRAMES, SPECIMENS, small_recipe
+from eitskin.benchmarks.page_figures import PUBLISHED
+from eitskin.benchmarks.paper import sets as paper_sets
+from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
+from eitskin.benchmarks.transfer import WORLDS
 from eitskin.datasets import Recipe
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
 
 ROOT = Path(__file__).parents[2]
 FROZEN = ROOT / "benchmarks" / "skinbench" / "recipes"
+TRACK = {track.results: track for track in TRACKS}
 DATA = Path(os.environ.get("EITSKIN_DATA", ROOT.parent / "shared" / "data"))
 
 
@@ -48,7 +46,7 @@ def results(figures, name="recordings", **changes):
 
 def made_today():
     """Recipes of the frames of each track, by the benchmarks that make them."""
-    pairs = (worlds.recipes(world, SEED, quick=False) for world in worlds.WORLDS)
+    pairs = (transfer.recipes(world, SEED, quick=False) for world in transfer.WORLDS)
     return {
         "unseen": dict(paper_sets.recipes(SEED, quick=False)),
         "transfer": {recipe.name: recipe for pair in pairs for recipe in pair},
@@ -81,7 +79,7 @@ def test_figures_become_scores_in_their_units_and_the_worst_of_all_worlds():
         figures[f"{start}angle, rms [deg]"] = 2.0 + number
         figures[f"{start}touches found"] = 0.9 - 0.1 * number
         figures[f"{start}place, error over standard error"] = 9.0
-    ((name, scores),) = track_of("transfer").rows(figures)
+    ((name, scores),) = TRACK["transfer"].rows(figures)
     assert name == "my:Net"
     assert scores["as it is: angle"] == 2.0 + len(WORLDS) - 1
     assert scores["as it is: found"] == pytest.approx(90.0 - 10.0 * (len(WORLDS) - 1))
@@ -100,7 +98,7 @@ def test_the_best_come_first_and_unknown_is_last():
     figures = {"400 / worse": 9.0, "400 / best": 1.5, "5 / few": 3.0}
     board = Leaderboard().with_results(results(figures))
     assert [each.name for each in board.entries] == ["best", "worse", "few"]
-    table = board.table(track_of("recordings")).splitlines()
+    table = board.table(TRACK["recordings"]).splitlines()
     assert table[2].startswith("| best | 1.50 |  |")
     assert all(line.count("|") == table[0].count("|") for line in table)
 
@@ -173,7 +171,8 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
 def test_the_page_and_the_file_are_those_of_the_published_results():
     board = read_leaderboard(ROOT / "docs" / "leaderboard.json")
     files = [PUBLISHED / track.results / "results.json" for track in TRACKS]
-    assert fill(board, files) == board
+    for path in files:
+        assert board.with_results(read_results(path)) == board
     page = (ROOT / "docs" / "leaderboard.md").read_text()
     assert page_with(page, board) == page
     published = {read_results(path).command for path in files}
@@ -183,7 +182,7 @@ def test_the_page_and_the_file_are_those_of_the_published_results():
 def test_a_page_has_the_table_of_each_track_below_its_comment():
     board = Leaderboard().with_results(results({"50 / maps": 3.0}))
     text = page_with("# A page\n\n<!-- leaderboard real -->\n| old |\n\nend\n", board)
-    assert board.table(track_of("recordings")) in text
+    assert board.table(TRACK["recordings"]) in text
     assert "| old |" not in text
     assert text.endswith("|\n\nend\n")
     with pytest.raises(ConfigurationError):

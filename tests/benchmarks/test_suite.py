@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from eitskin.benchmarks import suite
-from eitskin.benchmarks.results import Results, read_results, write_results
+from eitskin.benchmarks.results import Report, Results, read_results
 from eitskin.benchmarks.suite import ALL, Benchmark, run_all
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError, DataError
@@ -33,7 +33,7 @@ class Started:
         seed = int(command[command.index("--seed") + 1]) if "--seed" in command else 0
         name, quick = command[command.index("bench") + 1], "--quick" in command
         made = Results(name, "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
-        write_results(made, self.out)
+        Report(made).write(self.out)
         return 0
 
 

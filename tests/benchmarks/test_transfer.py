@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from command_line import printed_json
 
-from eitskin.benchmarks import transfer as run
-from eitskin.benchmarks import transfer_worlds as worlds
+from eitskin.benchmarks import transfer
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import Labelled, judge
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -20,9 +19,9 @@ from eitskin.geometry.design.sensor import Plates
 from eitskin.training.method.predictions import FoundTouches
 
 
-@pytest.mark.parametrize("world", worlds.WORLDS)
+@pytest.mark.parametrize("world", transfer.WORLDS)
 def test_the_known_frames_are_of_the_sensors_that_are_judged(world):
-    frames, known = worlds.recipes(world, 0, quick=True)
+    frames, known = transfer.recipes(world, 0, quick=True)
     assert frames.seed == known.seed
     assert frames.specimens == known.specimens
     assert [specimen(frames, n) for n in range(2)] == [specimen(known, n) for n in range(2)]
@@ -30,7 +29,7 @@ def test_the_known_frames_are_of_the_sensors_that_are_judged(world):
     for number in range(2):
         mine = [each for each in told if each.specimen == number]
         untouched = [each.scene.bend.angle_deg for each in mine if not each.scene.touches]
-        assert {0.0, *worlds.KNOWN_DEG} <= set(untouched)
+        assert {0.0, *transfer.KNOWN_DEG} <= set(untouched)
         assert (len(untouched), len(mine)) == (21, 101)
         assert all(each.scene.bend.angle_deg == 0.0 for each in mine if each.scene.touches)
 
@@ -47,13 +46,13 @@ def test_presses_that_were_drawn_as_judged_frames_are_left_out():
     judged = numbered([0, 1, 2, 3], [0, 0, 1, 1], [State.TOUCH] * 4)
     states = [State.BEND, State.TOUCH, State.TOUCH, State.TOUCH, State.TOUCH]
     known = numbered([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], states)
-    assert worlds._apart(judged, known) == [0, 2, 4]
+    assert transfer._apart(judged, known) == [0, 2, 4]
 
 
 def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others():
     mine = SimpleNamespace(
         state=np.array([State.TOUCH, State.BEND, State.IDLE, *[State.BEND] * 5, State.TOUCH]),
-        bend_angle_deg=np.array([0.0, 49.0, 0.0, *worlds.KNOWN_DEG, 0.0], dtype=np.float32),
+        bend_angle_deg=np.array([0.0, 49.0, 0.0, *transfer.KNOWN_DEG, 0.0], dtype=np.float32),
     )
     assert Labelled(1, 0).rows(mine) == [2, 7]
     assert Labelled(6, 1).rows(mine) == [2, 7, 6, 5, 3, 4, 1, 0]
@@ -63,7 +62,7 @@ def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others(
 
 
 def test_worlds_differ_from_training_and_from_each_other():
-    made = [specimen(worlds.recipes(world, 0, quick=True)[0], 0) for world in worlds.WORLDS]
+    made = [specimen(transfer.recipes(world, 0, quick=True)[0], 0) for world in transfer.WORLDS]
     spans = {each.fixture.span for each in made}
     stiffness = {each.mechanics.encapsulation.shear_modulus for each in made}
     assert len(spans) > 2
@@ -71,7 +70,7 @@ def test_worlds_differ_from_training_and_from_each_other():
 
 
 def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
-    frames, known = worlds.recipes("pressed while bent", 0, quick=False)
+    frames, known = transfer.recipes("pressed while bent", 0, quick=False)
     drawn = [sample(frames, index) for index in range(frames.frames)]
     pressed = [each for each in drawn if each.scene.touches]
     assert [each.specimen for each in pressed] == [0] * 4 + [1] * 4
@@ -108,12 +107,12 @@ def test_predictions_are_judged_by_hand():
 
 @pytest.mark.slow
 def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
-    nominal = {"nominal": lambda recipe: replace(recipe, specimens=Specimens(2, conductivity=0.1))}
-    monkeypatch.setattr(worlds, "WORLDS", nominal)
-    monkeypatch.setattr(worlds, "SENSOR_FRAMES", worlds.SENSOR_FRAMES[::2])
-    few = (*worlds.KNOWN_FRAMES[:6], replace(worlds.KNOWN_FRAMES[-1], count=6))
-    monkeypatch.setattr(worlds, "KNOWN_FRAMES", few)
-    monkeypatch.setattr(run, "LABELLED", (Labelled(0, 0), Labelled(5, 6)))
+    nominal = {"nominal": ({}, {"specimens": Specimens(2, conductivity=0.1)})}
+    monkeypatch.setattr(transfer, "WORLDS", nominal)
+    monkeypatch.setattr(transfer, "SENSOR_FRAMES", transfer.SENSOR_FRAMES[::2])
+    few = (*transfer.KNOWN_FRAMES[:6], replace(transfer.KNOWN_FRAMES[-1], count=6))
+    monkeypatch.setattr(transfer, "KNOWN_FRAMES", few)
+    monkeypatch.setattr(transfer, "LABELLED", (Labelled(0, 0), Labelled(5, 6)))
     found = printed_json(
         "bench", "transfer", "reference.eitmodel", "--quick", "--workers", 1, "--out", tmp_path
     )["figures"]

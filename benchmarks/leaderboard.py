@@ -1,19 +1,19 @@
 """Leaderboard of skinbench: a JSON file of entries, made of the results of benchmarks alone.
 
-A track is what is measured on which frozen frames. The recipes of the frames stand in
-`recipes/TRACK`, as they were when the version was frozen; a test holds that the benchmarks still
-make these.
+A track is what is measured on which frozen frames. Their recipes stand in
+`skinbench/recipes/TRACK`, as they were when the version was frozen; a test holds that the
+benchmarks still make these.
 """
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 
-from eitskin.benchmarks.results import Results, read_results
+from eitskin.benchmarks.results import Results
 from eitskin.benchmarks.transfer import WORLDS
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file, read_bytes
@@ -22,6 +22,7 @@ from eitskin.provenance import Provenance
 _MOST_BYTES = 1 << 24
 _TABLE = re.compile(r"^<!-- leaderboard (\w+) -->\n((?:\|.*\n)*)", re.MULTILINE)
 NAME, VERSION = "skinbench", 2
+_DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
 RECORDING_SHA256 = "4bd805972f635f3e38884d42385b8b5a020c27abfc8f90550fdee9166d80c3a6"
 """Of `ohmc8.mat` (DSHardman/HydrogelEIT), the frames of the track `real`."""
@@ -36,7 +37,7 @@ class Score:
         text: what it is, as in the head of a column.
         unit: "mm", "deg", "%" or "ms".
         pattern: key of the figure; NAME stands for the method, WORLD for any world.
-        more: whether more of it is better.
+        more: whether more of it is better, which the worst of all worlds depends on.
         factor: from the figure to the unit.
     """
 
@@ -81,10 +82,6 @@ class Track:
             yield name, {text: found[name] for text, found in values.items() if name in found}
 
 
-def _paper(figure: str) -> str:
-    return f"NAME, unseen: {figure}"
-
-
 def _adapted(labelled: str, text: str) -> Iterator[Score]:
     start = f"NAME / WORLD, {labelled} / "
     yield Score(f"{text}: place", "mm", f"{start}place, mean [mm]")
@@ -92,34 +89,36 @@ def _adapted(labelled: str, text: str) -> Iterator[Score]:
     yield Score(f"{text}: angle", "deg", f"{start}angle, rms [deg]")
 
 
+_UNSEEN = {
+    "four touches: error": ("mm", "touch.4.error_mm"),
+    "found": ("%", "touch.4.found"),
+    "false": ("%", "touch.4.false"),
+    "three: error": ("mm", "touch.3.error_mm"),
+    "two: error": ("mm", "touch.2.error_mm"),
+    "one: error": ("mm", "touch.1.error_mm"),
+    "idle right": ("%", "state.idle"),
+    "touch right": ("%", "state.touch"),
+    "bend right": ("%", "state.bend"),
+    "angle": ("deg", "bend.angle_deg"),
+    "angle, calibrated": ("deg", "calibrated.angle_deg"),
+}
+_COMMON = {
+    "touches: error": ("mm", "touches: error, mm"),
+    "found": ("%", "found, %"),
+    "false": ("%", "false, %"),
+    "states right": ("%", "states right, %"),
+    "angle": ("deg", "angle: RMSE, deg"),
+}
 TRACKS = (
     Track(
         "unseen",
         "paper",
-        (
-            Score("four touches: error", "mm", _paper("touch.4.error_mm")),
-            Score("found", "%", _paper("touch.4.found"), more=True),
-            Score("false", "%", _paper("touch.4.false")),
-            Score("three: error", "mm", _paper("touch.3.error_mm")),
-            Score("two: error", "mm", _paper("touch.2.error_mm")),
-            Score("one: error", "mm", _paper("touch.1.error_mm")),
-            Score("idle right", "%", _paper("state.idle"), more=True),
-            Score("touch right", "%", _paper("state.touch"), more=True),
-            Score("bend right", "%", _paper("state.bend"), more=True),
-            Score("angle", "deg", _paper("bend.angle_deg")),
-            Score("angle, calibrated", "deg", _paper("calibrated.angle_deg")),
-        ),
+        tuple(Score(text, unit, f"NAME, unseen: {key}") for text, (unit, key) in _UNSEEN.items()),
     ),
     Track(
         "common",
         "methods",
-        (
-            Score("touches: error", "mm", "NAME / touches: error, mm"),
-            Score("found", "%", "NAME / found, %", more=True),
-            Score("false", "%", "NAME / false, %"),
-            Score("states right", "%", "NAME / states right, %", more=True),
-            Score("angle", "deg", "NAME / angle: RMSE, deg"),
-        ),
+        tuple(Score(text, unit, f"NAME / {key}") for text, (unit, key) in _COMMON.items()),
     ),
     Track(
         "transfer",
@@ -132,11 +131,6 @@ TRACKS = (
         tuple(Score(f"{k} presses", "mm", f"{k} / NAME") for k in (400, 200, 50, 20, 5)),
     ),
 )
-
-
-def track_of(results: str) -> Track | None:
-    """Track that the results of a benchmark belong to; None where there is none."""
-    return next((track for track in TRACKS if track.results == results), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +197,15 @@ class Leaderboard:
         heads = ("method", *(f"{score.text} [{score.unit}]" for score in track.scores))
         lines = ["| " + " | ".join((*heads, "eitskin", "date")) + " |"]
         lines.append("|---" * (len(heads) + 2) + "|")
-        for each in self.entries:
-            if each.track == track.name:
-                cells = (_cell(each.scores.get(score.text), score.unit) for score in track.scores)
-                made = (each.provenance.packages["eitskin"], each.provenance.date[:10])
-                lines.append("| " + " | ".join((each.name, *cells, *made)) + " |")
+        for each in (entry for entry in self.entries if entry.track == track.name):
+            cells = (
+                f"{each.scores[score.text]:.{_DIGITS[score.unit]}f}"
+                if score.text in each.scores
+                else ""
+                for score in track.scores
+            )
+            made = (each.provenance.packages["eitskin"], each.provenance.date[:10])
+            lines.append("| " + " | ".join((each.name, *cells, *made)) + " |")
         return "\n".join(lines) + "\n"
 
 
@@ -264,25 +262,20 @@ def code_digest(code: str) -> str:
 
 
 def _entries(results: Results, frames: str, codes: Mapping[str, str]) -> Iterator[Entry]:
-    track = track_of(results.name)
-    if track is None:
-        names = ", ".join(each.results for each in TRACKS)
+    tracks = {track.results: track for track in TRACKS}
+    if results.name not in tracks:
+        names = ", ".join(tracks)
         raise ConfigurationError(f"{NAME} is made of results of {names}, got {results.name}")
     if results.quick or results.provenance.seed != SEED:
         raise ConfigurationError(
             f"{NAME} takes results of full runs with seed {SEED}, got seed "
             f"{results.provenance.seed}{', a quick run' if results.quick else ''}"
         )
+    track = tracks[results.name]
     for name, scores in track.rows(results.figures):
-        yield Entry(
-            track.name,
-            name,
-            {text: round(value, 6) for text, value in scores.items()},
-            results.command,
-            results.provenance,
-            frames,
-            codes.get(name, ""),
-        )
+        rounded = {text: round(value, 6) for text, value in scores.items()}
+        code, run = codes.get(name, ""), (results.command, results.provenance)
+        yield Entry(track.name, name, rounded, *run, frames, code)
 
 
 def _ranked(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
@@ -295,18 +288,6 @@ def _ranked(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
         return order[entry.track], value, entry.name, entry.provenance.date
 
     return tuple(sorted(entries, key=rank))
-
-
-def _cell(value: float | None, unit: str) -> str:
-    digits = {"mm": 2, "deg": 2, "%": 1}[unit]
-    return "" if value is None else f"{value:.{digits}f}"
-
-
-def fill(board: Leaderboard, results: Sequence[Path]) -> Leaderboard:
-    """The leaderboard with the entries of files of results; raises as `with_results` does."""
-    for path in results:
-        board = board.with_results(read_results(path))
-    return board
 
 
 def page_with(text: str, board: Leaderboard) -> str:

@@ -1,1 +1,0 @@
-"""Benchmark set `skinbench`: frozen recipes, scores by definition, and a leaderboard."""
