@@ -1,12 +1,9 @@
 """Independent 3D reference solutions of presses, by finite elements of NGSolve.
 
 Run by `python -m eitskin.benchmarks.pressed_reference --out FILE`; needs the extra `reference`.
-
-Presses on flat sensors in `published/world_reference.json` are solved again on the whole stack:
-prisms, nearly incompressible neo-Hookean solids at finite strain, and a contact that has the
-displacement of the axisymmetric press relative to the indenter. FILE, of the same form, is
-rewritten after each case, and cases that it holds are not solved again. Lengths are in mm, moduli
-in kPa, hence forces in mN. docs/reference-solutions.md describes method, errors and file.
+docs/reference-solutions.md describes the method, its errors, and FILE, which has the form of
+`published/world_reference.json` and is rewritten after each case. Lengths are in mm, moduli in
+kPa, hence forces in mN.
 """
 
 import argparse
@@ -41,14 +38,13 @@ Indices = NDArray[np.int64]
 Naming = Callable[[Array], str]
 """Name of the material or boundary at a position (3,) [mm]."""
 
-COMMAND = "python -m eitskin.benchmarks.pressed_reference --out FILE"
+_COMMAND = "python -m eitskin.benchmarks.pressed_reference --out FILE"
 _SAME, _INWARDS = 1e-6, 1e-6  # [mm]; shift of evaluated points into the gel [mm]
 _LAYERS = (2, 1, 1, 1)  # prisms over substrate, encapsulation, gel and encapsulation
-_MIN_LOAD_STEP = 0.02
+_MIN_LOAD_STEP, _MAX_ITERATIONS = 0.02, 20
 _CELL, _STEPS = 1.0 / 60.0, 24  # finest of the axisymmetric press, over the radius; its steps
 _KNOTS = 0.05  # of the contact profile [mm]
 _TOLERANCE = 1e-5  # of the largest change of a displacement over the largest displacement
-_MAX_ITERATIONS = 20
 _STRESS = 1e2  # unit of the unknowns of the mean stress [kPa]
 
 
@@ -58,9 +54,7 @@ class Numerics:
 
     Attributes:
         order: of the displacements; the load rises at one less, down to 2.
-        rim: edges along the rims of the contacts.
-        inside: edges within these.
-        far: edges elsewhere.
+        rim, inside, far: edges along the rims of the contacts, within these, and elsewhere.
     """
 
     order: int = 4
@@ -76,14 +70,14 @@ def triangulated(
     radius: float,
     sizes: Numerics,
 ) -> tuple[Array, Indices]:
-    """Points (n, 2) [mm] and anticlockwise triangles (m, 3) of a box (x, x, y, y) [mm].
+    """Points (n, 2) and anticlockwise triangles (m, 3) of a box (x, x, y, y) [mm].
 
     No triangle crosses the lines, or the circles, which are polygons of their area.
     """
     occ = require("netgen.occ", "reference")
 
     def face(corners: Array) -> Any:
-        pen = occ.WorkPlane(occ.Axes((0, 0, 0), n=occ.Z, h=occ.X)).MoveTo(*corners[0])
+        pen = occ.WorkPlane().MoveTo(*corners[0])
         for corner in corners[1:]:
             pen = pen.LineTo(*corner)
         return pen.Close().Face()
@@ -112,8 +106,7 @@ def triangulated(
 
 def within(points: Array, centre: tuple[float, float], radius: float) -> NDArray[np.bool_]:
     """Whether points (..., 2) lie in a circle, the corners of its polygon included."""
-    inside: NDArray[np.bool_] = np.sum((points - centre) ** 2, axis=-1) < 1.05 * radius**2
-    return inside
+    return np.asarray(np.sum((points - centre) ** 2, axis=-1) < 1.05 * radius**2)
 
 
 def extruded(
@@ -128,34 +121,32 @@ def extruded(
     numbers = [
         mesh.Add(netgen.MeshPoint(netgen.Pnt(*p, z))) for z in heights for p in points.tolist()
     ]
-    names: dict[str, int] = {}
-    faces: dict[str, int] = {}
+    names: list[str] = []
+    faces: list[str] = []
 
     def add(corners: Sequence[int], centre: Array) -> None:
-        name = boundary(centre)
-        if name not in faces:
-            faces[name] = len(faces) + 1
+        if (name := boundary(centre)) not in faces:
+            faces.append(name)
             mesh.Add(netgen.FaceDescriptor(surfnr=len(faces), domin=1, bc=len(faces)))
-        mesh.Add(netgen.Element2D(faces[name], [numbers[v] for v in corners]))
+            mesh.SetBCName(len(faces) - 1, name)
+        mesh.Add(netgen.Element2D(faces.index(name) + 1, [numbers[v] for v in corners]))
 
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     _, first, times = np.unique(np.sort(edges), axis=0, return_index=True, return_counts=True)
     middles, top = points[triangles].mean(axis=1), count * (len(heights) - 1)
     for k, (low, high) in enumerate(pairwise(heights)):
         for cell, middle in zip(count * k + triangles, middles, strict=True):
-            name = material(np.append(middle, 0.5 * (low + high)))
-            domain = names.setdefault(name, len(names) + 1)
-            mesh.Add(netgen.Element3D(domain, [numbers[v] for v in (*cell, *(cell + count))]))
+            if (name := material(np.append(middle, 0.5 * (low + high)))) not in names:
+                names.append(name)
+                mesh.SetMaterial(len(names), name)
+            corners = [numbers[v] for v in (*cell, *(cell + count))]
+            mesh.Add(netgen.Element3D(names.index(name) + 1, corners))
         for a, b in count * k + edges[first[times == 1]]:
             middle = np.append(points[[a % count, b % count]].mean(axis=0), 0.5 * (low + high))
             add([a, b, b + count, a + count], middle)
     for cell, middle in zip(triangles, middles, strict=True):
         add(cell[::-1], np.append(middle, heights[0]))
         add(cell + top, np.append(middle, heights[-1]))
-    for name, domain in names.items():
-        mesh.SetMaterial(domain, name)
-    for name, number in faces.items():
-        mesh.SetBCName(number - 1, name)
     return require("ngsolve", "reference").Mesh(mesh)
 
 
@@ -200,22 +191,16 @@ class MixedSolid:
     ) -> None:
         """Set up spaces and energy.
 
-        Args:
-            mesh: an `ngsolve.Mesh` [mm].
-            moduli: shear modulus of each material [kPa].
-            order: p of the displacements.
-            fixed: axes at rest on each boundary, as "xyz".
-            bulk_ratio: kappa / mu of all materials.
+        `moduli` are shear moduli of the materials [kPa]; `fixed` names the axes at rest on each
+        boundary, as "xyz"; `bulk_ratio` is kappa / mu of all materials.
         """
         ng = self._ng = require("ngsolve", "reference")
         ng.SetNumThreads(1)
         ng.ngsglobals.msg_level = 0
         self.mesh, self.steps = mesh, np.zeros(0)
-        names = {
-            f"dirichlet{axis}": "|".join(b for b, axes in fixed.items() if axis in axes)
-            for axis in "xyz"
-        }
-        self._space = ng.VectorH1(mesh, order=order, **names) * ng.L2(mesh, order=order - 2)
+        at_rest = {a: "|".join(name for name, axes in fixed.items() if a in axes) for a in "xyz"}
+        rests = {f"dirichlet{axis}": names for axis, names in at_rest.items()}
+        self._space = ng.VectorH1(mesh, order=order, **rests) * ng.L2(mesh, order=order - 2)
         u, q = self._space.TrialFunction()
         mu, F = mesh.MaterialCF(dict(moduli)), ng.Id(3) + ng.Grad(u)
         J, stress = ng.Det(F), _STRESS * q
@@ -229,8 +214,7 @@ class MixedSolid:
         """Take the equilibrium of another order as the initial guess."""
         for mine, theirs in zip(self.state.components, other.state.components, strict=True):
             mine.Set(theirs)
-        free = np.array(list(self._space.FreeDofs()))
-        self.state.vec.FV().NumPy()[~free] = 0.0
+        self.state.vec.FV().NumPy()[~np.array(list(self._space.FreeDofs()))] = 0.0
         self.steps = other.steps
 
     def settle(self, held: Sequence[Held]) -> int:
@@ -251,10 +235,8 @@ class MixedSolid:
                 increment, moved = self._increment(held)
                 state.vec.data += increment
                 self.steps = self.steps + moved
-                change, size = (
-                    float(np.abs(vector.FV().NumPy()[:displacements]).max())
-                    for vector in (increment, state.vec)
-                )
+                vectors = (each.FV().NumPy()[:displacements] for each in (increment, state.vec))
+                change, size = (float(np.abs(vector).max()) for vector in vectors)
                 if not math.isfinite(change) or change > 1e3:
                     break
                 if change < _TOLERANCE * max(size, 1e-3):
@@ -285,50 +267,33 @@ class MixedSolid:
                 jump[number] = target[number] - state[number]
         form.AssembleLinearization(state)
         inverse = form.mat.Inverse(free, inverse="sparsecholesky")
-        residual, condensed = state.CreateVector(), state.CreateVector()
+        residual = state.CreateVector()
         form.Apply(state, residual)
-        condensed.data = residual + form.harmonic_extension_trans * residual
-
-        def extended(prescribed: Any, load: Any | None = None) -> Any:
-            """Increment on the cells' surfaces with given values on the boundary."""
-            right, found = state.CreateVector(), state.CreateVector()
-            right.data = -1.0 * (form.mat * prescribed)
-            if load is not None:
-                right.data -= load
-            found.data = inverse * right
-            found.data += prescribed
-            return found
-
-        def times(vector: Any) -> Any:
-            found = state.CreateVector()
-            found.data = form.mat * vector
-            return found
-
+        condensed = (residual + form.harmonic_extension_trans * residual).Evaluate()
+        # Increments on the surfaces of the cells, with given values on the boundary.
+        load = (form.mat * jump + condensed).Evaluate()
+        total = (jump - inverse * load).Evaluate()
+        reaction = (form.mat * total + condensed).Evaluate()
         direction = self._ng.CoefficientFunction
         lifts = [self._displaced(patch.boundary, direction(patch.direction)) for patch in held]
-        total = extended(jump, condensed)
-        reaction = times(total)
-        reaction.data += condensed
-        moved = [extended(lift) for lift in lifts]
-        stiffness = [[product(lift, times(each)) for each in moved] for lift in lifts]
-        missing = [
-            patch.force - product(lift, reaction) for patch, lift in zip(held, lifts, strict=True)
-        ]
+        moved = [(lift - inverse * (form.mat * lift).Evaluate()).Evaluate() for lift in lifts]
+        forces = [(form.mat * each).Evaluate() for each in moved]
+        stiffness = [[product(lift, force) for force in forces] for lift in lifts]
+        missing = np.array([patch.force for patch in held])
+        missing -= [product(lift, reaction) for lift in lifts]
         steps = np.linalg.solve(np.array(stiffness), missing)
         for step, each in zip(steps.tolist(), moved, strict=True):
             total.data += step * each
-        inner = state.CreateVector()
-        inner.data = form.harmonic_extension * total
-        inner.data -= form.inner_solve * residual
-        total.data += inner
+        inner = form.harmonic_extension * total - form.inner_solve * residual
+        total.data += inner.Evaluate()
         return total, steps
 
 
-def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[float, Array, Array]:
+def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[float, Any, Any]:
     """Contact of the axisymmetric press at a force [N].
 
-    Returns the undeformed radius where contact ends [mm], radii rising from 0 (n,) [mm], and there
-    the displacement outwards, and upwards from the indenter's lowest point, (n, 2) [mm].
+    Returns the undeformed radius where contact ends [mm], and by the radius the displacement
+    outwards, and upwards from the indenter's lowest point, splines [mm].
     """
     press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     # Small steps, since a rough indenter sticks to newly touched points only after each.
@@ -338,43 +303,46 @@ def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[flo
     r = press.contact.points[..., 0].ravel()
     order = np.argsort(r)
     last = np.flatnonzero(pressure[order] > 0.0)[-1]
-    top = found.displacement[:, -1].copy()
-    top[:, 1] += found.depth
-    return 1e3 * float(r[order][last : last + 2].mean()), 1e3 * found.r, 1e3 * top
+    radius = 1e3 * float(r[order][last : last + 2].mean())
+    knots = np.arange(0.0, 1.1 * radius, _KNOTS)
+    spline, top = require("ngsolve", "reference").BSpline, found.displacement[:, -1]
+    outwards, upwards = (
+        spline(2, [0.0, *knots], (1e3 * np.interp(knots, 1e3 * found.r, values)).tolist())
+        for values in (top + np.array([0.0, found.depth])).T
+    )
+    return radius, outwards, upwards
 
 
 class ReferenceStack:
     """Meshed sensor of one case; `solve` gives its equilibrium.
 
     Attributes:
-        case: what is solved.
         solid: of the last order.
         depths: of the indenters' lowest points under the undeformed top [mm].
     """
 
     def __init__(self, case: ReferenceCase, numerics: Numerics | None = None) -> None:
         """Mesh the case."""
-        self.case, self._numerics = case, numerics or Numerics()
+        self._case, self._numerics = case, numerics or Numerics()
         design, mechanics, support = case.design, case.mechanics, case.design.support
         self._gel = 1e3 * np.array([design.outline.length, design.outline.width, design.thickness])
         self._around = 0.5e3 * (design.encapsulated_thickness - design.thickness)
         self._touches = tuple((1e3 * touch.x, 1e3 * touch.y) for touch in case.scene.touches)
-        first = case.scene.touches[0]
-        self._force, stack = 1e3 * (first.force or 0.0), mechanics.stack(design)
+        first, stack = case.scene.touches[0], mechanics.stack(design)
+        self._force = 1e3 * (first.force or 0.0)
         self._profile = contact_profile(stack, first.indenter, 1e-3 * self._force)
         self.depths: Array = np.zeros(len(self._touches))
         margin, (length, width, height) = 1e3 * mechanics.margin, self._gel.tolist()
         box = (-margin, length + margin, -margin, width + margin)
-        breaks = [0.0, length]
-        if isinstance(support, Plates):
-            breaks += [1e3 * x for x in support.gap(design.outline)]
+        gap = support.gap(design.outline) if isinstance(support, Plates) else ()
+        breaks = [0.0, length, *(1e3 * x for x in gap)]
         lines = [((x, box[2]), (x, box[3])) for x in breaks]
         lines += [((box[0], y), (box[1], y)) for y in (0.0, width)]
         plan = triangulated(box, lines, self._touches, self._profile[0], self._numerics)
         levels = [-self._around, 0.0, height, height + self._around]
         if isinstance(support, Substrate):
-            levels = [-self._around - 1e3 * support.thickness, *levels]
-        heights = [levels[0]]
+            levels = [levels[0] - 1e3 * support.thickness, *levels]
+        heights = levels[:1]
         for (low, high), count in zip(pairwise(levels), _LAYERS[-len(levels) + 1 :], strict=True):
             heights += np.linspace(low, high, count + 1)[1:].tolist()
         self._top, self._bottom = levels[-1], levels[0]
@@ -386,8 +354,7 @@ class ReferenceStack:
         shapes = [self._shape(touch) for touch in self._touches]
 
         def held(t: float) -> list[Held]:
-            contacts = enumerate(shapes)
-            return [Held(f"contact {k}", t * shape, t * self._force) for k, shape in contacts]
+            return [Held(f"contact {k}", t * u, t * self._force) for k, u in enumerate(shapes)]
 
         reached, step = 0.0, 0.5
         while reached < 1.0:
@@ -395,8 +362,7 @@ class ReferenceStack:
             try:
                 iterations = self.solid.settle(held(t))
             except SolidError:
-                step = 0.5 * (t - reached)
-                if step < _MIN_LOAD_STEP:
+                if (step := 0.5 * (t - reached)) < _MIN_LOAD_STEP:
                     raise
                 continue
             reached, step = t, (1.5 if iterations < 7 else 1.0) * step
@@ -408,28 +374,24 @@ class ReferenceStack:
     def gradient(self, points: Array) -> Array:
         """Displacement gradient (..., 3, 3) at points (..., 3) of the gel [m]."""
         x = np.clip(1e3 * points.reshape(-1, 3), _INWARDS, self._gel - _INWARDS)
-        slope: Array = require("ngsolve", "reference").Grad(self.solid.state.components[0])(
-            self.solid.mesh(*x.T)
-        )
+        grad = require("ngsolve", "reference").Grad(self.solid.state.components[0])
+        slope: Array = grad(self.solid.mesh(*x.T))
         return slope.reshape(*points.shape, 3)
 
     def _solid(self, order: int) -> MixedSolid:
         """Solid of displacements of an order on the mesh, at rest."""
-        mechanics, support = self.case.mechanics, self.case.design.support
-        moduli = {
-            "gel": 1e-3 * mechanics.gel.shear_modulus,
-            "encapsulation": 1e-3 * mechanics.encapsulation.shear_modulus,
-        }
+        mechanics, support = self._case.mechanics, self._case.design.support
+        laws = {"gel": mechanics.gel, "encapsulation": mechanics.encapsulation}
+        moduli = {name: 1e-3 * law.shear_modulus for name, law in laws.items()}
         if isinstance(support, Substrate):
             moduli["substrate"] = 1e-3 * support.shear_modulus
         fixed = {"base": "xyz"} | ({"side": "xyz"} if isinstance(support, Free) else {})
         return MixedSolid(self._mesh, moduli, order, fixed, mechanics.bulk_ratio)
 
     def _material(self, centre: Array) -> str:
-        if centre[2] < -self._around:
-            return "substrate"
-        in_gel = np.all((centre > 0.0) & (centre < self._gel))
-        return "gel" if in_gel else "encapsulation"
+        if np.all((centre > 0.0) & (centre < self._gel)):
+            return "gel"
+        return "substrate" if centre[2] < -self._around else "encapsulation"
 
     def _boundary(self, centre: Array) -> str:
         if centre[2] > self._top - _SAME:
@@ -439,39 +401,32 @@ class ReferenceStack:
             return "top"
         if centre[2] > self._bottom + _SAME:
             return "side"
-        support, x = self.case.design.support, 1e-3 * float(centre[0])
+        support, x = self._case.design.support, 1e-3 * float(centre[0])
         if isinstance(support, Plates):
-            low, high = support.gap(self.case.design.outline)
+            low, high = support.gap(self._case.design.outline)
             return "under" if low < x < high else "base"
         return "under" if isinstance(support, Free) else "base"
 
     def _shape(self, touch: tuple[float, float]) -> Any:
         """Displacement of a contact when the indenter's lowest point is on the top at rest."""
-        ng, (radius, radii, displacement) = require("ngsolve", "reference"), self._profile
+        ng, (_, outwards, upwards) = require("ngsolve", "reference"), self._profile
         along, across = ng.x - touch[0], ng.y - touch[1]
         r = ng.sqrt(along**2 + across**2 + 1e-12)
-        knots = np.arange(0.0, 1.1 * radius, _KNOTS)
-        outwards, upwards = (
-            ng.BSpline(2, [0.0, *knots], np.interp(knots, radii, values).tolist())(r)
-            for values in displacement.T
-        )
-        return ng.CF((outwards * along / r, outwards * across / r, upwards))
+        return ng.CF((outwards(r) * along / r, outwards(r) * across / r, upwards(r)))
 
 
-def solution(
-    case: ReferenceCase, described: dict[str, Any], simulator: Simulator
-) -> dict[str, Any]:
-    """Solution of a case as it is written, with changes by the forward model of a simulator."""
-    start = time.perf_counter()
+def solution(case: ReferenceCase) -> dict[str, Any]:
+    """Solution of a case as it is written, with changes by the finest forward model."""
+    start, simulator = time.perf_counter(), Simulator(case.design, "fine")
+    stack = ReferenceStack(case)
     try:
-        stack = ReferenceStack(case)
         stack.solve()
     except SolidError as error:
-        return described | {"changes": None, "refused": str(error)}
+        return {"changes": None, "refused": str(error)}
     seconds = time.perf_counter() - start
     flat = simulator.protocol.measure(simulator.model.impedance()).real
     pressed = simulator.deformed(Displaced(np.zeros_like, stack.gradient)).impedance.real
-    return described | {
+    return {
         "depth": stack.depths.tolist(),
         "unknowns": stack.solid.unknowns,
         "seconds": round(seconds, 1),
@@ -488,18 +443,17 @@ def main() -> None:
     chosen = options.parse_args()
     found = json.loads(chosen.out.read_text())["solutions"] if chosen.out.is_file() else []
     known = {one["name"] for one in found}
-    published = {one["name"]: one for one in json.loads(PUBLISHED.read_text())["solutions"]}
     provenance = msgspec.to_builtins(Provenance.now(seed=0))
     provenance["packages"]["ngsolve"] = metadata.version("ngsolve")
+    described = {one["name"]: one for one in json.loads(PUBLISHED.read_text())["solutions"]}
     for case in cases():
         flat = case.kind in ("press", "supported press")
-        if not flat or case.name in known or case.name not in (chosen.only or published):
-            continue
-        print(case.name, flush=True)
-        found.append(solution(case, published[case.name], Simulator(case.design, "fine")))
-        data = {"command": COMMAND, "provenance": provenance, "solutions": found}
-        with atomic_file(chosen.out) as temporary:
-            temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        if flat and case.name not in known and case.name in (chosen.only or described):
+            print(case.name, flush=True)
+            found.append(described[case.name] | solution(case))
+            data = {"command": _COMMAND, "provenance": provenance, "solutions": found}
+            with atomic_file(chosen.out) as temporary:
+                temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
