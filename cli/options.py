@@ -313,7 +313,6 @@ def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
         with output.progress() as bar:
             task = bar.add_task(text, total=len(items), rate="")
             for item in items:
-                bar.update(task, rate=str(getattr(item, "family", "")))
                 yield item
                 bar.advance(task)
 

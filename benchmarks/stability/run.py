@@ -50,9 +50,12 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         watch: gives back the items that its text is about; shows progress where wanted.
     """
     began = time.perf_counter()
-    pairs = [(case, family) for family, some in cases(seed, quick).items() for case in some]
     with one_thread():
-        rows = [judge(*pair) for pair in watch("cases", pairs)]
+        rows = [
+            judge(case, family)
+            for family, some in cases(seed, quick).items()
+            for case in watch(family, list(some))
+        ]
     figures = dict(_figures(rows)) | {"all.seconds": time.perf_counter() - began}
     wrong = [row for row in rows if row.outcome == "wrong"]
     remarks = [f"{row.outcome} {row.family}, {row.case}: {row.reason}" for row in wrong]
