@@ -5,12 +5,13 @@ those frames where there are any.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.joint.objective import whitening_matrix
 from eitskin.training.joint.touch_response import (
     LOG_STRENGTH_STD,
     MARGIN,
@@ -106,7 +107,7 @@ def twin_trial(
     if not len(touched):
         return TwinTrial(0)
     both = (learned, own_response(learned, output))
-    left = (relative_residual(each, touched, combinations) for each in both)
+    left = (_relative_residual(each, touched, combinations) for each in both)
     return TwinTrial(len(touched), *left)
 
 
@@ -118,7 +119,7 @@ def _spread(bounds: Array, force: tuple[float, float], count: int) -> Array:
     return np.asarray(low + (high - low) * qmc.Halton(3, seed=0).random(count))
 
 
-def relative_residual(
+def _relative_residual(
     response: SpecimenResponse, touched: KnownFrames, combinations: Combinations
 ) -> float:
     """Residual of a response in the changes of known touches, relative to these.
@@ -147,49 +148,6 @@ def relative_residual(
     return float(np.sqrt(left / size))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownTouches:
-    """Known touches of one frame.
-
-    Attributes:
-        seen: combinations of the change by them.
-        places: x [m], y [m] and force [N] of each (k, 3); of an unknown force a guess.
-        told: whether each force is known (k,).
-        angle_deg: of the bend [deg].
-    """
-
-    seen: CombinedChange
-    places: Array
-    told: NDArray[np.bool_]
-    angle_deg: float
-
-    @property
-    def force_errors(self) -> Array:
-        """Standard deviation of each force (k,), relative to it."""
-        return np.where(self.told, FORCE_ERROR, UNKNOWN_FORCE)
-
-    def errors(self, response: SpecimenResponse, changes: Array) -> Array:
-        """Covariance (K, K) of noise, errors of the response, and of places and forces.
-
-        Args:
-            response: of the sensor.
-            changes: by each touch, and their derivatives by x, y and force (4, k, K).
-        """
-        forward, back = self.seen.combinations.forward, self.seen.combinations.back
-        variance = response.response.mismatch**2 * np.sum((changes[0] @ back) ** 2, axis=0)
-        total: Array = self.seen.noise + forward.T * variance @ forward
-        moved = PLACE_ERROR * changes[1:3].reshape(-1, len(total))
-        forces = self.force_errors[:, None] * changes[0]
-        total += moved.T @ moved + forces.T @ forces
-        return total
-
-    def pressed_by(self, more: Array, bounds: tuple[float, float]) -> "KnownTouches":
-        """The touches with unknown forces that are larger by shares `more` (k,), in bounds [N]."""
-        force = np.clip(self.places[:, 2] * (1.0 + np.clip(more, *MOST_CHANGE)), *bounds)
-        force = np.where(self.told, self.places[:, 2], force)
-        return replace(self, places=np.column_stack([self.places[:, :2], force]))
-
-
 def response_given(
     prior: SpecimenResponse,
     touched: KnownFrames,
@@ -198,6 +156,16 @@ def response_given(
     forces: bool,
 ) -> SpecimenResponse:
     """Response of a sensor given frames with known touches.
+
+    A touch of a sensor of strength e^s, with latent variables q, changes
+
+        y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
+
+    which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
+    freedom where that is above one (Birge 1932): a response that explains the touches badly tells
+    little of the sensor. Unknown forces are found with them. Errors that touches share are larger
+    than the response has them, so the touches count by the share that lets them tell each other
+    best (`_trusted_share`).
 
     Args:
         prior: response before.
@@ -211,14 +179,33 @@ def response_given(
     for rows in _held(touched):
         labels = touched.touches[rows[0]]
         places = labels[np.isfinite(labels[:, 0])]
-        told = np.isfinite(places[:, 2]) & forces
-        places[~told, 2] = prior.response.ranges.middle_force
+        free = ~(np.isfinite(places[:, 2]) & forces)
+        places[free, 2] = prior.response.ranges.middle_force
         share = 1.0 / seen.frames[rows].sum() + 1.0 / seen.dynamic_frames[rows[0]]
         age = float(seen.dynamic_age[rows].mean())
         change = combined(_mean_change(seen.dynamic[rows]), float(share), age)
         angle_deg = float(np.nan_to_num(touched.reference_deg[rows[0]]))
-        known.append(KnownTouches(change, places, told, angle_deg))
-    return conditioned_response(prior, known, (float(touches.low[2]), float(touches.high[2])))
+        known.append(KnownTouches(change, places, free, angle_deg))
+    latent = prior.response.latent_output
+    precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
+    share = _trusted_share(precision, [each.regression(prior, prior, 1.0) for each in known])
+    found: Array = np.zeros(1 + len(latent))
+    response, strength = prior, 1.0
+    for _ in range(ROUNDS):
+        told = [each.regression(prior, response, strength) for each in known]
+        rows, left = (np.concatenate(parts, axis=-1) for parts in zip(*told, strict=True))
+        information = precision + share * rows @ rows.T
+        gradient = share * rows @ (left + found @ rows)
+        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        for each, (_, own) in zip(known, told, strict=True):
+            each.adjust_forces(own, touches)
+        strength = float(np.exp(found[0]))
+        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
+        response = own_response(prior, output, latent)
+    size = sum(each.seen.told - int(each.free.sum()) for each in known)
+    growth = max(share * float(left @ left) / max(size, 1), 1.0)
+    spread = strength * np.linalg.cholesky(growth * np.linalg.inv(information)[1:, 1:])
+    return own_response(prior, response.output, np.tensordot(spread.T, latent, axes=1))
 
 
 def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
@@ -230,117 +217,83 @@ def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
 
 def _mean_change(dynamic: Array) -> Array:
     """Mean of log(V / reference) (C,) of frames dV (n, C); NaN where no frame has it."""
-    changes = np.array([log_change(each) for each in dynamic])
+    changes = log_change(dynamic)
     good = np.isfinite(changes)
     total = np.where(good, changes, 0.0).sum(axis=0)
     return np.where(good.any(axis=0), total / np.maximum(good.sum(axis=0), 1), np.nan)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """Evidence of known touches of one frame on strength and latent variables, to first order.
+@dataclass(slots=True, eq=False)
+class KnownTouches:
+    """Known touches of one frame.
 
     Attributes:
-        left: change that the response leaves of the measured one (K,).
-        rows: derivatives of the change by the unknowns (n, K).
-        weight: inverse of the covariance of the errors (K, K).
-        pull: by which the errors of the forces explain what is left, relative (k,).
+        seen: combinations of the change by them.
+        places: x [m], y [m] and force [N] of each (k, 3); of a free force a guess.
+        free: whether each force is unknown (k,).
+        angle_deg: of the bend [deg].
     """
 
-    left: Array
-    rows: Array
-    weight: Array
-    pull: Array
+    seen: CombinedChange
+    places: Array
+    free: NDArray[np.bool_]
+    angle_deg: float
+    _by_force: Array = field(init=False, repr=False)  # of `regression`: share of what is left
 
-    @classmethod
-    def of(
-        cls, prior: SpecimenResponse, now: SpecimenResponse, strength: float, known: KnownTouches
-    ) -> "Evidence":
-        """Evidence about a response `now`, of this strength beside the prior one."""
-        changes = now.with_derivatives(known.places, known.angle_deg)
-        left = known.seen.change - changes[0].sum(axis=0)
-        latent_changes = strength * prior.latent_changes(known.places, known.angle_deg)
+    def regression(
+        self, prior: SpecimenResponse, now: SpecimenResponse, strength: float
+    ) -> tuple[Array, Array]:
+        """Regression of the touches on strength and latent variables, to first order, whitened.
+
+        Errors are those of the noise, of the response, and of places and forces.
+
+        Args:
+            prior: response before.
+            now: response about which it is linear.
+            strength: of that beside the prior one.
+
+        Returns:
+            derivatives of the change by the unknowns (n, K).
+            change that the response leaves of the measured one (K,).
+        """
+        changes = now.with_derivatives(self.places, self.angle_deg)
+        errors = np.where(self.free, UNKNOWN_FORCE, FORCE_ERROR)[:, None]
+        forward, back = self.seen.combinations.forward, self.seen.combinations.back
+        variance = now.response.mismatch**2 * np.sum((changes[0] @ back) ** 2, axis=0)
+        moved = np.concatenate([PLACE_ERROR * changes[1], PLACE_ERROR * changes[2]])
+        moved = np.concatenate([moved, errors * changes[0]])
+        covariance = self.seen.noise + forward.T * variance @ forward + moved.T @ moved
+        whitening = whitening_matrix(covariance)
+        latent_changes = strength * prior.latent_changes(self.places, self.angle_deg)
         rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])
-        weight: Array = np.asarray(np.linalg.inv(known.errors(now, changes)), dtype=float)
-        return cls(left, rows, weight, known.force_errors**2 * (changes[0] @ weight @ left))
+        self._by_force = errors**2 * (changes[0] @ whitening.T)
+        return rows @ whitening.T, whitening @ (self.seen.change - changes[0].sum(axis=0))
 
-    @property
-    def information(self) -> Array:
-        """Information (n, n) on the unknowns."""
-        found: Array = self.rows @ self.weight @ self.rows.T
-        return found
-
-    def gradient(self, found: Array) -> Array:
-        """Information times the unknowns (n,) that explain the touches, from an estimate."""
-        told: Array = self.rows @ self.weight @ (self.left + found @ self.rows)
-        return told
-
-    def misfit(self, step: Array) -> float:
-        """Square of what is left after a step of the unknowns (n,), over its variance."""
-        left = self.left - step @ self.rows
-        return float(left @ self.weight @ left)
+    def adjust_forces(self, left: Array, touches: TouchPrior) -> None:
+        """Change free forces, within bounds, as the change `left` by a `regression` asks."""
+        more = np.clip(self._by_force @ left, *MOST_CHANGE)
+        force = np.clip(self.places[:, 2] * (1.0 + more), touches.low[2], touches.high[2])
+        self.places[:, 2] = np.where(self.free, force, self.places[:, 2])
 
 
-def conditioned_response(
-    prior: SpecimenResponse, known: list[KnownTouches], bounds: tuple[float, float]
-) -> SpecimenResponse:
-    """Response of a sensor given known touches.
-
-    A touch of a sensor of strength e^s, with latent variables q, changes
-
-        y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
-
-    which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
-    freedom where that is above one (Birge 1932): a response that explains the touches badly tells
-    little of the sensor. Unknown forces are found with them. Errors that touches share are larger
-    than the response has them, so the touches count by the share that lets them tell each other
-    best (`trusted_share`).
-
-    Args:
-        prior: response before.
-        known: touches.
-        bounds: of forces [N].
-    """
-    latent = prior.response.latent_output
-    precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
-    share = trusted_share(precision, [Evidence.of(prior, prior, 1.0, each) for each in known])
-    found: Array = np.zeros(1 + len(latent))
-    response, strength, output = prior, 1.0, prior.output
-    for _ in range(ROUNDS):
-        told = [Evidence.of(prior, response, strength, each) for each in known]
-        information = precision + share * sum(each.information for each in told)
-        gradient = share * sum(each.gradient(found) for each in told)
-        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-        known = [each.pressed_by(by.pull, bounds) for each, by in zip(known, told, strict=True)]
-        strength = float(np.exp(found[0]))
-        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
-        response = own_response(prior, output, latent)
-    misfit = sum(each.misfit(np.zeros(len(found))) for each in told)
-    size = sum(each.seen.told - int(np.sum(~each.told)) for each in known)
-    covariance = np.linalg.inv(information)[1:, 1:] * max(share * misfit / max(size, 1), 1.0)
-    spread = strength * np.linalg.cholesky(covariance)
-    return own_response(prior, output, np.tensordot(spread.T, latent, axes=1))
-
-
-def trusted_share(precision: Array, told: list[Evidence]) -> float:
+def _trusted_share(precision: Array, told: list[tuple[Array, Array]]) -> float:
     """Share of the information of touches by which the others tell each of them best.
 
     Args:
         precision: of the unknowns before (n, n).
-        told: evidence about the response before.
+        told: regressions of the touches by the response before.
     """
-    nothing = np.zeros(len(precision))
-    information = [each.information for each in told]
-    gradients = [each.gradient(nothing) for each in told]
+    information = [rows @ rows.T for rows, _ in told]
+    gradients = [rows @ left for rows, left in told]
     total, gradient = sum(information), sum(gradients)
 
     def missed(share: float) -> float:
         """Misfit of the touches, each by what all others tell."""
         misfit = 0.0
-        for each, own, pull in zip(told, information, gradients, strict=True):
+        for (rows, left), own, pull in zip(told, information, gradients, strict=True):
             others = precision + share * (total - own)
             step: Array = np.asarray(np.linalg.solve(others, share * (gradient - pull)), float)
-            misfit += each.misfit(step)
+            misfit += float(np.sum((left - step @ rows) ** 2))
         return misfit
 
     return min(SHARES, key=missed)
