@@ -82,94 +82,6 @@ class AngleEstimate:
         return [member for fault in self.faults for member in fault.members]
 
 
-def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
-    """Standard error [deg] of the angle of one frame, from the Fisher information.
-
-    Args:
-        curve: of the specimen.
-        angle_deg: of the bend [deg].
-        noise: covariance of the frame's change (K, K).
-    """
-    slope = curve.slope(angle_deg)
-    covariance = noise + curve.uncertainty(angle_deg)
-    information = float(slope @ solution(covariance, slope))
-    return 1.0 / math.sqrt(information)
-
-
-def robust_angle(
-    curve: BendCurve, combined: CombinedChange, possible: PossibleFaults
-) -> AngleEstimate:
-    """Estimate the angle of one frame, leaving out measurements that contradict the others.
-
-    A contact that has changed since the reference was taken shifts the estimate by degrees. Where
-    no angle fits the frame, the measurements of the fault that explains most of the residual are
-    left out and the angle is estimated again.
-
-    Args:
-        curve: of the specimen.
-        combined: of the change from the flat sensor.
-        possible: faults that are considered.
-    """
-    faults: tuple[ChannelFault, ...] = ()
-    while True:
-        found, residual, whitening = _judged(
-            curve, combined, estimate_angle(curve, combined.change, combined.noise)
-        )
-        if found.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
-            likeliest = likeliest_angle(curve, combined.change, combined.noise)
-            again = estimate_angle(curve, combined.change, combined.noise, likeliest)
-            other = _judged(curve, combined, again)
-            if other[0].log_evidence > found.log_evidence:
-                found, residual, whitening = other
-        found = replace(found, faults=faults)
-        if found.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MOST_FAULTS:
-            return found
-        scale = math.sqrt(combined.frames)
-        jacobian = (whitening @ curve.slope(found.angle_deg))[:, None]
-        fault, gain = possible.likeliest(combined, whitening, scale, residual, jacobian)
-        fewer = combined.without(fault.members)
-        if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
-            return found
-        combined, faults = fewer, (*faults, fault)
-
-
-def _judged(
-    curve: BendCurve, combined: CombinedChange, estimate: tuple[float, float]
-) -> tuple[AngleEstimate, Array, Array]:
-    """An estimate with its misfit and evidence, the whitened residual, and its metric (K, K)."""
-    angle, deviation = estimate
-    whitening = whitening_matrix(combined.noise + curve.uncertainty(angle))
-    rest = combined.rest / math.sqrt(combined.frames)
-    residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), rest])
-    misfit = float(residual @ residual)
-    width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
-    evidence = 0.5 * (width - misfit) + math.log(deviation)
-    sigma = misfit_sigma(misfit, combined.count - 1)
-    return AngleEstimate(angle, deviation, sigma, (), evidence), residual, whitening
-
-
-def grid_log_densities(curve: BendCurve, angles: Array, change: Array, noise: Array) -> Array:
-    """Logarithms of the densities of a change at angles (n,) [deg], but for a constant (n,).
-
-    Further arguments are those of `estimate_angle`.
-    """
-    size = len(noise)
-    bordered = np.empty((len(angles), size + 1, size + 1))
-    bordered[:, :size, :size] = noise + curve.uncertainties(angles)
-    bordered[:, size, :size] = change - curve.value(angles)
-    bordered[:, size, size] = 1e300  # any number above the misfit
-    # The last row of the Cholesky factor is the whitened residual.
-    factors = np.linalg.cholesky(bordered)
-    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :size]).sum(axis=1)
-    return np.asarray(-widths - 0.5 * np.sum(factors[:, size, :size] ** 2, axis=1))
-
-
-def likeliest_angle(curve: BendCurve, change: Array, noise: Array) -> float:
-    """The likeliest of a grid of angles [deg]; arguments as of `estimate_angle`."""
-    angles, _ = curve.grid(GRID)
-    return float(angles[grid_log_densities(curve, angles, change, noise).argmax()])
-
-
 def estimate_angle(
     curve: BendCurve, change: Array, noise: Array, start_deg: float | None = None
 ) -> tuple[float, float]:
@@ -189,8 +101,7 @@ def estimate_angle(
         angles, values = curve.grid(GRID)
         white = (change - values) @ whitening_matrix(noise).T
         start_deg = float(angles[np.einsum("ij,ij->i", white, white).argmin()])
-    angle = start_deg
-    (low, high), information = curve.angle_deg, 0.0
+    angle, (low, high), information = start_deg, curve.angle_deg, 0.0
     for _ in range(STEPS):
         value, slope = curve.value_and_slope(angle)
         weighted = solution(noise + curve.uncertainty(angle), slope)
@@ -202,21 +113,77 @@ def estimate_angle(
     return angle, 1.0 / math.sqrt(information)
 
 
-def mixed(other: AngleEstimate, usual: AngleEstimate, log_odds: float) -> AngleEstimate:
-    """Mean and standard error of an angle under two hypotheses, by their evidence.
+def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
+    """Standard error [deg] of the angle of one frame with covariance (K, K), by Fisher's bound."""
+    slope = curve.slope(angle_deg)
+    information = float(slope @ solution(noise + curve.uncertainty(angle_deg), slope))
+    return 1.0 / math.sqrt(information)
 
-    Faults and misfit are those of the likelier one.
+
+def grid_log_densities(curve: BendCurve, angles: Array, change: Array, noise: Array) -> Array:
+    """Logarithms of the densities of a change at angles (n,) [deg], but for a constant (n,).
+
+    Further arguments are those of `estimate_angle`.
+    """
+    size = len(noise)
+    bordered = np.empty((len(angles), size + 1, size + 1))
+    bordered[:, :size, :size] = noise + curve.uncertainties(angles)
+    bordered[:, size, :size] = change - curve.value(angles)
+    bordered[:, size, size] = 1e300  # any number above the misfit
+    # The last row of the Cholesky factor is the whitened residual.
+    factors = np.linalg.cholesky(bordered)
+    widths = np.log(np.diagonal(factors, axis1=1, axis2=2)[:, :size]).sum(axis=1)
+    return np.asarray(-widths - 0.5 * np.sum(factors[:, size, :size] ** 2, axis=1))
+
+
+def robust_angle(
+    curve: BendCurve, combined: CombinedChange, possible: PossibleFaults
+) -> AngleEstimate:
+    """Estimate the angle of one frame, leaving out measurements that contradict the others.
+
+    A contact that has changed since the reference was taken shifts the estimate by degrees. Where
+    no angle fits the frame, the measurements of the fault that explains most of the residual are
+    left out and the angle is estimated again.
 
     Args:
-        other: estimate for a sensor of any clamp.
-        usual: estimate for one that bends as usual, of the same measurements.
-        log_odds: logarithm of the odds of the second before the frame is seen.
+        curve: of the specimen.
+        combined: of the change from the flat sensor.
+        possible: faults that are considered.
     """
-    share = float(expit(usual.log_evidence - other.log_evidence + log_odds))
-    parts = ((other.angle_deg, other.deviation_deg), (usual.angle_deg, usual.deviation_deg))
-    angle, deviation = mixture_moments(*parts, share)
-    likelier = usual if share > 0.5 else other
-    return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
+    faults: tuple[ChannelFault, ...] = ()
+    while True:
+        found, residual, whitening = _estimate(curve, combined)
+        if found.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
+            angles, _ = curve.grid(GRID)
+            densities = grid_log_densities(curve, angles, combined.change, combined.noise)
+            again = _estimate(curve, combined, float(angles[densities.argmax()]))
+            if again[0].log_evidence > found.log_evidence:
+                found, residual, whitening = again
+        found = replace(found, faults=faults)
+        if found.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MOST_FAULTS:
+            return found
+        scale = math.sqrt(combined.frames)
+        jacobian = (whitening @ curve.slope(found.angle_deg))[:, None]
+        fault, gain = possible.likeliest(combined, whitening, scale, residual, jacobian)
+        fewer = combined.without(fault.members)
+        if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
+            return found
+        combined, faults = fewer, (*faults, fault)
+
+
+def _estimate(
+    curve: BendCurve, combined: CombinedChange, start_deg: float | None = None
+) -> tuple[AngleEstimate, Array, Array]:
+    """`estimate_angle` with its misfit, the whitened residual, and its metric (K, K)."""
+    angle, deviation = estimate_angle(curve, combined.change, combined.noise, start_deg)
+    whitening = whitening_matrix(combined.noise + curve.uncertainty(angle))
+    rest = combined.rest / math.sqrt(combined.frames)
+    residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), rest])
+    misfit = float(residual @ residual)
+    width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
+    evidence = 0.5 * (width - misfit) + math.log(deviation)
+    sigma = misfit_sigma(misfit, combined.count - 1)
+    return AngleEstimate(angle, deviation, sigma, (), evidence), residual, whitening
 
 
 def mixture_moments(
@@ -224,9 +191,7 @@ def mixture_moments(
 ) -> tuple[float, float]:
     """Mean and standard deviation of a mixture of two distributions with those given.
 
-    Args:
-        first, second: means and standard deviations.
-        share: of the second.
+    The second has the `share`.
     """
     mean = (1.0 - share) * first[0] + share * second[0]
     square = (1.0 - share) * (first[1] ** 2 + (first[0] - mean) ** 2)
@@ -242,10 +207,8 @@ def blended(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[
     """
     far = (abs(curve[0]) - NEAR_DEG) / (FAR_DEG - NEAR_DEG)
     share = min(max(abs(networks[0]) / NEAR_DEG, far), 1.0)
-    angle, deviation = (
-        (1.0 - share) * one + share * other for one, other in zip(curve, networks, strict=True)
-    )
-    return angle, deviation
+    angle, deviation = np.add(np.multiply(1.0 - share, curve), np.multiply(share, networks))
+    return float(angle), float(deviation)
 
 
 def posterior_angle(
@@ -343,15 +306,24 @@ class SpecimenModel:
         return networks.estimate(combined.change, features, math.sqrt(combined.drift))
 
     def _angle(self, combined: CombinedChange) -> AngleEstimate:
-        """Angle of a sensor that bends as usual or in any other way, by the evidence for each."""
+        """Angle of a sensor that bends as usual or in any other way, by the evidence for each.
+
+        Mean and standard error are those of the mixture, faults and misfit of the likelier one.
+        """
         if self.usual is None:
             return self._angle_of_any(combined)
         usual = robust_angle(self.usual, combined, self.faults)
         # Densities of the same measurements are compared; faults have the price of being found.
         fewer = combined.without(usual.left_out) if usual.faults else combined
-        price = 0.5 * FAULT_THRESHOLD * len(usual.faults)
-        found = mixed(self._angle_of_any(fewer), usual, LOG_ODDS - price)
-        return self._angle_of_any(combined) if usual.faults and found.usual < 0.5 else found
+        other = self._angle_of_any(fewer)
+        log_odds = LOG_ODDS - 0.5 * FAULT_THRESHOLD * len(usual.faults)
+        share = float(expit(usual.log_evidence - other.log_evidence + log_odds))
+        if usual.faults and share < 0.5:
+            return self._angle_of_any(combined)
+        parts = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
+        angle, deviation = mixture_moments(*parts, share)
+        likelier = usual if share > 0.5 else other
+        return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
 
     def _angle_of_any(self, combined: CombinedChange) -> AngleEstimate:
         """Angle by the curve, and by the networks where all measurements are good.
