@@ -37,58 +37,64 @@ ROUNDS = 5  # of weighted least squares
 STRANGEST = 3.0  # mean square of features, beyond which too few specimens tell how errors grow
 
 
-def curve_priors(
-    curves: BendCurvePrior, usual: BendCurvePrior | None, features: Array
-) -> list[tuple[BendCurve, float]]:
-    """Priors of a sensor's bend curve, any and the usual one, each with its log odds.
-
-    Args:
-        curves: of all specimens.
-        usual: of the usual clamp, if there is one.
-        features: of the sensor (P,).
-    """
-    priors = [(curves.widened(features, WIDENING), 0.0)]
-    if usual is not None:
-        priors.append((usual.widened(features, USUAL_WIDENING), LOG_ODDS))
-    return priors
-
-
 def adapted_curve(
-    priors: Sequence[tuple[BendCurve, float]],
+    curves: BendCurvePrior,
+    usual: BendCurvePrior | None,
+    features: Array,
     known: KnownFrames,
-    combinations: Combinations,
+    combined: Combined,
     drift: float,
-    noise_scale: float = 1.0,
-) -> tuple[BendCurve, BendCurve]:
+    noise_scale: float,
+) -> tuple[BendCurve, Calibration]:
     """Bend curve of a sensor given untouched frames at known angles, which are taken to be exact.
 
+    Its mean and covariance are those of the mixture of the posteriors of all priors. Errors before
+    are those by the prior that is likeliest given the frames.
+
     Args:
-        priors: of the sensor's curve, each with its log odds.
+        curves: prior of the curve of any sensor.
+        usual: that of one in the usual clamp, if there is one.
+        features: of the sensor (P,).
         known: untouched frames at known angles.
-        combinations: of the measurements.
+        combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
+            frames in both means that are compared, and the time between these [s].
         drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
         noise_scale: noise of a frame relative to that in training.
-
-    Returns:
-        the curve before, the prior that is likeliest given the frames.
-        the curve after: mean and covariance of the mixture of the posteriors.
     """
-    seen, age = known.observations, known.observations.age
-    changes = np.array([log_change(each) for each in seen.static])
+    priors, odds = [curves.widened(features, WIDENING)], [0.0]
+    if usual is not None:
+        priors.append(usual.widened(features, USUAL_WIDENING))
+        odds.append(LOG_ODDS)
+    seen, static = known.observations, log_change(known.observations.static)
     # A measurement that is bad at one angle is left out of all: they share the flat frames.
-    good: NDArray[np.bool_] = np.asarray(np.isfinite(changes).all(axis=0))
-    changes = np.where(good, changes, np.nan)
-    change = np.array([combinations.combined(each, 1.0, 0.0).change for each in changes])
+    usable = np.where(np.isfinite(static).all(axis=0), static, np.nan)
+    changes = [combined(each, 1.0, 0.0) for each in usable]
+    # Frames drift together from their reference on. The times of those of one age, as in a dataset,
+    # are unknown: what drift they share is not known either, and is taken to be none.
+    age, count = seen.age, len(usable)
+    others = (age[:, None] == age) & ~np.eye(count, dtype=bool)
+    walk = np.where(others, 0.0, np.minimum(age[:, None], age)) / DRIFT_TIME * drift**2
     together = noise_scale**2 * (np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0])
-    walk = _common_age(age) / DRIFT_TIME * drift**2
-    shared, own = combinations.drift, combinations.without(good)[1]
-    noise = np.einsum("ij,kl->ikjl", together, own)
-    noise += np.einsum("ij,k,l->ikjl", walk, shared, shared)
-    seen_bends = (known.angle_deg, change, noise.reshape(change.size, -1))
-    logs = np.array([curve.log_likelihood(*seen_bends) + odds for curve, odds in priors])
-    after = [curve.conditioned(*seen_bends) for curve, _ in priors]
+    combinations = changes[0].combinations
+    shared, own = combinations.drift, combinations.without(changes[0].good)[1]
+    noise = np.kron(together, own) + np.kron(walk, np.outer(shared, shared))
+    bends = known.angle_deg, np.array([each.change for each in changes]), noise
+    logs = np.add([curve.log_likelihood(*bends) for curve in priors], odds)
     shares = np.exp(logs - logs.max())
-    return priors[int(logs.argmax())][0], mixture_curve(after, shares / shares.sum())
+    curve = mixture_curve([prior.conditioned(*bends) for prior in priors], shares / shares.sum())
+    share, residuals = 1.0 + 1.0 / float(seen.static_frames[0]), []
+    for change, time, angle in zip(static, age.tolist(), known.angle_deg, strict=True):
+        frame = combined(change, share, time)
+        residuals.append(estimate_angle(curve, frame.change, frame.noise)[0] - angle)
+    before = priors[int(logs.argmax())]
+    angles = np.linspace(*before.angle_deg, STATED_ANGLES).tolist()
+    unknown = combined(np.zeros_like(static[0]), share, UNKNOWN_AGE).noise
+    errors = [
+        tuple(angle_standard_error(each, angle, unknown) for angle in angles)
+        for each in (before, curve)
+    ]
+    residual = float(np.sqrt(np.mean(np.square(residuals))))
+    return curve, Calibration(tuple(angles), errors[0], errors[1], residual)
 
 
 def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
@@ -112,45 +118,6 @@ def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
         total += float(np.sum((white - white.mean()) ** 2)) / size
         count += len(white) - 1.0
     return float(np.clip(np.sqrt(total / count), *NOISE_SCALE))
-
-
-def _common_age(age: Array) -> Array:
-    """Time (n, n) for which two frames of these ages (n,) have drifted together [s].
-
-    Frames of one age, as those of a dataset are, have unknown times: what drift they share is not
-    known either, and is taken to be none. Taken to be all of it, it would tell curves apart that it
-    does not.
-    """
-    others = (age[:, None] == age) & ~np.eye(len(age), dtype=bool)
-    common: Array = np.where(others, 0.0, np.minimum(age[:, None], age))
-    return common
-
-
-def calibration_of(
-    prior: BendCurve, curve: BendCurve, known: KnownFrames, combined: Combined
-) -> Calibration:
-    """Errors of the angle by the curves before and after, and the residual of the known frames.
-
-    Args:
-        prior: curve before.
-        curve: curve after.
-        known: untouched frames at known angles.
-        combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
-            frames in both means that are compared, and the time between these [s].
-    """
-    seen = known.observations
-    share = 1.0 + 1.0 / float(seen.static_frames[0])
-    residuals = []
-    for row, angle in enumerate(known.angle_deg):
-        change = combined(log_change(seen.static[row]), share, float(seen.age[row]))
-        residuals.append(estimate_angle(curve, change.change, change.noise)[0] - angle)
-    angles = tuple(float(angle) for angle in np.linspace(*prior.angle_deg, STATED_ANGLES))
-    noise = combined(np.zeros(seen.static.shape[1]), share, UNKNOWN_AGE).noise
-    before, after = (
-        tuple(angle_standard_error(each, angle, noise) for angle in angles)
-        for each in (prior, curve)
-    )
-    return Calibration(angles, before, after, float(np.sqrt(np.mean(np.square(residuals)))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,6 @@ from eitskin.threads import one_thread
 from eitskin.training.joint.adaptation import (
     ErrorScale,
     adapted_curve,
-    calibration_of,
-    curve_priors,
     noise_scale,
     own_error_scale,
 )
@@ -360,9 +358,8 @@ class JointMethod(Method):
             own_latent=None,
         )
         if len(bent):
-            priors = curve_priors(self.bend_prior, self.usual, p)
-            prior, curve = adapted_curve(priors, bent, self.combinations, self.drift, noise)
-            calibration = calibration_of(prior, curve, bent, adapted._combined)
+            priors = self.bend_prior, self.usual, p
+            curve, calibration = adapted_curve(*priors, bent, adapted._combined, self.drift, noise)
             told = replace(told, calibration=calibration)
             adapted = replace(adapted, calibrated=curve)
         if known.twin is not None and self.touches and self.forces:

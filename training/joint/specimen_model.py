@@ -320,8 +320,8 @@ class SpecimenModel:
         share = float(expit(usual.log_evidence - other.log_evidence + log_odds))
         if usual.faults and share < 0.5:
             return self._angle_of_any(combined)
-        parts = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
-        angle, deviation = mixture_moments(*parts, share)
+        by_other, by_usual = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
+        angle, deviation = mixture_moments(by_other, by_usual, share)
         likelier = usual if share > 0.5 else other
         return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
 

@@ -204,15 +204,16 @@ class TouchResponse(StoredFields):
         object.__setattr__(self, "_biases", biases)
         object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
 
-    def hidden(self, touches: Array, angle_deg: float) -> Array:
-        """Input of the last layer, [h, 1] F / F0 scale, for touches (k, 3): (k, hidden + 1)."""
-        before = touches @ self._layers[0] + (self._biases[0] + angle_deg * self._bias_by_angle)
+    def hidden(self, touches: Array, angle_deg: ArrayLike) -> Array:
+        """Input of the last layer, [h, 1] F / F0 scale (..., hidden + 1), for touches (..., 3)."""
+        before = touches @ self._layers[0] + self._biases[0]
+        before += np.asarray(angle_deg)[..., None] * self._bias_by_angle
         hidden = before * expit(before)
         for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
             before = hidden @ layer + bias
             hidden = before * expit(before)
-        factor = self.unit * touches[:, 2:]
-        return np.concatenate([factor * hidden, factor], axis=1)
+        factor = self.unit * touches[..., 2:]
+        return np.concatenate([factor * hidden, factor], axis=-1)
 
     @classmethod
     def none(cls, features: int, channels: int, size: tuple[float, float]) -> "TouchResponse":

@@ -211,23 +211,10 @@ class SyntheticFrames:
     ) -> Array:
         """Change (count, K) by the touches, on specimens that differ."""
         response = self.response
-        hidden = torch.as_tensor(
-            np.nan_to_num(response.ranges.inputs(touches, angle[:, None])), dtype=torch.float32
-        )
-        for weight, bias in zip(response.weights, response.biases, strict=True):
-            hidden = nn.functional.silu(
-                hidden @ torch.as_tensor(weight.T, dtype=torch.float32)
-                + torch.as_tensor(bias, dtype=torch.float32)
-            )
-        hidden = torch.cat([hidden, torch.ones_like(hidden[..., :1])], dim=-1)
-        factors = np.nan_to_num(touches[..., 2]) / response.ranges.middle_force * response.scale
-        summed = (hidden * torch.as_tensor(factors[..., None], dtype=torch.float32)).sum(dim=1)
+        summed = response.hidden(np.nan_to_num(touches), angle[:, None]).sum(axis=1)
         share = np.concatenate([np.ones((len(touches), 1)), features], axis=1)
         output = np.concatenate([response.output, response.latent_output])
-        output_ = torch.as_tensor(output, dtype=torch.float32)
-        terms = torch.einsum("nh,pch->npc", summed, output_)
-        share_ = torch.as_tensor(share, dtype=torch.float32)
-        change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
+        change: Array = np.einsum("npc,np->nc", np.tensordot(summed, output, axes=(1, 2)), share)
         each = change @ self.combinations.back  # the measurements err independently
         errors = each * rng.standard_normal(each.shape) @ self.combinations.forward
         strength = np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))

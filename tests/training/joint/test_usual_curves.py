@@ -1,7 +1,5 @@
 """Usual bend curves: the group of specimens that bend alike, and what a frame says of it."""
 
-import math
-
 import numpy as np
 import pytest
 from made_up_frames import made_up_frames
@@ -13,7 +11,7 @@ from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamps import usual_curves
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
-from eitskin.training.joint.specimen_model import AngleEstimate, SpecimenModel, mixed
+from eitskin.training.joint.specimen_model import SpecimenModel, mixture_moments
 
 CHANNELS, NOISE = 6, 2e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
@@ -97,18 +95,12 @@ def test_no_group_is_found_where_none_is(alike, various):
 
 
 def test_a_mixture_has_the_moments_of_its_parts():
-    rng = np.random.default_rng(4)
-    other = AngleEstimate(20.0, 3.0, 0.0, log_evidence=-5.0)
-    usual = AngleEstimate(24.0, 0.5, 1.0, log_evidence=-4.0)
-    log_odds = math.log(0.25)
-    found = mixed(other, usual, log_odds)
-    share = 0.25 * math.exp(-4.0) / (0.25 * math.exp(-4.0) + math.exp(-5.0))
-    which = rng.random(400_000) < share
-    drawn = np.where(which, rng.normal(24.0, 0.5, len(which)), rng.normal(20.0, 3.0, len(which)))
-    assert found.usual == pytest.approx(share)
-    assert found.angle_deg == pytest.approx(drawn.mean(), abs=0.03)
-    assert found.deviation_deg == pytest.approx(drawn.std(), rel=0.01)
-    assert found.misfit_sigma == 0.0
+    which = np.random.default_rng(4).random(400_000) < 0.3
+    normal = np.random.default_rng(5).normal
+    drawn = np.where(which, normal(24.0, 0.5, len(which)), normal(20.0, 3.0, len(which)))
+    angle, deviation = mixture_moments((20.0, 3.0), (24.0, 0.5), 0.3)
+    assert angle == pytest.approx(drawn.mean(), abs=0.03)
+    assert deviation == pytest.approx(drawn.std(), rel=0.01)
 
 
 @pytest.mark.parametrize("alike", [True, False])
