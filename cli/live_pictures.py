@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, UnusableFrameError
 from eitskin.frame import Frame
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
 from eitskin.training.method.input_spec import usable_values
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
@@ -36,32 +34,67 @@ class Picture:
     limit: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureEstimate:
+    """Estimate of a live loop that only makes pictures.
+
+    Attributes:
+        state: "picture", or how much of the reference is there.
+        picture: None while the reference is taken.
+        touch_map: share of the colour scale by which pixels conduct less (rows, columns), 0 to 1.
+        problems: none.
+    """
+
+    state: str
+    picture: Picture | None
+    touch_map: Array
+    probabilities: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    bend_angle_deg: None = None
+    touches: None = None
+    problems: tuple[str, ...] = ()
+
+
 class LivePictures:
-    """Pictures of a session's frames against the mean of its first ones.
+    """Pipeline of pictures of a session's frames against the mean of its first ones.
 
     Attributes:
         maker: of the pictures.
         taken: number of frames in the session's reference so far, at most `REFERENCE`.
     """
 
-    def __init__(self, maker: Reconstructor) -> None:
-        """Solve the sensor's linear model, so that no frame has to wait for that."""
+    def __init__(self, maker: Reconstructor, pipeline: "FramePipeline | None" = None) -> None:
+        """Solve the sensor's linear model, so that no frame has to wait for that.
+
+        Args:
+            maker: of the pictures.
+            pipeline: another pipeline, whose estimates carry the pictures as `picture`.
+        """
         if maker.method == "total-variation":
             linear = ", ".join(each for each in get_args(Method) if each != maker.method)
             raise ConfigurationError(
                 f"total variation takes seconds for a picture; name one of {linear} for live ones"
             )
-        self.maker, self.taken = maker, 0
+        self.maker, self.taken, self._pipeline = maker, 0, pipeline
         self._session: int | None = None
         self._first: list[NDArray[np.complex128]] = []
         self._reference = np.zeros(0, np.complex128)
         self._floor = 0.0
         maker.images(np.zeros(len(maker.protocol)))
 
-    @classmethod
-    def of(cls, design: SensorDesign, protocol: Protocol, method: Method) -> "LivePictures":
-        """Pictures of a sensor by the defaults of a method."""
-        return cls(Reconstructor(design, protocol, method))
+    def process(self, frame: Frame) -> Any:
+        """Picture of `frame`, as an estimate or with that of the other pipeline."""
+        if self._pipeline is not None:
+            estimate = self._pipeline.process(frame)
+            try:
+                return _Pictured(estimate, self.picture(frame))
+            except UnusableFrameError:
+                return estimate
+        picture = self.picture(frame)
+        if picture is None:
+            state = f"reference {self.taken}/{REFERENCE}"
+            return PictureEstimate(state, None, np.zeros(self.maker.grid.shape))
+        less = np.clip(-np.nan_to_num(picture.values) / picture.limit, 0.0, 1.0)
+        return PictureEstimate("picture", picture, less)
 
     def picture(self, frame: Frame) -> Picture | None:
         """Picture of a frame; None while frames still go into the reference.
@@ -84,59 +117,11 @@ class LivePictures:
 
     def _finish_reference(self) -> None:
         """Mean of the first frames, and the noise of their pictures."""
-        first = np.array(self._first)
-        known = np.isfinite(first)
-        count = np.maximum(known.sum(axis=0), 1)
-        mean = np.where(known, first, 0.0).sum(axis=0) / count
-        self._reference = np.where(known.any(axis=0), mean, np.nan)
-        data = self.maker.data(first, self._reference)
+        first = np.ma.masked_invalid(self._first)
+        self._reference = first.mean(axis=0).filled(np.nan)
+        data = self.maker.data(np.array(self._first), self._reference)
         noise = self.maker.images(np.where(np.isfinite(data), data, 0.0))
         self._floor = CALM * float(np.sqrt(np.nanmean(noise**2)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PictureEstimate:
-    """Estimate of a live loop that only makes pictures.
-
-    Attributes:
-        state: "picture", or how much of the reference is there.
-        picture: None while the reference is taken.
-        touch_map: share of the colour scale by which pixels conduct less (rows, columns), 0 to 1.
-        problems: none.
-    """
-
-    state: str
-    picture: Picture | None
-    touch_map: Array
-    probabilities: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    bend_angle_deg: None = None
-    touches: None = None
-    problems: tuple[str, ...] = ()
-
-
-class PicturePipeline:
-    """Pipeline of the live loop that makes pictures, alone or beside another pipeline."""
-
-    def __init__(self, pictures: LivePictures, pipeline: "FramePipeline | None" = None) -> None:
-        """Pictures of a sensor, and a pipeline whose estimates carry these as `picture`."""
-        self._pictures, self._pipeline = pictures, pipeline
-
-    def process(self, frame: Frame) -> Any:
-        """Picture of `frame`, as an estimate or with that of the other pipeline."""
-        if self._pipeline is None:
-            return self._estimate(self._pictures.picture(frame))
-        estimate = self._pipeline.process(frame)
-        try:
-            return _Pictured(estimate, self._pictures.picture(frame))
-        except UnusableFrameError:
-            return estimate
-
-    def _estimate(self, picture: Picture | None) -> PictureEstimate:
-        if picture is None:
-            state = f"reference {self._pictures.taken}/{REFERENCE}"
-            return PictureEstimate(state, None, np.zeros(self._pictures.maker.grid.shape))
-        less = np.clip(-np.nan_to_num(picture.values) / picture.limit, 0.0, 1.0)
-        return PictureEstimate("picture", picture, less)
 
 
 class _Pictured:

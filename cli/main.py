@@ -14,15 +14,14 @@ from eitskin.cli.commands import (
     dataset,
     evaluate,
     export,
+    fits,
     generate,
     import_recording,
-    instrument,
     mesh,
     reconstruct,
     simulate,
     tare,
     train,
-    twin,
 )
 from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, setup
@@ -90,8 +89,8 @@ app.command("demo")(demo.command)
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
 app.add_typer(export.app, name="export")
-app.add_typer(instrument.app, name="instrument")
-app.add_typer(twin.app, name="twin")
+app.add_typer(fits.instrument_app, name="instrument")
+app.add_typer(fits.twin_app, name="twin")
 
 
 def run() -> None:

@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from eitskin.files import visible
@@ -32,7 +32,7 @@ class Terminal(Console):
         return super().render_str(visible(text), **options)
 
 
-def table_of(headings: Iterable[str], rows: Iterable[Sequence[str]], **look: Any) -> Table:
+def table_of(headings: Iterable[str | Column], rows: Iterable[Sequence[str]], **look: Any) -> Table:
     """Table of rows of cells, with options of Rich's `Table`."""
     table = Table(*headings, **look)
     for cells in rows:

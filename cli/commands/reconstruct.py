@@ -1,20 +1,24 @@
 """`eitskin reconstruct SOURCE`: pictures of the conductivity change, without training."""
 
+import dataclasses
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
 import typer
-from rich.table import Table
+from rich.table import Column
 
 from eitskin.cli.commands.live.session import LiveSession
-from eitskin.cli.commands.pictured_frames import SCHEMES, PicturedFrame, pictured_frames
+from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.options import (
     Detail,
     MeasuredPairs,
     Output,
     SensorFile,
+    SensorOptions,
     ended_by_signals,
     one_of,
     opened_board,
@@ -22,20 +26,201 @@ from eitskin.cli.options import (
     require_parent,
     with_output,
 )
-from eitskin.cli.page.access import Access, PageOptions, tell_invitations
-from eitskin.errors import ConfigurationError
+from eitskin.cli.page.access import PageOptions, tell_invitations
+from eitskin.cli.terminal import table_of
+from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
-    from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
+    from eitskin.simulator.electrical.resolution import Resolution
+    from eitskin.training.evaluation.drawing import Circle
+    from eitskin.training.reconstruction.reconstructor import Reconstructor
 
-Reference = Annotated[
-    str, typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number.")
-]
+MAX_PICTURES = 24
+SCHEMES = ("serial:", "text:", "virtual:", "replay:")
+
+
+class PicturedFrames(NamedTuple):
+    """Frames to reconstruct, of one sensor and protocol.
+
+    Attributes:
+        design, protocol: sensor and measurements.
+        names: name of each frame.
+        impedance, reference: of the frames and before them (frames, measurements) [ohm]; NaN
+            where bad.
+        circles: true touches of each frame, where known.
+    """
+
+    design: "SensorDesign"
+    protocol: "Protocol"
+    names: list[str]
+    impedance: "NDArray[Any]"
+    reference: "NDArray[Any]"
+    circles: "list[tuple[Circle, ...]]"
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """Options of the frames that are pictured: of a scene, a dataset, or a board."""
+
+    sensor: SensorFile = None
+    protocol: MeasuredPairs = None
+    frames: Annotated[
+        str | None,
+        typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
+    ] = None
+    reference: Annotated[
+        str,
+        typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number."),
+    ] = "untouched"
+    average: Annotated[
+        int,
+        typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
+    ] = 16
+
+    def read(
+        self, source: str, resolution: "Resolution", seed: int, output: Output
+    ) -> PicturedFrames:
+        """Frames of a scene, a board, or a dataset."""
+        if source.startswith(SCHEMES):
+            return self._from_board(source, seed, output)
+        path = Path(source)
+        if path.suffix == ".toml":
+            return self._from_scene(path, resolution, output)
+        if path.suffix == ".eitmodel":
+            raise ConfigurationError(
+                "pictures are of the frames of a dataset, a scene (.toml) or a board, and need no "
+                f"trained pipeline of any kind, got the pipeline {source}"
+            )
+        return self._from_dataset(path)
+
+    def require_protocol(self, design: "SensorDesign", known: "Protocol", whose: str) -> None:
+        """Refuse a --protocol other than that of the source."""
+        from eitskin.protocol import Protocol
+
+        if self.protocol:
+            named = Protocol.named(self.protocol, len(design.electrodes))
+            named.require_same(known, "--protocol names", whose, "leave --protocol out")
+
+    def _from_scene(self, path: Path, resolution: "Resolution", output: Output) -> PicturedFrames:
+        """Frame of a scene, against it without its touches or against the flat sensor."""
+        import numpy as np
+
+        from eitskin.simulator.scene.scene import Scene
+
+        if self.reference not in ("untouched", "flat"):
+            raise ConfigurationError(
+                f"expected --reference untouched or flat for a scene, got '{self.reference}'"
+            )
+        scene, design = Scene.from_toml(path), read_design(self.sensor)
+        sim = SensorOptions(protocol=self.protocol or "pairwise").simulator(resolution, design)
+        sim.check_scene(scene)
+        announce_unsolved(sim, scene, output)
+        before = Scene() if self.reference == "flat" else dataclasses.replace(scene, touches=())
+        circles = tuple((each.x, each.y, each.indenter.rims[1]) for each in scene.touches)
+        now, then = (np.array([sim.measure(each).impedance]) for each in (scene, before))
+        return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles])
+
+    def _from_dataset(self, path: Path) -> PicturedFrames:
+        """Chosen frames of a dataset; the first touched one where none is chosen."""
+        import numpy as np
+
+        from eitskin.datasets.store.folder import open_dataset
+        from eitskin.protocol import Protocol
+
+        data = open_dataset(path)
+        design = read_design(self.sensor) if self.sensor else data.design
+        if design is None:
+            raise DataError(
+                f"expected a dataset that knows its sensor, got {path} without one; name the "
+                "design with --sensor DESIGN.toml"
+            )
+        protocol = data.protocol
+        if protocol is not None:
+            self.require_protocol(design, protocol, "the dataset has")
+        elif self.protocol:
+            protocol = Protocol.named(self.protocol, len(design.electrodes))
+        else:
+            raise DataError(
+                f"expected a dataset that knows its protocol, got {path} without one; name it with "
+                "--protocol, such as adjacent"
+            )
+        touched = np.flatnonzero(data.touch_count > 0)
+        chosen = numbers(self.frames, len(data)) if self.frames else [*touched[:1].tolist()] or [0]
+        if self.reference == "flat":
+            before = data.reference[data.specimen[chosen]]
+        elif self.reference == "untouched":
+            before = data.untouched[chosen]
+        else:
+            before = data.impedance[numbers(self.reference, len(data))[:1] * len(chosen)]
+        radius = 0.02 * min(design.outline.length, design.outline.width)  # where it is not known
+        circles = np.stack([data.touch_x, data.touch_y, data.touch_radius], axis=2)[chosen]
+        circles[..., 2] = np.where(np.isfinite(circles[..., 2]), circles[..., 2], radius)
+        return PicturedFrames(
+            design,
+            protocol,
+            [f"frame {k}" for k in chosen],
+            np.where(data.status[chosen] != 0, np.nan, data.impedance[chosen]),
+            before,
+            [tuple(map(tuple, each[np.isfinite(each[:, 0])].tolist())) for each in circles],
+        )
+
+    def _from_board(self, uri: str, seed: int, output: Output) -> PicturedFrames:
+        """Frames of a board after the frames of its reference."""
+        import numpy as np
+
+        design, frames = read_design(self.sensor), self.frames
+        count = int(frames) if frames and frames.isdigit() else 1
+        if frames and not 1 <= count <= MAX_PICTURES:
+            raise ConfigurationError(
+                f"expected --frames of a board from 1 to {MAX_PICTURES}, got '{frames}'"
+            )
+
+        def good(frame: "Frame") -> "NDArray[np.complex128]":
+            return np.where(frame.status == 0, frame.impedance, np.nan)
+
+        with opened_board(uri, seed) as board:
+            self.require_protocol(design, board.protocol, "the board measures")
+            output.note(f"{self.average} frames for the reference; keep the sensor untouched")
+            arriving = board.frames()
+            first = np.array([good(frame) for frame in islice(arriving, self.average)])
+            output.note(f"{count} frame{'s' * (count > 1)} to picture; touch the sensor")
+            taken = list(islice(arriving, count))
+        if not taken:
+            raise DataError(
+                f"expected frames after the {self.average} of the reference, got none; take fewer "
+                "with --average"
+            )
+        return PicturedFrames(
+            design,
+            board.protocol,
+            [f"frame {frame.number}" for frame in taken],
+            np.array([good(frame) for frame in taken]),
+            np.tile(np.nanmean(first, axis=0), (len(taken), 1)),
+            [()] * len(taken),
+        )
+
+
+def numbers(text: str, count: int) -> list[int]:
+    """Frame numbers of a text such as 0,5,10-12.
+
+    Raises ConfigurationError for other text, and numbers that are not among `count` frames.
+    """
+    try:
+        parts = [[int(end) for end in part.split("-")] for part in text.split(",")]
+        chosen = [k for part in parts for k in range(part[0], part[-1] + 1)]
+    except ValueError as error:
+        raise ConfigurationError(f"expected frames as 0,5,10-12, got '{text}'") from error
+    if not chosen or min(chosen) < 0 or max(chosen) >= count or len(chosen) > MAX_PICTURES:
+        raise ConfigurationError(
+            f"expected up to {MAX_PICTURES} frames from 0 to {count - 1}, got '{text}'"
+        )
+    return chosen
 
 
 @with_output
@@ -45,8 +230,7 @@ def command(
         typer.Argument(help="Dataset folder or shard, scene file (.toml), or board URI."),
     ],
     *,
-    sensor: SensorFile = None,
-    protocol: MeasuredPairs = None,
+    wanted: FrameOptions,
     method: Annotated[
         str,
         typer.Option(
@@ -64,15 +248,6 @@ def command(
             help="relative (channel by channel) or absolute; chosen by the protocol when omitted.",
         ),
     ] = None,
-    frames: Annotated[
-        str | None,
-        typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
-    ] = None,
-    reference: Reference = "untouched",
-    average: Annotated[
-        int,
-        typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
-    ] = 16,
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
     resolution: Detail = "fast",
     out: Annotated[
@@ -84,8 +259,6 @@ def command(
     output: Output,
 ) -> None:
     """Picture where the conductivity of any sensor has changed, without a trained pipeline."""
-    import numpy as np
-
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.reconstruction.reconstructor import Difference, Method, Reconstructor
     from eitskin.training.reconstruction.regularised_inverse import Regularisation
@@ -98,113 +271,112 @@ def command(
     detail = one_of("--resolution", resolution, Resolution)
     _require_out(out)
 
-    def maker(design: "SensorDesign", protocol: "Protocol", name: "Method") -> Reconstructor:
-        return Reconstructor(
-            design,
-            protocol,
-            name,
-            chosen_rule,
-            pixels,
-            compared,
-            detail,
-        )
+    def makers(design: "SensorDesign", protocol: "Protocol") -> list[Reconstructor]:
+        common = chosen_rule, pixels, compared, detail
+        return [Reconstructor(design, protocol, name, *common) for name in names]
 
     if page.page:
-        served = page.page_port, page.access
-        _follow_live(source, sensor, protocol, names, maker, served, seed, output)
+        if not source.startswith(SCHEMES) or len(names) > 1:
+            raise ConfigurationError(
+                f"--page is for one method on a board ({', '.join(SCHEMES)}), got {source!r} with "
+                f"{', '.join(names)}; write the pictures of other sources with --out"
+            )
+        _follow_live(source, wanted, makers, page, seed, output)
         return
-    taken = pictured_frames(
-        source, sensor, protocol, frames, reference, average, detail, seed, output
-    )
-    impedance = np.array([each.impedance for each in taken.frames])
-    before = np.array([each.reference for each in taken.frames])
+    frames = wanted.read(source, detail, seed, output)
     images = [
-        Image(each, frame, values)
-        for each in (maker(taken.design, taken.protocol, name) for name in names)
-        for frame, values in zip(
-            taken.frames, each.images(each.data(impedance, before)), strict=True
+        Image(maker, *each)
+        for maker in makers(frames.design, frames.protocol)
+        for each in zip(
+            frames.names,
+            maker.images(maker.data(frames.impedance, frames.reference)),
+            frames.circles,
+            strict=True,
         )
     ]
+    rows = [each.as_dict() for each in images]
     data = {
         "source": source,
-        "protocol": str(taken.protocol),
-        "pictures": [each.as_dict() for each in images],
+        "protocol": str(frames.protocol),
+        "pictures": rows,
         "out": None if out is None else str(out),
     }
-    output.result(data, _as_table(images))
+    headings = ("frame", Column("method", no_wrap=True), "lambda")
+    ends = ("least, %", "at, mm", "largest, %", "at, mm")
+    output.result(data, table_of((*headings, *ends), map(_cells, rows), pad_edge=False))
     if out is not None:
         _write(out, images)
         output.note(f"written: {out}")
 
 
 class Image(NamedTuple):
-    """Picture of one frame by one method: relative change of conductivity (rows, columns)."""
+    """Picture of one frame by one method.
+
+    Attributes:
+        maker: of the picture.
+        frame: name of the frame.
+        values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
+        circles: true touches, where known.
+    """
 
     maker: "Reconstructor"
-    frame: PicturedFrame
+    frame: str
     values: "NDArray[np.float64]"
-
-    @property
-    def parameter(self) -> float | None:
-        """Regularisation; None where there is none, or where each frame chose its own."""
-        maker = self.maker
-        if maker.method == "back-projection" or maker.regularisation.rule == "gcv":
-            return None
-        return maker.lambda_of()
+    circles: "tuple[Circle, ...]" = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Method, and least and largest value with their positions [m]."""
-        values, centres = self.values[self.maker.grid.inside], self.maker.grid.centres
+        """Method, and least and largest value with their positions [m].
+
+        No lambda where there is none, or where each frame chose its own.
+        """
+        maker, values = self.maker, self.values[self.maker.grid.inside]
+        common = maker.method != "back-projection" and maker.regularisation.rule != "gcv"
         low, high = int(values.argmin()), int(values.argmax())
         return {
-            "frame": self.frame.name,
-            "method": self.maker.method,
-            "difference": self.maker.difference,
-            "lambda": self.parameter,
+            "frame": self.frame,
+            "method": maker.method,
+            "difference": maker.difference,
+            "lambda": maker.lambda_of() if common else None,
             "least": float(values[low]),
-            "least_at_m": centres[low].tolist(),
+            "least_at_m": maker.grid.centres[low].tolist(),
             "largest": float(values[high]),
-            "largest_at_m": centres[high].tolist(),
+            "largest_at_m": maker.grid.centres[high].tolist(),
         }
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    """Cells of the table of pictures: extremes of one of them."""
+    cells = [row["frame"], row["method"], f"{row['lambda']:.3g}" if row["lambda"] else "-"]
+    for which in ("least", "largest"):
+        x, y = row[f"{which}_at_m"]
+        cells += [f"{100 * row[which]:+.3g}", f"{1e3 * x:.0f}, {1e3 * y:.0f}"]
+    return cells
 
 
 def _follow_live(
     uri: str,
-    sensor: Path | None,
-    protocol: str | None,
-    methods: "list[Method]",
-    maker: "Callable[[SensorDesign, Protocol, Method], Reconstructor]",
-    served: "tuple[int, Access]",
+    wanted: FrameOptions,
+    makers: "Callable[[SensorDesign, Protocol], list[Reconstructor]]",
+    page: PageOptions,
     seed: int,
     output: Output,
 ) -> None:
-    """Serve the page with the board's pictures until Ctrl-C, or the end of a recording.
-
-    Raises ConfigurationError for a source that is no board, and for several methods.
-    """
-    if not uri.startswith(SCHEMES) or len(methods) > 1:
-        raise ConfigurationError(
-            f"--page is for one method on a board ({', '.join(SCHEMES)}), got {uri!r} with "
-            f"{', '.join(methods)}; write the pictures of other sources with --out"
-        )
-    from eitskin.cli.live_pictures import LivePictures, PicturePipeline
+    """Serve the page with the board's pictures until Ctrl-C, or the end of a recording."""
+    from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.live_page import LivePage
     from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
-    from eitskin.protocol import Protocol
 
-    design = read_design(sensor)
+    access, design = page.access, read_design(wanted.sensor)
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
         board = stack.enter_context(opened_board(uri, seed))
-        if protocol:
-            Protocol.named(protocol, len(design.electrodes)).require_same(
-                board.protocol, "--protocol names", "the board measures", "leave --protocol out"
-            )
-        pipeline = PicturePipeline(LivePictures(maker(design, board.protocol, methods[0])))
-        session = LiveSession(Connection(board), output, pipeline)
+        wanted.require_protocol(design, board.protocol, "the board measures")
+        (maker,) = makers(design, board.protocol)
+        session = LiveSession(Connection(board), output, LivePictures(maker))
         session.connection.tell = session.say
-        session.page = stack.enter_context(LivePage(session.connection, design, *served))
+        served = LivePage(session.connection, design, page.page_port, access)
+        session.page = stack.enter_context(served)
         tell_invitations(session.page.invitations, output)
         output.note("keep the sensor untouched at first")
         session.follow(run_live(session.connection, session), None)
@@ -225,20 +397,6 @@ def _require_out(out: Path | None) -> None:
         require("matplotlib", "view")
 
 
-def _as_table(images: list[Image]) -> Table:
-    """Table of the extremes of all pictures."""
-    table = Table("frame", "method", "lambda", "least, %", "at, mm", "largest, %", "at, mm")
-    table.pad_edge, table.columns[1].no_wrap = False, True  # whole in 80 columns
-    for each in images:
-        found, parameter = each.as_dict(), each.parameter
-        cells = [found["frame"], found["method"], f"{parameter:.3g}" if parameter else "-"]
-        for which in ("least", "largest"):
-            x, y = found[f"{which}_at_m"]
-            cells += [f"{100 * found[which]:+.3g}", f"{1e3 * x:.0f}, {1e3 * y:.0f}"]
-        table.add_row(*cells)
-    return table
-
-
 def _write(out: Path, images: list[Image]) -> None:
     """Write the pictures in the form of the file's suffix; those of one method on one scale."""
     import numpy as np
@@ -246,16 +404,16 @@ def _write(out: Path, images: list[Image]) -> None:
     from eitskin.files import atomic_file
 
     methods = list(dict.fromkeys(each.maker.method for each in images))
-    frames = list(dict.fromkeys(each.frame.name for each in images))
+    frames = list(dict.fromkeys(each.frame for each in images))
     grid, kind = images[0].maker.grid, out.suffix.lower()
     with atomic_file(out) as temporary:
         if kind == ".png":
             from eitskin.training.evaluation.drawing import PicturePanel, draw_panels, style
 
             panels = []
-            for maker, frame, values in images:
-                title = f"{frame.name}: {maker.method}" if len(frames) > 1 else maker.method
-                panels.append(PicturePanel(title, maker.design, maker.grid, values, frame.circles))
+            for maker, frame, values, circles in images:
+                title = f"{frame}: {maker.method}" if len(frames) > 1 else maker.method
+                panels.append(PicturePanel(title, maker.design, maker.grid, values, circles))
             with style():
                 draw_panels(panels, common=len(methods) == 1).savefig(temporary)
         elif kind == ".npz":
@@ -271,8 +429,8 @@ def _write(out: Path, images: list[Image]) -> None:
             )
         else:
             names = [
-                f"{maker.method} {frame.name}" if len(methods) > 1 else frame.name
-                for maker, frame, _ in images
+                f"{each.maker.method} {each.frame}" if len(methods) > 1 else each.frame
+                for each in images
             ]
             np.savetxt(
                 temporary,

@@ -1,5 +1,6 @@
 """Frames of a recording, from a dataset of eitskin or a file of any other program."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,9 @@ Recorded = Annotated[
 Values = Annotated[
     str | None,
     typer.Option(help="Variable (CSV: beginning of columns) with the values, in another file."),
+]
+OneSpecimen = Annotated[
+    int | None, typer.Option("--specimen", min=0, help="Number of the specimen in the dataset.")
 ]
 
 
@@ -49,7 +53,12 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
             f"--values names a variable of a file that is no dataset, got {path}; leave it out"
         )
     data = open_dataset(path)
-    return data if named is None else _with_protocol(data, named)
+    if named is not None and data.protocol is None:
+        return dataclasses.replace(data, protocol=named)
+    if named is not None and data.protocol is not None:
+        sides = "the recording is of", "--protocol names"
+        data.protocol.require_same(named, *sides, "leave --protocol out")
+    return data
 
 
 def of_specimen(data: "Dataset", specimen: int) -> "Dataset":
@@ -82,14 +91,3 @@ def required_protocol(data: "Dataset") -> "Protocol":
             "--protocol"
         )
     return data.protocol
-
-
-def _with_protocol(data: "Dataset", protocol: "Protocol") -> "Dataset":
-    import dataclasses
-
-    if data.protocol is None:
-        return dataclasses.replace(data, protocol=protocol)
-    data.protocol.require_same(
-        protocol, "the recording is of", "--protocol names", "leave --protocol out"
-    )
-    return data

@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from eitskin.cli.options import (
-    TRAINING,
-    Output,
-    ended_by_signals,
-    with_output,
-)
+from eitskin.cli.options import TRAINING, Output, ended_by_signals, with_output
 from eitskin.errors import PartialError
 from eitskin.extras import require_all
 
@@ -56,9 +51,9 @@ def command(
     try:
         with ended_by_signals():
             # Imports of the stages take seconds, and Ctrl-C shall be answered meanwhile.
-            from eitskin.cli.demo.stages import Demo, Plan
+            from eitskin.cli.demo.stages import Demo
 
-            document = run_demo(Demo(Plan.standard(seed), out, data, workers, output), again)
+            document = run_demo(Demo(out, data, workers, output, seed), again)
     except (KeyboardInterrupt, PartialError):
         again += [] if workers == WORKERS else ["--workers", str(workers)]
         again += [] if seed == 0 else ["--seed", str(seed)]
@@ -74,14 +69,14 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
     """Run all stages, and write report.html and report.json; returns the document.
 
     Args:
-        demo: plan and folder.
+        demo: the folder, and how it is filled.
         words: command line that makes the same demo, without its seed.
 
     Raises PartialError where the folder cannot be written to; the same demo goes on then.
     """
-    from eitskin.cli.demo.stages import STAGES, versions
+    from eitskin.cli.demo.stages import PACKAGES, STAGES
     from eitskin.files import atomic_file
-    from eitskin.provenance import Provenance
+    from eitskin.provenance import Provenance, package_versions
     from eitskin.training.evaluation.drawing import style
 
     stages, seconds = {}, {}
@@ -94,11 +89,11 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
         for shown in (stage.table, *stage.remarks):
             if shown is not None:
                 demo.output.show(shown)
-    made = asdict(Provenance.now(demo.plan.seed))
+    made = asdict(Provenance.now(demo.seed))
     numbers = {
         "provenance": {
-            "command": shlex.join([*words, "--seed", str(demo.plan.seed)]),
-            "versions": versions(),
+            "command": shlex.join([*words, "--seed", str(demo.seed)]),
+            "versions": package_versions(PACKAGES),
             "cores": os.cpu_count(),
             **{key: made[key] for key in ("machine", "python", "seed", "date")},
         },
@@ -120,8 +115,7 @@ def page(stages: Mapping[str, "Stage"], document: Document) -> str:
     """The report as one HTML page without references to anything outside."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    from eitskin.cli.demo.live_episode import COLUMNS, episode_cells
-    from eitskin.cli.demo.stages import SETS, STAGES
+    from eitskin.cli.demo.stages import COLUMNS, SETS, STAGES, episode_cells
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
     environment = Environment(
@@ -156,7 +150,7 @@ def marked_number(document: Document, path: str, form: str) -> "Markup":
     return mark.format(str(value), path, shown)
 
 
-def _paper_rows(document: Document) -> list[tuple[str, str, str, str]]:
+def _paper_rows(document: Document) -> list[list[str]]:
     """Rows of the paper's table: experiment, published, trained here, shipped.
 
     The errors of touches on the grid come first, then all figures of the test frames.
@@ -167,18 +161,21 @@ def _paper_rows(document: Document) -> list[tuple[str, str, str, str]]:
     from eitskin.training.evaluation.report import table_rows
 
     rows: dict[tuple[str, str], list[str]] = {}
-    for column, stages in ((1, ("indentation", "test")), (2, ("shipped_indentation", "shipped"))):
-        for on_grid, stage in zip((True, False), stages, strict=True):
-            experiment = ""
-            for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
-                experiment = experiment if name.startswith(" ") else name
-                if on_grid and experiment != "one touch: error":
+    for stage, column in (
+        ("indentation", 2),
+        ("test", 2),
+        ("shipped_indentation", 3),
+        ("shipped", 3),
+    ):
+        experiment = ""
+        for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
+            experiment = experiment if name.startswith(" ") else name
+            key, shown = (experiment, name), name
+            if "indentation" in stage:
+                if experiment != "one touch: error":
                     continue
-                key = (
-                    (GRID, name if name.startswith(" ") else GRID)
-                    if on_grid
-                    else (experiment, name)
-                )
-                row = rows.setdefault(key, [published.replace("+-", "±"), "-", "-"])
-                row[column] = here.replace("+-", "±")
-    return [(name, *row) for (_, name), row in rows.items()]  # type: ignore[misc]
+                shown = name if name.startswith(" ") else GRID
+                key = (GRID, shown)
+            row = rows.setdefault(key, [shown, published.replace("+-", "±"), "-", "-"])
+            row[column] = here.replace("+-", "±")
+    return list(rows.values())

@@ -1,25 +1,27 @@
-"""Pictures that only the demo draws: touches, raw frames, and the frame of a real board."""
+"""Pictures of the demo's report: as parts of its file, and what they show."""
 
 import base64
 import io
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from eitskin.cli.demo.live_episode import COLOURS
+from eitskin.cli.page.drawing import INSIDE, METAL, GelShape
+from eitskin.cli.page.plan import outline_of
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.extras import require
+from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.drawing import (
     BLUE,
     DARK,
     EXTRA,
+    GREY,
     ORANGE,
     CaptionedFigure,
     NoFigure,
@@ -29,12 +31,17 @@ from eitskin.training.evaluation.drawing import (
 
 SHOWN_FRAMES = 6  # of each state
 MAX_TOUCHES = 1500  # more would be one grey patch
+FILM_FRAMES = 4  # of each step that are shown, evenly spaced
+MILLISECONDS = 450  # for which each is shown
+FACES = {"idle": "#c9d3dc", "touch": "#f4c9ab", "bend": "#b9d8ee"}
+COLOURS = {"idle": GREY, "touch": ORANGE, "bend": BLUE}
 _UNQUOTED = " !$()*+,-./:;=?@[]^_`{|}~"  # what an address within quotation marks may hold as it is
 
 # Words as text instead of outlines of glyphs, and the same bytes each time.
 _PLAIN = {"svg.hashsalt": "eitskin", "svg.fonttype": "none"}
 
-Array = NDArray[np.float64]
+Row = Mapping[str, Any]
+Places = Sequence[Sequence[float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +87,16 @@ def _svg(figure: Any) -> bytes:
 
 def rendered(render: Callable[[Path], None], alt: str, caption: str, width: float) -> Picture:
     """Picture that `render` writes as a PNG, as a WebP file a seventh as large."""
-    image, file = require("PIL.Image", EXTRA), io.BytesIO()
+    file = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         render(path)
-        image.open(path).convert("RGB").save(file, "WEBP", quality=85, method=6)
+        _image(path).save(file, "WEBP", quality=85, method=6)
     return Picture.of_webp(alt, caption, file.getvalue(), width)
+
+
+def _image(file: Any) -> Any:
+    return require("PIL.Image", EXTRA).open(file).convert("RGB")
 
 
 def touch_positions(data: Dataset, name: str) -> CaptionedFigure:
@@ -132,3 +143,85 @@ def raw_frames(data: Dataset, name: str) -> CaptionedFigure:
         "noise included: change of every resistance from that of the flat, untouched sensor, which "
         f"is {flat.min():.0f} to {flat.max():.0f} ohm. The three scales differ.",
     )
+
+
+def episode_film(rows: Sequence[Row], design: SensorDesign) -> bytes:
+    """Moving picture (WebP) of the rows of `run_episode`.
+
+    It begins with the moment of most touches, which is what paper shows.
+    """
+    shape = GelShape.of(design)
+    moments = [
+        (row, int(k))
+        for row in rows
+        for k in np.unique(np.linspace(0, len(row["states"]) - 1, FILM_FRAMES).round())
+    ]
+    fullest = max(range(len(moments)), key=lambda n: len(moments[n][0]["true_touches_mm"]))
+    order = [*range(fullest, len(moments)), *range(fullest)]
+    images = [_draw_moment(shape, rows, moments[n], n / len(moments)) for n in order]
+    file = io.BytesIO()
+    how: dict[str, Any] = {"duration": MILLISECONDS, "loop": 0, "quality": 80}
+    images[0].save(file, "WEBP", save_all=True, append_images=images[1:], **how)
+    return file.getvalue()
+
+
+def _draw_moment(shape: GelShape, rows: Sequence[Row], moment: tuple[Row, int], when: float) -> Any:
+    """Image of a step's frame: the sensor as estimated and as it is, and all angles.
+
+    A line marks the moment `when`, a part of the episode.
+    """
+    row, k = moment
+    figure = require("matplotlib.figure", EXTRA).Figure(figsize=(6.5, 5.8))
+    sensor = figure.add_axes((0.0, 0.1, 1.0, 1.12), projection="3d")  # a square as wide
+    state, angle = row["states"][k], float(np.nan_to_num(row["angles_deg"][k]))
+    _draw_estimate(sensor, shape, state, angle, row["found_mm"][k])
+    _draw_truth(sensor, shape, row["true_angle_deg"], row["true_touches_mm"])
+    figure.suptitle(
+        f"{state}, {round(angle)} deg (true {row['true_angle_deg']:.0f} deg)",
+        color=COLOURS.get(state, DARK),
+    )
+    axes = figure.add_axes((0.1, 0.09, 0.86, 0.27))
+    true = np.repeat([row["true_angle_deg"] for row in rows], [len(row["states"]) for row in rows])
+    colours = [COLOURS.get(state, DARK) for row in rows for state in row["states"]]
+    frames = np.arange(len(true))
+    axes.step(frames, true, where="mid", color=DARK, linewidth=1.0)
+    axes.scatter(frames, np.concatenate([r["angles_deg"] for r in rows]), s=9, c=colours, zorder=3)
+    axes.axvline(when * len(true), color=DARK, alpha=0.35, linewidth=2)
+    axes.set(xlabel="frame", ylabel="bend angle [deg]")
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=110)
+    return _image(file)
+
+
+def _draw_estimate(axes: Any, shape: GelShape, state: str, angle: float, places: Places) -> None:
+    """The sensor as estimated, bent and dented, with discs where touches are found."""
+    body, kinds = shape.body, shape.body.kinds[shape.body.faces[:, 0]]
+    points = 1e3 * shape.bent(angle, [(1e-3 * x, 1e-3 * y, np.nan) for x, y in places])
+    colours = np.where((kinds == METAL) | (kinds == INSIDE), DARK, FACES.get(state, "#ffffff"))
+    collection = require("mpl_toolkits.mplot3d.art3d", EXTRA).Poly3DCollection
+    faces = points[body.vertices[body.faces]]
+    axes.add_collection3d(collection(faces, facecolors=colours, shade=True, zorder=1))
+    draw_touches(axes, shape, angle, places, color=ORANGE, s=60, zorder=3)
+    length, width = shape.design.outline.length * 1e3, shape.design.outline.width * 1e3
+    axes.set(xlim=(0, length), ylim=(0, width), zlim=(-0.3 * length, 0.15 * length))
+    axes.set_box_aspect((length, width, 0.45 * length), zoom=0.95)
+    axes.computed_zorder = False
+    axes.view_init(32.0, -62.0)
+    axes.set_axis_off()
+
+
+def _draw_truth(axes: Any, shape: GelShape, angle: float, places: Places) -> None:
+    """Dashed outline of the sensor as it is, with rings where it is touched."""
+    corners = outline_of(shape.design)
+    sides = np.linspace(corners, np.roll(corners, -1, axis=0), 20, axis=1).reshape(-1, 2)
+    top = np.column_stack([sides, np.full(len(sides), shape.design.thickness)])
+    dashed = {"color": DARK, "linewidth": 1.2, "linestyle": "--", "zorder": 2}
+    axes.plot(*(1e3 * shape.bent(angle, [], top)).T, **dashed)
+    draw_touches(axes, shape, angle, places, color="none", edgecolors=DARK, s=130, zorder=4)
+
+
+def draw_touches(axes: Any, shape: GelShape, angle: float, places: Places, **look: Any) -> None:
+    """Marks at places [mm] on the upper face of the bent sensor."""
+    if len(places):
+        top = [(1e-3 * x, 1e-3 * y, shape.design.thickness) for x, y in places]
+        axes.scatter(*(1e3 * shape.bent(angle, [], np.array(top))).T, depthshade=False, **look)

@@ -2,10 +2,10 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,24 +15,26 @@ from rich.console import RenderableType
 from eitskin.cli.commands.evaluate import paper_table
 from eitskin.cli.commands.generate import make_dataset
 from eitskin.cli.commands.train import choose, train_and_measure, train_positions
-from eitskin.cli.demo.live_episode import FRAMES, episode_film, episode_table, run_episode
 from eitskin.cli.demo.pictures import (
     Picture,
     as_pictures,
+    episode_film,
     raw_frames,
     rendered,
     touch_positions,
 )
 from eitskin.cli.options import Output
+from eitskin.cli.page.commands import STEPS
+from eitskin.cli.terminal import table_of
 from eitskin.datasets.recipe.recipe import Recipe, with_seed
 from eitskin.datasets.recordings.recorded_file import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
-from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import make_folder, open_dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError, FrameError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.protocol import Protocol
+from eitskin.provenance import package_versions
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.drawing import CaptionedFigure
@@ -40,12 +42,15 @@ from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.figures import draw_error_vectors, loss_curves
 from eitskin.training.evaluation.position_score import held_out_positions
 from eitskin.training.evaluation.report import PICTURES
-from eitskin.training.evaluation.scores import percentiles
+from eitskin.training.evaluation.scores import match_distances, percentiles
 from eitskin.training.method.observations import fingerprint
+from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.saved_form import SHIPPED as SHIPPED_MODEL
 from eitskin.training.pipeline.saved_form import read_pipeline
 
 if TYPE_CHECKING:
+    from eitskin.datasets.store.dataset import Dataset
+    from eitskin.hardware.live import FramePipeline, Reading
     from eitskin.training.pipeline.pipeline import Pipeline
 
 PACKAGES = ("eitskin", "numpy", "scipy", "torch")
@@ -70,30 +75,8 @@ ALT = {
 }
 """Pictures of an evaluation, and their alternative texts."""
 
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Choices that a demo is made by.
-
-    Attributes:
-        recipes: of the datasets for training, for tests and of touches on a grid, as `SETS`.
-        seed: of everything random.
-        epochs: passes over the frames in training, instead of the preset's.
-        episode_frames: frames of each step of the live episode.
-    """
-
-    recipes: Mapping[str, Recipe]
-    seed: int = 0
-    epochs: int | None = None
-    episode_frames: int = FRAMES
-
-    @classmethod
-    def standard(cls, seed: int) -> "Plan":
-        """Plan of `make demo`: the shipped recipes, test frames from the finer mesh."""
-        recipes = {name: Recipe.shipped(name) for name in SETS}
-        seeded = {name: with_seed(each, each.seed + seed) for name, each in recipes.items()}
-        grid = dataclasses.replace(seeded["paper_indentation"], resolution="standard")
-        return cls(seeded | {"paper_indentation": grid}, seed)
+COLUMNS = ("true", "state", "angle, deg", "touches: true", "found", "error, mm", "ms/frame")
+"""Columns of the table of the live episode."""
 
 
 @dataclass
@@ -106,27 +89,49 @@ class Stage:
     table: RenderableType | None = None
 
 
+@dataclass
 class Demo:
-    """Folder of a demo, with its datasets and pipelines, made when they are first asked for."""
+    """Folder of a demo, with its datasets and pipelines, made when they are first asked for.
 
-    def __init__(
-        self, plan: Plan, out: Path, data: Path | None, workers: int, output: Output
-    ) -> None:
-        """Make the folder `out`; real recordings are in the folder `data`."""
-        self.plan, self.out, self.data = plan, out, data
-        self.workers, self.output = workers, output
-        self.model = out / "demo.eitmodel"
-        self.design = plan.recipes["quick"].sensor
-        make_folder(out)
+    Attributes:
+        out: the folder.
+        data: folder of real recordings; None without them.
+        workers: number of processes that simulate.
+        output: where progress and results are shown.
+        seed: of everything random.
+        recipes: recipes of the datasets for training, for tests and of touches on a grid, by the
+            names in `SETS`; the shipped ones when omitted, with the grid on the finer mesh.
+        epochs: passes over the frames in training, instead of the preset's.
+        episode_frames: frames of each step of the live episode.
+    """
+
+    out: Path
+    data: Path | None
+    workers: int
+    output: Output
+    seed: int = 0
+    recipes: Mapping[str, Recipe] = field(default_factory=dict)
+    epochs: int | None = None
+    episode_frames: int = 12
+
+    def __post_init__(self) -> None:
+        """Make the folder, and choose the recipes."""
+        if not self.recipes:
+            shipped = [Recipe.shipped(name) for name in SETS]
+            *quick, grid = [with_seed(each, each.seed + self.seed) for each in shipped]
+            grid = dataclasses.replace(grid, resolution="standard")
+            self.recipes = dict(zip(SETS, (*quick, grid), strict=True))
+        self.model, self.design = self.out / "demo.eitmodel", self.recipes["quick"].sensor
+        make_folder(self.out)
 
     @cached_property
-    def sets(self) -> dict[str, Dataset]:
+    def sets(self) -> "dict[str, Dataset]":
         """Datasets by name; finished shards are kept."""
-        for name, recipe in self.plan.recipes.items():
+        for name, recipe in self.recipes.items():
             folder = self.out / name
             _, sentence = make_dataset(recipe, folder, self.workers, folder.exists(), self.output)
             self.output.show(sentence)
-        return {name: open_dataset(self.out / name) for name in self.plan.recipes}
+        return {name: open_dataset(self.out / name) for name in self.recipes}
 
     def pipeline(self, which: str) -> "Pipeline":
         """Saved pipeline `TRAINED`, trained where that is needed, or `SHIPPED`."""
@@ -134,7 +139,7 @@ class Demo:
 
         if which == TRAINED and not self.is_trained():
             start = time.perf_counter()
-            choice = choose("quick", epochs=self.plan.epochs, seed=self.plan.seed)
+            choice = choose("quick", epochs=self.epochs, seed=self.seed)
             trained = train_and_measure(self.sets["quick"], choice, self.output).pipeline
             seconds = round(time.perf_counter() - start, 1)
             trained.metrics["training"] = {"made_from": self._made_from, "seconds": seconds}
@@ -152,13 +157,8 @@ class Demo:
     @cached_property
     def _made_from(self) -> dict[str, Any]:
         """Everything that the trained pipeline depends on."""
-        plan, frames = self.plan, fingerprint(self.sets["quick"])
-        return {"versions": versions(), "seed": plan.seed, "frames": frames, "epochs": plan.epochs}
-
-
-def versions() -> dict[str, str]:
-    """Versions of the packages that the numbers depend on."""
-    return {name: version(name) for name in PACKAGES}
+        versions, frames = package_versions(PACKAGES), fingerprint(self.sets["quick"])
+        return {"versions": versions, "seed": self.seed, "frames": frames, "epochs": self.epochs}
 
 
 def show_sensor(demo: Demo) -> Stage:
@@ -167,22 +167,21 @@ def show_sensor(demo: Demo) -> Stage:
 
     design, model = demo.design, model_for_pictures(demo.design)
     resistance = Simulator(design, "fast").measure(Scene()).impedance.real
-    electrodes, cells = len(design.electrodes), len(model.mesh.cells)
     numbers = {
         "length_mm": 1e3 * design.outline.length,
         "width_mm": 1e3 * design.outline.width,
         "thickness_mm": 1e3 * design.thickness,
-        "electrodes": electrodes,
+        "electrodes": len(design.electrodes),
         "resistances": len(resistance),
         "smallest_ohm": float(resistance.min()),
         "largest_ohm": float(resistance.max()),
     }
     caption = (
-        f"The gel from the front with its {electrodes} electrodes, the {cells} cells of the "
-        f"picture's mesh, and the field of a current of 1 A from electrode {DRIVE[0]} to "
-        f"{DRIVE[1]}: potential with lines of equal potential, lines of current, and current "
-        "density where it is largest, at the edges of an electrode. Meshes for measurements are "
-        "graded more finely."
+        f"The gel from the front with its {len(design.electrodes)} electrodes, the "
+        f"{len(model.mesh.cells)} cells of the picture's mesh, and the field of a current of 1 A "
+        f"from electrode {DRIVE[0]} to {DRIVE[1]}: potential with lines of equal potential, lines "
+        "of current, and current density where it is largest, at the edges of an electrode. "
+        "Meshes for measurements are graded more finely."
     )
     alt = "Sensor with numbered electrodes, its mesh, potential and current"
     drawn = rendered(partial(draw_drive, model, DRIVE), alt, caption, 10.0)
@@ -211,35 +210,33 @@ def show_scenes(demo: Demo) -> Stage:
 
 def make_sets(demo: Demo) -> Stage:
     """Contents of every dataset; touches and frames of the first as pictures."""
-    first, data = next(iter(demo.sets.items()))
+    numbers = {}
+    for name, data in demo.sets.items():
+        angles = data.bend_angle_deg[data.state != State.IDLE]
+        numbers[name] = {
+            "frames": len(data),
+            "seed": data.seed,
+            "resolution": demo.recipes[name].resolution,
+            "snr_db": demo.recipes[name].instrument.snr_db,
+            "states": {state.name.lower(): int(np.sum(data.state == state)) for state in State},
+            "touches": int(data.touch_count.sum()),
+            "smallest_angle_deg": float(angles.min(initial=0.0)),
+            "largest_angle_deg": float(angles.max(initial=0.0)),
+        }
+    name, data = next(iter(demo.sets.items()))
     pictures = as_pictures(
-        positions=(touch_positions(data, first), "Positions of the touches on the sensor"),
-        frames=(raw_frames(data, first), "Raw frames: changes of all resistances"),
+        positions=(touch_positions(data, name), "Positions of the touches on the sensor"),
+        frames=(raw_frames(data, name), "Raw frames: changes of all resistances"),
     )
-    numbers = {name: _contents(demo.sets[name], demo.plan.recipes[name]) for name in demo.sets}
     return Stage(numbers, pictures)
-
-
-def _contents(data: Dataset, recipe: Recipe) -> dict[str, Any]:
-    angles = data.bend_angle_deg[data.state != State.IDLE]
-    return {
-        "frames": len(data),
-        "seed": data.seed,
-        "resolution": recipe.resolution,
-        "snr_db": recipe.instrument.snr_db,
-        "states": {state.name.lower(): int(np.sum(data.state == state)) for state in State},
-        "touches": int(data.touch_count.sum()),
-        "smallest_angle_deg": float(angles.min(initial=0.0)),
-        "largest_angle_deg": float(angles.max(initial=0.0)),
-    }
 
 
 def train(demo: Demo) -> Stage:
     """Duration and frames of the training, and its losses."""
     pipeline = demo.pipeline(TRAINED)
     seconds = pipeline.metrics["training"]["seconds"]
-    numbers = {"frames": pipeline.trained_on["frames"], "seconds": seconds}
     losses = (loss_curves(pipeline), "Loss over the epochs of each network")
+    numbers = {"frames": pipeline.trained_on["frames"], "seconds": seconds}
     return Stage(numbers, as_pictures(losses=losses))
 
 
@@ -253,7 +250,7 @@ def evaluate(which: str, frames: str, demo: Demo) -> Stage:
 
 def go_live(demo: Demo) -> Stage:
     """The paper's episode on a virtual board."""
-    rows = run_episode(demo.pipeline(TRAINED), demo.plan.seed, demo.plan.episode_frames)
+    rows = run_episode(demo.pipeline(TRAINED), demo.seed, demo.episode_frames)
     angles = np.concatenate([row["angles_deg"] for row in rows])
     true = np.repeat([row["true_angle_deg"] for row in rows], [len(row["states"]) for row in rows])
     errors = [error for row in rows for error in row["errors_mm"]]
@@ -275,34 +272,94 @@ def go_live(demo: Demo) -> Stage:
         "the truth. Below, the estimated angle of every frame (dots) and the true one (line)."
     )
     film = Picture.of_webp(alt, caption, episode_film(rows, demo.design), 6.5)
-    return Stage(numbers, {"film": film}, table=episode_table(rows))
+    return Stage(numbers, {"film": film}, table=table_of(COLUMNS, map(episode_cells, rows)))
+
+
+def run_episode(pipeline: "FramePipeline", seed: int, frames: int) -> list[dict[str, Any]]:
+    """Play the episode through a virtual board and `pipeline`; one row of results per step.
+
+    Every frame comes as packets, as from a real board. A row holds the state estimated in most
+    frames of its step, the median angle, the touches of the last frame, and state, angle, touches
+    and time of each frame.
+    """
+    from eitskin.hardware.live import run_live
+    from eitskin.hardware.opening import open_board
+    from eitskin.hardware.virtual.stage import Script, Step
+
+    script = Script(tuple(Step(scene, frames) for scene in STEPS), repeat=False)
+    with open_board("virtual:", scene=script, speed="max", seed=seed) as board:
+        live = run_live(board, pipeline, newest=False)
+        return [_episode_row(scene, list(islice(live, frames))) for scene in STEPS]
+
+
+def _episode_row(scene: Scene, readings: "Sequence[Reading]") -> dict[str, Any]:
+    estimates = [reading.estimate for reading in readings if reading.estimate is not None]
+    names = [str(getattr(each.state, "name", each.state)).lower() for each in estimates]
+    truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
+    true = [(touch.x, touch.y) for touch in scene.touches]
+    places = [[(float(x), float(y)) for x, y, _ in each.touches or ()] for each in estimates]
+    errors = match_distances(true, places[-1]) if true else []
+    angles = [np.nan if e.bend_angle_deg is None else e.bend_angle_deg for e in estimates]
+    latencies = [1e3 * float(reading.latency) for reading in readings]
+    return {
+        "true_state": truth,
+        "state": max(STATE_NAMES, key=names.count),
+        "right_frames": names.count(truth),
+        "true_angle_deg": scene.bend.angle_deg,
+        "angle_deg": float(np.median(angles)),
+        "true_touches_mm": _millimetres(true),
+        "touches_mm": _millimetres(places[-1]),
+        "errors_mm": [1e3 * float(error) for error in errors],
+        "latency_ms": float(np.median(latencies)),
+        "states": names,
+        "angles_deg": angles,
+        "found_mm": [_millimetres(each) for each in places],
+        "latencies_ms": latencies,
+    }
+
+
+def _millimetres(places: Sequence[tuple[float, float]]) -> list[list[float]]:
+    return [[1e3 * x, 1e3 * y] for x, y in places]
+
+
+def episode_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Cells of a step's row: truth and estimate, one text for each of `COLUMNS`."""
+    true, found = (
+        " ".join(f"({x:.0f},{y:.0f})" for x, y in row[name]) or "-"
+        for name in ("true_touches_mm", "touches_mm")
+    )
+    return (
+        row["true_state"],
+        f"{row['state']} ({row['right_frames']}/{len(row['states'])})",
+        f"{row['angle_deg']:+.1f} (true {row['true_angle_deg']:+.0f})",
+        true,
+        found,
+        ", ".join(f"{error:.1f}" for error in row["errors_mm"]) or "-",
+        f"{row['latency_ms']:.1f}",
+    )
 
 
 def read_recordings(demo: Demo) -> Stage:
     """Touch positions learned from real presses, and a frame of a real board."""
-    joined = Stage({})
+    stage = Stage({})
     for file, measure in (("ohmc8.mat", _presses), ("openeit_background_8.txt", _board_frame)):
-        if demo.data is not None and (demo.data / file).is_file():
-            measure(demo, demo.data / file, joined)
+        path = (demo.data or Path()) / file
+        if demo.data is not None and path.is_file():
+            stage.remarks += (f"{file}: {measure(demo, path, stage)}",)
         else:
-            folder = demo.data if demo.data is not None else "the folder that --data names"
+            folder = demo.data or "the folder that --data names"
             missing = f"{file}: not found in {folder}; give the folder that holds it as --data"
-            joined.remarks += (missing,)
-    return joined
+            stage.remarks += (missing,)
+    return stage
 
 
-def _presses(demo: Demo, path: Path, joined: Stage) -> None:
+def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     """500 robot presses on a round hydrogel skin of 32 channels."""
     recording = read_recording(path, RecordingNames("responsedowns", "responseups", "positions"))
     learned = train_positions(recording)
     learned.save(demo.out / "presses.eitmodel")
     score = learned.metrics
-    joined.numbers["presses"] = {"presses": len(recording), **score}
-    joined.remarks += (
-        f"{path.name}: {len(recording)} presses, learned from the first 80 % in time: mean error "
-        f"{score['mean_error_mm']:.1f} mm on the last {score['frames']} (published beside the "
-        f"data: 4.5 mm; always the middle: {score['guess_error_mm']:.0f} mm)",
-    )
+    stage.numbers["presses"] = {"presses": len(recording), **score}
     true, found = held_out_positions(learned, recording)
     figure = draw_error_vectors(None, true, true, found, true[:0]).figure
     caption = (
@@ -310,10 +367,15 @@ def _presses(demo: Demo, path: Path, joined: Stage) -> None:
         "left out of the training; to scale. Lines from true to estimated positions."
     )
     drawn = CaptionedFigure(figure, caption)
-    joined.pictures |= as_pictures(presses=(drawn, "True and estimated positions of real presses"))
+    stage.pictures |= as_pictures(presses=(drawn, "True and estimated positions of real presses"))
+    return (
+        f"{len(recording)} presses, learned from the first 80 % in time: mean error "
+        f"{score['mean_error_mm']:.1f} mm on the last {score['frames']} (published beside the "
+        f"data: 4.5 mm; always the middle: {score['guess_error_mm']:.0f} mm)"
+    )
 
 
-def _board_frame(demo: Demo, path: Path, joined: Stage) -> None:
+def _board_frame(demo: Demo, path: Path, stage: Stage) -> str:
     """One frame of all 28 pairs of a real board, given to the pipeline."""
     recording = read_recording(path, protocol=Protocol.pairwise(8))
     pipeline = demo.pipeline(TRAINED)
@@ -322,10 +384,10 @@ def _board_frame(demo: Demo, path: Path, joined: Stage) -> None:
         verdict = "; ".join(pipeline.process(recording.frame(0)).problems) or "accepted"
     except FrameError as error:
         verdict = f"the pipeline refuses it: {error}"
-    joined.numbers["board_frame"] = {"median_ratio": ratio}
-    joined.remarks += (
-        f"{path.name}: {verdict}. Its values are {ratio:.3g} times those of the sensor that the "
-        "pipeline was trained for, in the median.",
+    stage.numbers["board_frame"] = {"median_ratio": ratio}
+    return (
+        f"{verdict}. Its values are {ratio:.3g} times those of the sensor that the pipeline was "
+        "trained for, in the median."
     )
 
 

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 from html.parser import HTMLParser
 from importlib import import_module
 from itertools import count
@@ -15,7 +14,7 @@ from rich.console import Console
 from eitskin.cli.demo import command as demo
 from eitskin.cli.demo import pictures, stages
 from eitskin.cli.demo.command import marked_number, run_demo
-from eitskin.cli.demo.stages import SETS, STAGES, Demo, Plan
+from eitskin.cli.demo.stages import SETS, STAGES, Demo
 from eitskin.cli.options import Output
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation import generate as generation
@@ -29,7 +28,7 @@ from shards_here import make_shards
 TIMES = re.compile("seconds|date|latency|latencies|_ms$")
 
 
-def tiny_plan(seed=0):
+def tiny_recipes():
     def touches(count, **more):
         return SceneGroup("touch", count, force=(8.0, 12.0), **more)
 
@@ -51,8 +50,7 @@ def tiny_plan(seed=0):
     positions = ((0.03, 0.03), (0.075, 0.03), (0.12, 0.03))
     grid = (SceneGroup("touch", force=(10.0, 10.0), repeats=2, positions=positions),)
     scenes = zip(SETS, (lessons, tests, grid), strict=True)
-    recipes = {name: recipe(name, each, n + seed) for n, (name, each) in enumerate(scenes, 1)}
-    return Plan(recipes, seed, epochs=1, episode_frames=1)
+    return {name: recipe(name, each, n) for n, (name, each) in enumerate(scenes, 1)}
 
 
 class Interrupted(Output):
@@ -68,8 +66,9 @@ class Interrupted(Output):
         self.begun += 1
 
 
-def space(folder, at=None, data=None, plan=None):
-    return Demo(plan or tiny_plan(), folder, data, 1, Interrupted(at))
+def space(folder, at=None, data=None, epochs=1):
+    recipes = tiny_recipes()
+    return Demo(folder, data, 1, Interrupted(at), 0, recipes, epochs, episode_frames=1)
 
 
 def run(folder, at=None, data=None):
@@ -206,7 +205,7 @@ def test_a_demo_that_was_interrupted_goes_on_to_the_same_report(finished, tmp_pa
 def test_a_pipeline_that_was_removed_or_trained_otherwise_is_trained_again(finished, tmp_path):
     folder = shutil.copytree(finished, tmp_path / "demo")
     assert space(folder).is_trained()
-    assert not space(folder, plan=replace(tiny_plan(), epochs=2)).is_trained()
+    assert not space(folder, epochs=2).is_trained()
     shutil.rmtree(folder / "demo.eitmodel")
     assert not space(folder).is_trained()
 

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from eitskin.cli.demo import live_episode
+from eitskin.cli.demo import pictures
 from eitskin.cli.page.drawing import GelShape
 from eitskin.geometry import SensorDesign
 
@@ -33,14 +33,14 @@ ROWS = [
 @pytest.mark.slow
 def test_the_film_has_every_moment_and_begins_with_the_fullest(monkeypatch):
     image = pytest.importorskip("PIL.Image")
-    drawn, draw = [], live_episode._draw_moment
+    drawn, draw = [], pictures._draw_moment
 
     def watched(shape, rows, moment, when):
         drawn.append((moment[0]["states"][moment[1]], round(6 * when)))
         return draw(shape, rows, moment, when)
 
-    monkeypatch.setattr(live_episode, "_draw_moment", watched)
-    film = image.open(io.BytesIO(live_episode.episode_film(ROWS, DESIGN)))
+    monkeypatch.setattr(pictures, "_draw_moment", watched)
+    film = image.open(io.BytesIO(pictures.episode_film(ROWS, DESIGN)))
     assert film.n_frames == 6
     states = ["touch", "touch", "bend", "bend", "idle", "idle"]
     assert drawn == list(zip(states, (2, 3, 4, 5, 0, 1), strict=True))
@@ -49,7 +49,7 @@ def test_the_film_has_every_moment_and_begins_with_the_fullest(monkeypatch):
 def test_touches_are_drawn_on_the_bent_face():
     axes = pytest.importorskip("matplotlib.figure").Figure().add_subplot(projection="3d")
     shape = GelShape.of(DESIGN)
-    live_episode._draw_touches(axes, shape, 30.0, PLACES)
+    pictures.draw_touches(axes, shape, 30.0, PLACES)
     x, y, z = axes.collections[0]._offsets3d
     flat = np.array([(40.0, 20.0, 5.0), (110.0, 40.0, 5.0)])
     assert np.allclose(np.stack([x, y, z], 1), 1e3 * shape.bent(30.0, [], 1e-3 * flat))

@@ -6,12 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.cli.live_pictures import (
-    CALM,
-    REFERENCE,
-    LivePictures,
-    PicturePipeline,
-)
+from eitskin.cli.live_pictures import CALM, REFERENCE, LivePictures
 from eitskin.cli.page.state import signed_pixels
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Frame
@@ -65,7 +60,7 @@ def test_untouched_sensors_are_calm(maker, flat):
 
 
 def test_pipeline_of_pictures_alone(maker, flat):
-    pipeline = PicturePipeline(LivePictures(maker))
+    pipeline = LivePictures(maker)
     estimates = [pipeline.process(frame) for frame in frames(flat)]
     assert estimates[2].state == f"reference 3/{REFERENCE}"
     assert not estimates[-1].touch_map.any()
@@ -78,7 +73,7 @@ def test_pipeline_of_pictures_alone(maker, flat):
 
 def test_other_pipelines_keep_their_estimates(maker, flat):
     fake = FakePipeline()
-    pipeline = PicturePipeline(LivePictures(maker), fake)
+    pipeline = LivePictures(maker, fake)
     first, *_, last = [
         pipeline.process(frame) for frame in (*frames(flat), Frame(flat, PROTOCOL, session=1))
     ]

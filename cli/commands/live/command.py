@@ -151,9 +151,9 @@ def command(
 
 def _pictured(session: LiveSession, board: "Board", method: str) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
-    from eitskin.cli.live_pictures import LivePictures, PicturePipeline
+    from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.plan import Region
-    from eitskin.training.reconstruction.reconstructor import Method
+    from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
     sheet = sheet_of(session.pipeline)
     if isinstance(sheet, Region):
@@ -162,7 +162,7 @@ def _pictured(session: LiveSession, board: "Board", method: str) -> "FramePipeli
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
     name = one_of("--picture", method, Method)
-    return PicturePipeline(LivePictures.of(sheet, board.protocol, name), session)
+    return LivePictures(Reconstructor(sheet, board.protocol, name), session)
 
 
 def tell_missing(pipeline: "Pipeline", output: Output) -> None:
