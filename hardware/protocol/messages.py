@@ -6,9 +6,10 @@
 import math
 import struct
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import astuple, dataclass
 from enum import IntEnum
+from typing import Any, NamedTuple, cast
 
 from eitskin.errors import ConfigurationError
 from eitskin.hardware.protocol.frame_parts import (
@@ -31,10 +32,7 @@ from eitskin.protocol import MOST_ELECTRODES, Protocol, Row
 
 MAGIC = b"EITS"
 
-_START = struct.Struct("<I")
-_GET_TABLE = struct.Struct("<H")
 _INFO = {1: struct.Struct("<4s16s12sIBBIffffI"), 2: struct.Struct("<4s16s12sIBHIffffI")}
-_ACK = struct.Struct("<HBB")
 _EVENT = struct.Struct("<BH")
 _TABLE_PART = struct.Struct("<HH")
 _ROWS_PER_PACKET = (MAX_PAYLOAD - _TABLE_PART.size) // 4
@@ -149,7 +147,7 @@ class Table:
     @property
     def crc32(self) -> int:
         """CRC-32 of the packed table."""
-        return zlib.crc32(_pack_table(self))
+        return zlib.crc32(_pack_rows(self.rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,8 +170,9 @@ Message = Request | Info | Ack | FrameData | FramePart | Event | Table | TablePa
 
 def pack(message: Message, seq: int) -> Packet:
     """Packet number `seq`, modulo 65536, with `message`; frames in parts have `frame_packets`."""
-    type_, packed = _PACK[type(message)]
-    return Packet(type_, seq & 0xFFFF, packed(message), _version(message))
+    version = _version(message)
+    type_ = _TYPES[type(message)]
+    return Packet(type_, seq & 0xFFFF, _CODECS[version, type_].pack(message), version)
 
 
 def _version(message: Message) -> int:
@@ -192,50 +191,54 @@ def unpack(packet: Packet) -> Message:
         raise MessageError(
             f"expected a message type from 0x01 to 0x05 or 0x81 to 0x85, got {packet.type:#04x}"
         ) from None
-    unpacked = _UNPACK.get((packet.version, name))
-    if unpacked is None:
+    codec = _CODECS.get((packet.version, name))
+    if codec is None:
         raise MessageError(f"version {packet.version} of the protocol has no {name.name}")
     try:
-        return unpacked(packet)
+        return codec.unpack(packet)
     except (struct.error, UnicodeDecodeError) as error:
         raise MessageError(
             f"{name.name} of {len(packet.payload)} bytes does not fit: {error}"
         ) from error
 
 
-def _pack_info(info: Info) -> bytes:
-    return _INFO[_version(info)].pack(
-        MAGIC,
-        info.firmware.encode("ascii"),
-        info.uid,
-        info.boot_count,
-        info.n_electrodes,
-        info.n_measurements,
-        info.table_crc32,
-        info.frequency,
-        info.amplitude,
-        info.rtia,
-        info.rcal,
-        round(info.period * 1e6),
+class _Codec(NamedTuple):
+    """Bytes of a message: its class, and both directions."""
+
+    message: type
+    pack: Callable[[Any], bytes]
+    unpack: Callable[[Packet], Message]
+
+
+def _plain(message: Callable[..., Message], form: str = "") -> _Codec:
+    """Codec of a message that consists of its first fields, in the form of `struct`."""
+    packed = struct.Struct(f"<{form}")
+    return _Codec(
+        cast("type", message),
+        lambda each: packed.pack(*astuple(each)[: len(form)]),
+        lambda packet: message(*packed.unpack(packet.payload)),
     )
 
 
+def _pack_info(info: Info) -> bytes:
+    firmware, *numbers, period = astuple(info)
+    form = _INFO[_version(info)]
+    return form.pack(MAGIC, firmware.encode("ascii"), *numbers, round(period * 1e6))
+
+
 def _unpack_info(packet: Packet) -> Info:
-    form = _INFO[packet.version]
-    magic, name, uid, boots, n_el, n_meas, crc, *analog, period_us = form.unpack(packet.payload)
+    magic, name, *numbers, period_us = _INFO[packet.version].unpack(packet.payload)
     firmware = _shown(name.rstrip(b"\0").decode("ascii"))
-    frequency, amplitude, rtia, rcal = analog
-    period = period_us * 1e-6
-    info = Info(firmware, uid, boots, n_el, n_meas, crc, frequency, amplitude, rtia, rcal, period)
+    info = Info(*(firmware, *numbers, period_us * 1e-6))
+    least, most = (1, PER_PACKET) if packet.version == 1 else (PER_PACKET + 1, MOST_MEASUREMENTS)
+    n_meas = info.n_measurements
     require_field("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
     require_field("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
-    least, most = (1, PER_PACKET) if packet.version == 1 else (PER_PACKET + 1, MOST_MEASUREMENTS)
     require_field("INFO", "n_meas", least <= n_meas <= most, f"{least} to {most}", n_meas)
     for name in ("frequency", "amplitude", "rtia", "rcal"):
         value = getattr(info, name)
-        require_field(
-            "INFO", name, math.isfinite(value) and value > 0, "finite and positive", value
-        )
+        good = math.isfinite(value) and value > 0
+        require_field("INFO", name, good, "finite and positive", value)
     require_field("INFO", "period_us", period_us > 0, "at least 1", period_us)
     return info
 
@@ -246,10 +249,10 @@ def _pack_event(event: Event) -> bytes:
 
 
 def _unpack_event(packet: Packet) -> Event:
-    payload = packet.payload
-    level, code = _EVENT.unpack_from(payload)
+    level, code = _EVENT.unpack_from(packet.payload)
     # The text is for people: a damaged letter is no reason to lose the other letters.
-    return Event(level, code, _shown(payload[_EVENT.size :].decode("utf-8", errors="replace")))
+    text = packet.payload[_EVENT.size :].decode("utf-8", errors="replace")
+    return Event(level, code, _shown(text))
 
 
 def _shown(text: str) -> str:
@@ -257,70 +260,44 @@ def _shown(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _pack_table(table: Table) -> bytes:
-    return bytes(electrode for row in table.rows for electrode in row)
+def _pack_rows(rows: Iterable[Row]) -> bytes:
+    return bytes(electrode for row in rows for electrode in row)
 
 
-def _unpack_table(packet: Packet) -> Table:
-    return Table(_rows(packet.payload))
-
-
-def _pack_table_part(part: TablePart) -> bytes:
-    return _TABLE_PART.pack(part.total, part.first) + _pack_table(Table(part.rows))
-
-
-def _unpack_table_part(packet: Packet) -> TablePart:
-    total, first = _TABLE_PART.unpack_from(packet.payload)
-    part = TablePart(total, first, _rows(packet.payload[_TABLE_PART.size :]))
-    end = first + len(part.rows)
-    require_field("TABLE", "first", end <= total, f"up to {total}", end)
-    return part
-
-
-def _rows(payload: bytes) -> tuple[Row, ...]:
+def _unpack_rows(payload: bytes) -> tuple[Row, ...]:
     whole = len(payload) > 0 and len(payload) % 4 == 0
     require_field("TABLE", "length", whole, "a positive multiple of 4", len(payload))
     return tuple(struct.iter_unpack("<4B", payload))
 
 
-def _empty(message: Callable[[], Message]) -> Callable[[Packet], Message]:
-    def unpack_nothing(packet: Packet) -> Message:
-        name = getattr(message, "__name__", "")
-        require_field(name, "length", packet.payload == b"", "0", len(packet.payload))
-        return message()
+def _unpack_table_part(packet: Packet) -> TablePart:
+    total, first = _TABLE_PART.unpack_from(packet.payload)
+    part = TablePart(total, first, _unpack_rows(packet.payload[_TABLE_PART.size :]))
+    end = first + len(part.rows)
+    require_field("TABLE", "first", end <= total, f"up to {total}", end)
+    return part
 
-    return unpack_nothing
 
-
-_PACK: dict[type, tuple[MessageType, Callable[..., bytes]]] = {
-    Hello: (MessageType.HELLO, lambda _: b""),
-    Start: (MessageType.START, lambda start: _START.pack(start.frames)),
-    Stop: (MessageType.STOP, lambda _: b""),
-    GetTable: (
-        MessageType.GET_TABLE,
-        lambda asked: b"" if asked.first is None else _GET_TABLE.pack(asked.first),
+_CODECS = {
+    (1, MessageType.HELLO): _plain(Hello),
+    (1, MessageType.START): _plain(Start, "I"),
+    (1, MessageType.STOP): _plain(Stop),
+    (1, MessageType.GET_TABLE): _plain(GetTable),
+    (2, MessageType.GET_TABLE): _plain(GetTable, "H"),
+    (1, MessageType.CALIBRATE): _plain(Calibrate),
+    (1, MessageType.INFO): _Codec(Info, _pack_info, _unpack_info),
+    (2, MessageType.INFO): _Codec(Info, _pack_info, _unpack_info),
+    (1, MessageType.ACK): _plain(Ack, "HBB"),
+    (1, MessageType.FRAME): _Codec(FrameData, pack_frame, unpack_frame),
+    (2, MessageType.FRAME): _Codec(FramePart, pack_frame, unpack_part),
+    (1, MessageType.EVENT): _Codec(Event, _pack_event, _unpack_event),
+    (1, MessageType.TABLE): _Codec(
+        Table, lambda table: _pack_rows(table.rows), lambda p: Table(_unpack_rows(p.payload))
     ),
-    Calibrate: (MessageType.CALIBRATE, lambda _: b""),
-    Info: (MessageType.INFO, _pack_info),
-    Ack: (MessageType.ACK, lambda ack: _ACK.pack(ack.request, ack.type, ack.status)),
-    FrameData: (MessageType.FRAME, pack_frame),
-    Event: (MessageType.EVENT, _pack_event),
-    Table: (MessageType.TABLE, _pack_table),
-    TablePart: (MessageType.TABLE, _pack_table_part),
+    (2, MessageType.TABLE): _Codec(
+        TablePart,
+        lambda part: _TABLE_PART.pack(part.total, part.first) + _pack_rows(part.rows),
+        _unpack_table_part,
+    ),
 }
-_UNPACK: dict[tuple[int, MessageType], Callable[[Packet], Message]] = {
-    (1, MessageType.HELLO): _empty(Hello),
-    (1, MessageType.START): lambda packet: Start(*_START.unpack(packet.payload)),
-    (1, MessageType.STOP): _empty(Stop),
-    (1, MessageType.GET_TABLE): _empty(GetTable),
-    (1, MessageType.CALIBRATE): _empty(Calibrate),
-    (1, MessageType.INFO): _unpack_info,
-    (1, MessageType.ACK): lambda packet: Ack(*_ACK.unpack(packet.payload)),
-    (1, MessageType.FRAME): unpack_frame,
-    (1, MessageType.EVENT): _unpack_event,
-    (1, MessageType.TABLE): _unpack_table,
-    (2, MessageType.GET_TABLE): lambda packet: GetTable(*_GET_TABLE.unpack(packet.payload)),
-    (2, MessageType.INFO): _unpack_info,
-    (2, MessageType.FRAME): unpack_part,
-    (2, MessageType.TABLE): _unpack_table_part,
-}
+_TYPES = {codec.message: type_ for (_, type_), codec in _CODECS.items()}

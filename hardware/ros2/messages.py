@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -31,9 +32,25 @@ TOUCH_FIELDS = ("x", "y", "z", "strength", "force", "deviation")
 _FLOAT32 = 7  # sensor_msgs/PointField
 _OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
+Fields = Mapping[str, Any]
+"""Message by the names of its fields; nested messages are mappings, too."""
+
+
+def build_message(store: Any, kind: str, fields: Fields) -> Any:
+    """Message of rosbags of a type in a store, from nested mappings of its fields."""
+    from rosbags.interfaces import Nodetype
+
+    values = dict(fields)
+    for name, (node, inner) in store.fielddefs[kind][1]:
+        if node == Nodetype.NAME:
+            values[name] = build_message(store, inner, values[name])
+        elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
+            values[name] = [build_message(store, inner[0][1], each) for each in values[name]]
+    return store.types[kind](**values)
+
 
 class RosMessages:
-    """Maker of ROS 2 messages of readings, and of their serialised form (CDR).
+    """Maker of ROS 2 messages of readings, nested mappings of their fields, and of their CDR form.
 
     Attributes:
         name: name of the skin.
@@ -54,11 +71,12 @@ class RosMessages:
         """Full name of one of `TOPICS`."""
         return topic if topic.startswith("/") else f"/{self.name}/{topic}"
 
-    def serialised(self, topic: str, message: Any) -> bytes:
+    def serialised(self, topic: str, message: Fields) -> bytes:
         """Bytes of `message` for `topic`."""
-        return bytes(self.store.serialize_cdr(message, self.types[topic]))
+        kind = self.types[topic]
+        return bytes(self.store.serialize_cdr(build_message(self.store, kind, message), kind))
 
-    def sensor(self, frame: Frame) -> dict[str, Any]:
+    def sensor(self, frame: Frame) -> dict[str, Fields]:
         """Message of the topic `sensor`: measurement pattern and units of every topic, as JSON."""
         text = {
             "measurements": frame.protocol.labels,
@@ -71,10 +89,9 @@ class RosMessages:
                 self.topic("touches"): "x, y, z, deviation: m; force: N; strength: 0 to 1",
             },
         }
-        said = self._make("std_msgs/msg/String", data=json.dumps(text))
-        return {self.topic("sensor"): said}
+        return {self.topic("sensor"): {"data": json.dumps(text)}}
 
-    def of(self, reading: Reading, stamp: int) -> dict[str, Any]:
+    def of(self, reading: Reading, stamp: int) -> dict[str, Fields]:
         """Messages of one reading at `stamp` [ns], by topic.
 
         A reading without estimate has no topics of estimates, and a quantity that the pipeline does
@@ -82,112 +99,43 @@ class RosMessages:
         not of the estimate, which is ready a little later.
         """
         frame, estimate = reading.frame, reading.estimate
-        header = self._header(stamp)
-        said = {self.topic("impedance"): self._impedance(frame)}
+        seconds, nanoseconds = divmod(stamp, 10**9)
+        time = {"sec": seconds, "nanosec": nanoseconds}
+        header = {"header": {"stamp": time, "frame_id": self.name}}
+        said = {self.topic("impedance"): _impedance(frame)}
         if estimate is not None:
             said |= self._estimated(header, estimate)
         statuses = [self._sensor_status(reading), self._channel_status(frame)]
-        said["/diagnostics"] = self._make(
-            "diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses
-        )
-        return said
+        return said | {"/diagnostics": {**header, "status": statuses}}
 
-    def _estimated(self, header: Any, estimate: Estimate) -> dict[str, Any]:
+    def _estimated(self, header: Fields, estimate: Estimate) -> dict[str, Fields]:
         """Messages of the quantities that the pipeline estimates, by topic."""
-        said = {}
+        said: dict[str, Fields] = {}
         if estimate.bend_angle_deg is not None:
-            said[self.topic("bend")] = self._make(
-                "sensor_msgs/msg/JointState",
-                header=header,
-                name=["bend"],
-                position=np.radians([estimate.bend_angle_deg]),
-                velocity=np.zeros(0),
-                effort=np.zeros(0),
-            )
+            none = {"velocity": np.zeros(0), "effort": np.zeros(0)}
+            angle = np.radians([estimate.bend_angle_deg])
+            said[self.topic("bend")] = {**header, "name": ["bend"], "position": angle, **none}
         if estimate.touch_map is not None:
-            said[self.topic("touch_map")] = self._image(header, estimate.touch_map)
+            said[self.topic("touch_map")] = {**header, **_image(estimate.touch_map)}
         if estimate.touches is not None:
             rows = touch_rows(estimate)
-            said[self.topic("touches")] = self._points(header, rows)
-            said |= self._transforms(header, rows)
+            said[self.topic("touches")] = {**header, **_points(rows)}
+            transforms = [
+                {
+                    **header,
+                    "child_frame_id": f"{self.name}/touch_{number}",
+                    "transform": {
+                        "translation": {"x": x, "y": y, "z": z},
+                        "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+                    },
+                }
+                for number, (x, y, z) in enumerate(rows[:, :3].astype(float).tolist())
+            ]
+            if transforms:  # frames of coordinates at the touches, in their order
+                said["/tf"] = {"transforms": transforms}
         return said
 
-    def _make(self, kind: str, **fields: Any) -> Any:
-        return self.store.types[kind](**fields)
-
-    def _header(self, stamp: int) -> Any:
-        seconds, nanoseconds = divmod(stamp, 10**9)
-        time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-        return self._make("std_msgs/msg/Header", stamp=time, frame_id=self.name)
-
-    def _impedance(self, frame: Frame) -> Any:
-        channels = len(frame.protocol)
-        shape = (("measurement", channels, 2 * channels), ("real, imaginary [ohm]", 2, 2))
-        dimensions = [
-            self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
-            for label, size, stride in shape
-        ]
-        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=dimensions, data_offset=0)
-        return self._make(
-            "std_msgs/msg/Float64MultiArray", layout=layout, data=frame.impedance.view(float)
-        )
-
-    def _image(self, header: Any, touch_map: NDArray[np.floating]) -> Any:
-        values = np.ascontiguousarray(touch_map, dtype="<f4")
-        rows, columns = values.shape
-        return self._make(
-            "sensor_msgs/msg/Image",
-            header=header,
-            height=rows,
-            width=columns,
-            encoding="32FC1",
-            is_bigendian=0,
-            step=4 * columns,
-            data=values.reshape(-1).view(np.uint8),
-        )
-
-    def _points(self, header: Any, rows: NDArray[np.float32]) -> Any:
-        fields = [
-            self._make(
-                "sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=_FLOAT32, count=1
-            )
-            for i, name in enumerate(TOUCH_FIELDS)
-        ]
-        step = 4 * len(TOUCH_FIELDS)
-        return self._make(
-            "sensor_msgs/msg/PointCloud2",
-            header=header,
-            height=1,
-            width=len(rows),
-            fields=fields,
-            is_bigendian=False,
-            point_step=step,
-            row_step=step * len(rows),
-            data=rows.reshape(-1).view(np.uint8),
-            is_dense=bool(np.isfinite(rows).all()),
-        )
-
-    def _transforms(self, header: Any, rows: NDArray[np.float32]) -> dict[str, Any]:
-        """Message of /tf: a frame of coordinates at each touch, in the order of `touches`."""
-        unturned = self._make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-        transforms = []
-        for number, (x, y, z) in enumerate(rows[:, :3].astype(float).tolist()):
-            place = self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-            transforms.append(
-                self._make(
-                    "geometry_msgs/msg/TransformStamped",
-                    header=header,
-                    child_frame_id=f"{self.name}/touch_{number}",
-                    transform=self._make(
-                        "geometry_msgs/msg/Transform", translation=place, rotation=unturned
-                    ),
-                )
-            )
-        if not transforms:
-            return {}
-        return {"/tf": self._make("tf2_msgs/msg/TFMessage", transforms=transforms)}
-
-    def _sensor_status(self, reading: Reading) -> Any:
+    def _sensor_status(self, reading: Reading) -> Fields:
         """Status of the sensor: state and doubts; unknown values are left out."""
         frame, estimate = reading.frame, reading.estimate
         values: dict[str, object] = {
@@ -219,7 +167,7 @@ class RosMessages:
         }
         return self._status(f"{self.name}: sensor", level, message, known)
 
-    def _channel_status(self, frame: Frame) -> Any:
+    def _channel_status(self, frame: Frame) -> Fields:
         """Status of each measurement, by its label."""
         health = [Status(int(bits)).name or str(bits) if bits else "good" for bits in frame.status]
         bad = sum(each != "good" for each in health)
@@ -230,19 +178,54 @@ class RosMessages:
             dict(zip(frame.protocol.labels, health, strict=True)),
         )
 
-    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> Any:
-        pairs = [
-            self._make("diagnostic_msgs/msg/KeyValue", key=key, value=_text(value))
-            for key, value in values.items()
-        ]
-        return self._make(
-            "diagnostic_msgs/msg/DiagnosticStatus",
-            level=level,
-            name=name,
-            message=message,
-            hardware_id=self.name,
-            values=pairs,
-        )
+    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> Fields:
+        # Floats with all their digits.
+        texts = {k: repr(v) if isinstance(v, float) else str(v) for k, v in values.items()}
+        return {
+            "level": level,
+            "name": name,
+            "message": message,
+            "hardware_id": self.name,
+            "values": [{"key": key, "value": text} for key, text in texts.items()],
+        }
+
+
+def _impedance(frame: Frame) -> Fields:
+    channels = len(frame.protocol)
+    shape = (("measurement", channels, 2 * channels), ("real, imaginary [ohm]", 2, 2))
+    dimensions = [{"label": label, "size": size, "stride": step} for label, size, step in shape]
+    layout = {"dim": dimensions, "data_offset": 0}
+    return {"layout": layout, "data": frame.impedance.view(float)}
+
+
+def _image(touch_map: NDArray[np.floating]) -> Fields:
+    values = np.ascontiguousarray(touch_map, dtype="<f4")
+    rows, columns = values.shape
+    return {
+        "height": rows,
+        "width": columns,
+        "encoding": "32FC1",
+        "is_bigendian": 0,
+        "step": 4 * columns,
+        "data": values.reshape(-1).view(np.uint8),
+    }
+
+
+def _points(rows: NDArray[np.float32]) -> Fields:
+    step = 4 * len(TOUCH_FIELDS)
+    return {
+        "height": 1,
+        "width": len(rows),
+        "fields": [
+            {"name": name, "offset": 4 * i, "datatype": _FLOAT32, "count": 1}
+            for i, name in enumerate(TOUCH_FIELDS)
+        ],
+        "is_bigendian": False,
+        "point_step": step,
+        "row_step": step * len(rows),
+        "data": rows.reshape(-1).view(np.uint8),
+        "is_dense": bool(np.isfinite(rows).all()),
+    }
 
 
 def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
@@ -254,8 +237,3 @@ def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
         force, deviation = (getattr(touch, name, np.nan) for name in ("force", "deviation"))
         row[:] = x, y, 0.0, strength, force, deviation
     return rows
-
-
-def _text(value: object) -> str:
-    """Text of a value; floats with all their digits."""
-    return repr(value) if isinstance(value, float) else str(value)

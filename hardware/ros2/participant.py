@@ -2,8 +2,6 @@
 
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +9,7 @@ import numpy as np
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.hardware.ros2.messages import build_message
 
 DISCOVERY_TOPIC = "ros_discovery_info"
 DISCOVERY_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -19,59 +18,8 @@ OLD = ("foxy", "galactic", "humble")
 both, so that a domain can hold only one kind."""
 
 
-@dataclass(frozen=True)
-class NodeDefinitions:
-    """Definitions of the message.
-
-    Attributes:
-        store: type store of rosbags.
-        size: bytes of an identifier.
-    """
-
-    store: Any
-    size: int
-
-    @classmethod
-    def of_distribution(cls) -> "NodeDefinitions":
-        """Definitions of the distribution in ROS_DISTRO; of the later ones where that is unset."""
-        from rosbags.typesys import Stores, get_typestore
-
-        if os.environ.get("ROS_DISTRO") in OLD:
-            return cls(get_typestore(Stores.ROS2_HUMBLE), 24)
-        return cls(get_typestore(Stores.ROS2_JAZZY), 16)
-
-    def message(
-        self,
-        namespace: str,
-        node: str,
-        participant: Any,
-        readers: Sequence[Any],
-        writers: Sequence[Any],
-    ) -> bytes:
-        """CDR form of the message that gives one node of a participant its readers and writers."""
-        make = self.store.types
-        one = make["rmw_dds_common/msg/NodeEntitiesInfo"](
-            node_namespace=f"/{namespace}",
-            node_name=node,
-            reader_gid_seq=[self._identifier(reader) for reader in readers],
-            writer_gid_seq=[self._identifier(writer) for writer in writers],
-        )
-        said = make[DISCOVERY_TYPE](gid=self._identifier(participant), node_entities_info_seq=[one])
-        return bytes(self.store.serialize_cdr(said, DISCOVERY_TYPE))
-
-    def _identifier(self, entity: Any) -> Any:
-        """Identifier of an entity of DDS: its GUID, filled up with zeros."""
-        data = np.frombuffer(entity.guid.bytes.ljust(self.size, b"\0"), np.uint8)
-        return self.store.types["rmw_dds_common/msg/Gid"](data=data)
-
-
 LARGEST_DOMAIN = 232  # ports of UDP above 65535 would follow
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-
-
-def dds_topic(topic: str) -> str:
-    """Name of a topic, such as rt/tf for /tf."""
-    return f"rt{topic}"
 
 
 def dds_service(service: str) -> tuple[str, str]:
@@ -231,7 +179,7 @@ class RosParticipant(Closeable):
         """
         data = f"typehash={self._store.hash_rihs01(kind)};"
         return TopicWriter(
-            self._writer(dds_topic(topic), self._types.of(kind), data, latched), kind, self._types
+            self._writer(f"rt{topic}", self._types.of(kind), data, latched), kind, self._types
         )
 
     def service(self, name: str, kind: str) -> tuple[Any, Any]:
@@ -248,13 +196,26 @@ class RosParticipant(Closeable):
 
     def announce(self) -> None:
         """Tell the graph of ROS 2 the node with the readers and writers made so far."""
-        definitions = NodeDefinitions.of_distribution()
-        data = definitions.message(
-            self._namespace, self._node, self._participant, self._readers, self._writers
-        )
-        types = DdsTypes(definitions.store)
+        from rosbags.typesys import Stores, get_typestore
+
+        old = os.environ.get("ROS_DISTRO") in OLD
+        store = get_typestore(Stores.ROS2_HUMBLE if old else Stores.ROS2_JAZZY)
+
+        def identifier(entity: Any) -> dict[str, Any]:
+            guid = entity.guid.bytes.ljust(24 if old else 16, b"\0")
+            return {"data": np.frombuffer(guid, np.uint8)}
+
+        node = {
+            "node_namespace": f"/{self._namespace}",
+            "node_name": self._node,
+            "reader_gid_seq": [identifier(each) for each in self._readers],
+            "writer_gid_seq": [identifier(each) for each in self._writers],
+        }
+        fields = {"gid": identifier(self._participant), "node_entities_info_seq": [node]}
+        data = store.serialize_cdr(build_message(store, DISCOVERY_TYPE, fields), DISCOVERY_TYPE)
+        types = DdsTypes(store)
         writer = self._writer(DISCOVERY_TOPIC, types.of(DISCOVERY_TYPE), "", latched=True)
-        TopicWriter(writer, DISCOVERY_TYPE, types).write(data)
+        TopicWriter(writer, DISCOVERY_TYPE, types).write(bytes(data))
 
     def close(self) -> None:
         # An entity of DDS is deleted with the last reference to it.

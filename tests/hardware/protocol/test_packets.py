@@ -226,7 +226,7 @@ def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
     ("type_", "payload", "complaint"),
     [
         (0x42, b"", "message type"),
-        (MessageType.HELLO, b"x", "length must be 0, got 1"),
+        (MessageType.HELLO, b"x", "HELLO of 1 bytes"),
         (MessageType.START, b"123", "START of 3 bytes"),
         (MessageType.ACK, b"12345", "ACK of 5 bytes"),
         (MessageType.TABLE, b"12345", "multiple of 4, got 5"),
