@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -31,10 +32,14 @@ def open_board(uri: str, **options: Any) -> Board:
             f"{uri!r}{hint}"
         )
     path, _, query = rest.partition("?")
-    opener, readers = _SCHEMES[scheme]
+    function, readers = _SCHEMES[scheme]
+    read = _read_options(scheme, query, readers)
     for name in options:
         _require_known(scheme, name, readers)
-    return opener(path, uri, _read_options(scheme, query, readers) | options)
+    module, _, name = function.rpartition(".")
+    opener = getattr(import_module(f"eitskin.hardware.{module}"), name)
+    board: Board = opener(path, uri, **read | options)
+    return board
 
 
 Readers = Mapping[str, Callable[[str], Any] | None]
@@ -63,67 +68,19 @@ def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
     return options
 
 
-def _open_serial(path: str, uri: str, options: dict[str, Any]) -> Board:
-    from eitskin.hardware.boards.port import connector
-    from eitskin.hardware.boards.serial_board import SerialBoard
-
-    return SerialBoard(connector(path, uri, **options), uri)
-
-
-def _open_text(path: str, uri: str, options: dict[str, Any]) -> Board:
-    from eitskin.hardware.boards.text_board import open_text
-
-    return open_text(path, uri, **options)
-
-
-def _open_virtual(path: str, uri: str, options: dict[str, Any]) -> Board:
-    from eitskin.hardware.virtual.virtual_board import open_virtual
-
-    if path:
-        meant = path if "=" in path else f"scene={path}"
-        raise ConfigurationError(
-            f"virtual: takes options and no path, got {uri!r}; write virtual:?{meant}"
-        )
-    return open_virtual(uri, **options)
-
-
-def _open_replay(path: str, uri: str, options: dict[str, Any]) -> Board:
-    from eitskin.hardware.boards.replay_board import ReplayBoard
-
-    return ReplayBoard(path, uri, **options)
-
-
-_SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]] = {
-    "serial": (_open_serial, {"baud": int, "usb": str}),
+_SCHEMES: dict[str, tuple[str, Readers]] = {
+    "serial": ("boards.serial_board.open_serial", {"baud": int, "usb": str}),
     "text": (
-        _open_text,
-        {
-            "protocol": str,
-            "baud": int,
-            "usb": str,
-            "mark": str,
-            "pause": float,
-            "frequency": float,
-        },
+        "boards.text_board.open_text",
+        {"baud": int, **dict.fromkeys(("protocol", "usb", "mark"), str)}
+        | dict.fromkeys(("pause", "frequency"), float),
     ),
     "virtual": (
-        _open_virtual,
-        {
-            "speed": str,
-            "resolution": str,
-            "scene": str,
-            "sensor": str,
-            "protocol": str,
-            "fixture": str,
-            "mechanics": str,
-            "seed": int,
-            "snr_db": float,
-            "instrument": str,
-            "faults": str,
-            "period": float,
-            "link": str,
-            "simulator": None,
-        },
+        "virtual.virtual_board.open_virtual_uri",
+        dict.fromkeys(("speed", "resolution", "scene", "sensor", "protocol", "fixture"), str)
+        | dict.fromkeys(("mechanics", "instrument", "faults", "link"), str)
+        | {"seed": int, "snr_db": float, "period": float, "simulator": None},
     ),
-    "replay": (_open_replay, {"speed": str}),
+    "replay": ("boards.replay_board.ReplayBoard", {"speed": str}),
 }
+"""Function that opens a board, called with path, URI and options, and the options' readers."""

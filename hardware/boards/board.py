@@ -3,16 +3,25 @@
 import math
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from eitskin.closeable import Closeable
 from eitskin.errors import DeviceError
 from eitskin.frame import Frame
-from eitskin.hardware.boards.port import UnrecoverableError
+from eitskin.hardware.boards.port import (
+    BACKLOG,
+    CHUNK,
+    ReopenablePort,
+    SerialPort,
+    UnrecoverableError,
+)
 from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +117,60 @@ class Board(Closeable, ABC):
             DeviceError: where the board is absent or does not answer as expected; try again later.
             UnrecoverableError: where another board answers, or this one with another table.
         """
+
+
+class PortBoard(Board, Generic[Item]):
+    """Board at the other end of a serial port; what it sends waits until it is taken."""
+
+    _restarted = False
+
+    def __init__(
+        self, connect: Callable[[], SerialPort], uri: str, clock: Callable[[], float]
+    ) -> None:
+        """Open the port.
+
+        Args:
+            connect: opens a port whose reads return after a short while; called again by
+                `reconnect`.
+            uri: name of the board in messages.
+            clock: time that pauses and silence are measured by [s].
+        """
+        self.uri, self._clock = uri, clock
+        self._inbox: deque[Item] = deque()
+        self._port = ReopenablePort(connect, uri)
+
+    @abstractmethod
+    def _receive(self) -> None:
+        """Read the port once and decode; waits a short while at most."""
+
+    @abstractmethod
+    def _frame(self, item: Item) -> Frame | None:
+        """Frame of what was received; None where it is no frame."""
+
+    def _received(self, seconds: float) -> Iterator[Item]:
+        """What is received within `seconds`; what is not taken stays for the next call."""
+        deadline = self._clock() + seconds
+        while True:
+            # Read before giving up: this process itself may have slept past the deadline.
+            if not self._inbox:
+                self._receive()
+            while self._inbox:
+                yield self._inbox.popleft()
+            if self._clock() >= deadline:
+                return
+
+    def _overtaken_by(self, frame: Frame) -> Frame:
+        """Newest of `frame` and the frames that have arrived since."""
+        # Bounded, since a board may never pause.
+        for _ in range(BACKLOG // CHUNK):
+            while self._inbox and not self._restarted:
+                if (later := self._frame(self._inbox.popleft())) is not None:
+                    self._skipped += 1
+                    frame = later
+            if self._restarted or not self._port.waiting():
+                break
+            self._receive()
+        return frame
 
 
 FIRST_PAUSE = 0.1  # s, before the first try

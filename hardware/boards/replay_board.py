@@ -11,7 +11,7 @@ from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 from eitskin.hardware.boards.board import Board
-from eitskin.hardware.protocol.messages import Info, Table
+from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
 SPEEDS = ("real", "max")
@@ -106,16 +106,9 @@ class ReplayBoard(Board):
 def _info(data: Dataset, protocol: Protocol) -> Info:
     steps = np.diff(data.time)
     forward = steps[np.isfinite(steps) & (steps > 0)]
-    return Info(
+    return Info.of(
+        protocol,
         firmware=data.source,
-        uid=bytes(12),
-        boot_count=0,
-        n_electrodes=protocol.n_electrodes,
-        n_measurements=len(protocol),
-        table_crc32=Table(protocol.table).crc32,
         frequency=data.frequency,
-        amplitude=math.nan,
-        rtia=math.nan,
-        rcal=math.nan,
         period=float(np.median(forward)) if len(forward) else 0.0,
     )

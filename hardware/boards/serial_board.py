@@ -14,14 +14,8 @@ import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Board, longest_silence
-from eitskin.hardware.boards.port import (
-    BACKLOG,
-    CHUNK,
-    ReopenablePort,
-    SerialPort,
-    UnrecoverableError,
-)
+from eitskin.hardware.boards.board import PortBoard, longest_silence
+from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
 from eitskin.hardware.protocol.frame_parts import (
     PER_PACKET,
     FrameAssembly,
@@ -55,7 +49,7 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
 
 
-class SerialBoard(Board):
+class SerialBoard(PortBoard[Message]):
     """Board on a serial port; a `Board`.
 
     Attributes:
@@ -81,17 +75,14 @@ class SerialBoard(Board):
 
         Raises DeviceError where the board does not answer as expected.
         """
-        self.uri = uri
         self.events: deque[Event] = deque(maxlen=20)
-        self._clock = clock
         self._decoder = Decoder()
         self._assembly = FrameAssembly(self._decoder.drops)
-        self._inbox: deque[Message] = deque()
         self._malformed = ""
         self._seq = 0
         self._expected: int | None = None
         self._restarted = self._resuming = False
-        self._port = ReopenablePort(connect, uri)
+        super().__init__(connect, uri, clock)
         try:
             self.info = self._handshake()
             self.protocol = self._read_protocol()
@@ -200,13 +191,9 @@ class SerialBoard(Board):
 
     def _next_frame(self) -> Frame:
         # A board that starts anew again and again gives no frame either.
-        for message in self._messages(self._patience):
-            if isinstance(message, FrameData):
-                frame = self._accept(message)
-                if frame is not None:
-                    return frame
-            else:
-                self._note(message)
+        for message in self._received(self._patience):
+            if (frame := self._frame(message)) is not None:
+                return frame
             if self._restarted:
                 self._start()
         raise DeviceError(
@@ -232,21 +219,11 @@ class SerialBoard(Board):
             self._skipped += 1 + self._lost - lost  # those frames did come
             self._lost = lost
 
-    def _overtaken_by(self, frame: Frame) -> Frame:
-        """Newest of `frame` and the frames that have arrived since."""
-        # Bounded, since a board may never pause.
-        for _ in range(BACKLOG // CHUNK):
-            while self._inbox and not self._restarted:
-                message = self._inbox.popleft()
-                if not isinstance(message, FrameData):
-                    self._note(message)
-                elif (later := self._accept(message)) is not None:
-                    self._skipped += 1
-                    frame = later
-            if self._restarted or not self._port.waiting():
-                break
-            self._receive()
-        return frame
+    def _frame(self, item: Message) -> Frame | None:
+        if isinstance(item, FrameData):
+            return self._accept(item)
+        self._note(item)
+        return None
 
     def _accept(self, data: FrameData) -> Frame | None:
         """Frame in `data`; None for a late one, or one of another measurement table."""
@@ -294,7 +271,7 @@ class SerialBoard(Board):
         self._seq = (self._seq + 1) % 2**16
         for _ in range(TRIES):
             self._send(request, self._seq)
-            for message in self._messages(REPLY_WITHIN):
+            for message in self._received(REPLY_WITHIN):
                 if isinstance(message, Ack):
                     if message.request != self._seq:
                         continue
@@ -340,20 +317,7 @@ class SerialBoard(Board):
     def _send(self, request: Request, seq: int) -> None:
         self._port.write(encode(pack(request, seq)))
 
-    def _messages(self, seconds: float) -> Iterator[Message]:
-        """Messages received within `seconds`; those not taken stay for the next call."""
-        deadline = self._clock() + seconds
-        while True:
-            # Read before giving up: this process itself may have slept past the deadline.
-            if not self._inbox:
-                self._receive()
-            while self._inbox:
-                yield self._inbox.popleft()
-            if self._clock() >= deadline:
-                return
-
     def _receive(self) -> None:
-        """Read the port once and decode; waits a short while at most."""
         self._read_at = self._clock()
         for packet in self._decoder.feed(self._port.read()):
             try:
@@ -368,3 +332,8 @@ class SerialBoard(Board):
     def _drop_malformed(self, what: str) -> None:
         self._decoder.drops[PacketDrop.MALFORMED] += 1
         self._malformed = what
+
+
+def open_serial(path: str, uri: str, **options: Any) -> SerialBoard:
+    """Open a board that speaks the wire protocol; the options are those of `connector`."""
+    return SerialBoard(connector(path, uri, **options), uri)

@@ -8,7 +8,6 @@ measurement.
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -16,10 +15,10 @@ import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Board, longest_silence
-from eitskin.hardware.boards.port import BACKLOG, CHUNK, ReopenablePort, SerialPort, connector
+from eitskin.hardware.boards.board import PortBoard, longest_silence
+from eitskin.hardware.boards.port import CHUNK, SerialPort, connector
 from eitskin.hardware.boards.text_lines import FrameFinder, FrameLines, LineDecoder
-from eitskin.hardware.protocol.messages import Info, Table
+from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
 BAUD = 230400
@@ -30,7 +29,7 @@ FIRST_WITHIN = 10.0
 """Longest silence while the period is unknown [s]; two frames pass before the first is given."""
 
 
-class TextBoard(Board):
+class TextBoard(PortBoard[FrameLines]):
     """Board that prints lines; a `Board`.
 
     Such a board sends no frame numbers, sessions or times: frames are counted and timed as they
@@ -60,29 +59,21 @@ class TextBoard(Board):
             frequency: excitation frequency where the lines do not give it [Hz].
             clock: time that pauses and silence are measured by [s].
         """
-        self.uri, self.protocol = uri, protocol
-        self._clock, self._frequency = clock, frequency
+        self.protocol, self._frequency = protocol, frequency
         self._decoder = LineDecoder(mark)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
-        self._found: deque[FrameLines] = deque()
         self._session = 0
         self._begun = math.nan
-        self._port = ReopenablePort(connect, uri)
+        super().__init__(connect, uri, clock)
 
     @property
     def info(self) -> Info:
         """Settings as far as known, else NaN; the board gives no identity."""
-        return Info(
+        return Info.of(
+            self.protocol,
             firmware="text lines",
-            uid=bytes(12),
             boot_count=self._session,
-            n_electrodes=self.protocol.n_electrodes,
-            n_measurements=len(self.protocol),
-            table_crc32=Table.of(self.protocol).crc32,
             frequency=self._finder.frequency,
-            amplitude=math.nan,
-            rtia=math.nan,
-            rcal=math.nan,
             period=self._finder.period,
         )
 
@@ -97,13 +88,14 @@ class TextBoard(Board):
     def frames(self, newest: bool = False) -> Iterator[Frame]:
         self._restart()
         while True:
-            if self._overflows():
+            # A full queue may lack lines between two others.
+            if self._port.waiting() >= CHUNK - 1:
                 self._restart()
-            lines = self._next()
+            frame = self._next_frame()
             if newest:
-                lines = self._overtaken_by(lines)
+                frame = self._overtaken_by(frame)
             self._frames += 1
-            yield self._frame(lines)
+            yield frame
 
     def calibrate(self) -> None:
         raise ConfigurationError(
@@ -129,60 +121,36 @@ class TextBoard(Board):
         self._port.clear()
         self._decoder.restart()
         self._finder.restart()
-        self._found.clear()
+        self._inbox.clear()
 
-    def _overflows(self) -> bool:
-        """Whether the port's queue is full, so that lines may be missing between two others."""
-        return self._port.waiting() >= CHUNK - 1
-
-    def _next(self) -> FrameLines:
-        period = self._finder.period
-        patience = min(longest_silence(period, SHORTEST), FIRST_WITHIN)
-        deadline = self._clock() + patience
-        # Read before giving up: this process itself may have slept past the deadline.
-        while not self._found:
-            self._receive()
-            if not self._found and self._clock() >= deadline:
-                raise DeviceError(
-                    f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; "
-                    f"{self._finder.received_instead()}{self._damage()}"
-                )
-        return self._found.popleft()
-
-    def _overtaken_by(self, lines: FrameLines) -> FrameLines:
-        """Newest of `lines` and the frames that have arrived since."""
-        # Bounded, since a board may never pause.
-        for _ in range(BACKLOG // CHUNK):
-            while self._found:
-                lines = self._found.popleft()
-                self._skipped += 1
-            if not self._port.waiting():
-                break
-            self._receive()
-        return lines
-
-    def _damage(self) -> str:
+    def _next_frame(self) -> Frame:
+        patience = min(longest_silence(self._finder.period, SHORTEST), FIRST_WITHIN)
+        for lines in self._received(patience):
+            return self._frame(lines)
         drops = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
-        return f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
+        damage = f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
+        raise DeviceError(
+            f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; "
+            f"{self._finder.received_instead()}{damage}"
+        )
 
     def _receive(self) -> None:
-        """Read the port once; waits a short while at most."""
         data = self._port.read()
-        self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
+        self._inbox.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
-    def _frame(self, lines: FrameLines) -> Frame:
+    def _frame(self, item: FrameLines) -> Frame:
         # Single precision, as in packets and recordings; larger values become infinite.
         with np.errstate(over="ignore"):
-            impedance = np.array([line.impedance for line in lines.measurements], np.complex64)
+            impedance = np.array([line.impedance for line in item.measurements], np.complex64)
         status = np.where(np.isfinite(impedance), 0, np.uint8(Status.NOT_FINITE))
         if math.isnan(self._begun):
-            self._begun = lines.time
-        said = lines.measurements[-1].frequency
+            self._begun = item.time
+        said = item.measurements[-1].frequency
         return Frame(
             impedance=impedance.astype(np.complex128),
             protocol=self.protocol,
-            time=lines.time - self._begun,
-            number=lines.number,
+            time=item.time - self._begun,
+            number=item.number,
             session=self._session,
             frequency=self._frequency if math.isnan(said) else said,
             status=status.astype(np.uint8),

@@ -1,6 +1,5 @@
 """Frames of a sensor check: statistics of each channel, findings, and variation over time."""
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -88,14 +87,11 @@ class CheckedFrames:
         floor = np.where(self.senses_where_it_drives, self.expected, least)
         times = np.abs(self.value) / np.maximum(self.expected, floor)
         times /= max(self._scale, np.finfo(float).tiny)
-        large = (times > INSULATED) | ((times > OPEN) & self._capacitive)
+        capacitive = np.angle(self.value, deg=True) < CAPACITIVE_DEG
+        large = (times > INSULATED) | ((times > OPEN) & capacitive)
         return np.asarray(self._reported_open | (self.usable & large))
 
-    @cached_property
-    def _capacitive(self) -> Bools:
-        return np.asarray(np.angle(self.value, deg=True) < CAPACITIVE_DEG)
-
-    @cached_property
+    @property
     def _reported_open(self) -> Bools:
         return self.flagged(Status.OPEN) | self.flagged(Status.LOW_CURRENT)
 
@@ -112,7 +108,8 @@ class CheckedFrames:
             return 1.0
         share = 0.2 if self.senses_where_it_drives.any() else 0.5
         low = float(np.quantile(self.ratio[judged], share, method="lower"))
-        return 1.0 if low > OPEN and self._capacitive[judged].mean() > 0.5 else low
+        capacitive = np.angle(self.value[judged], deg=True) < CAPACITIVE_DEG
+        return 1.0 if low > OPEN and capacitive.mean() > 0.5 else low
 
     @cached_property
     def noise(self) -> Array:
@@ -129,14 +126,6 @@ class CheckedFrames:
     def senses_where_it_drives(self) -> Bools:
         """Channels that sense at the pair that they drive, (measurements,)."""
         return np.array([row[:2] == row[2:] for row in self.protocol.table])
-
-    def magnitudes(self, used: Bools) -> tuple[Array, Array, Bools, Protocol]:
-        """Arguments of `fit_contacts` for the channels `used`."""
-        return np.abs(self.value), self.expected, used, self.protocol
-
-    def divided_by(self, scale: float) -> "CheckedFrames":
-        """The same frames with impedances divided by `scale`."""
-        return dataclasses.replace(self, impedance=self.impedance / scale)
 
     def flagged(self, bit: Status) -> Bools:
         """Channels with the status bit in more than a few frames, (measurements,)."""
@@ -234,19 +223,22 @@ class Finding:
     message: str
 
 
+def finding(what: FindingKind, channels: Bools, message: str, *electrodes: int) -> Finding:
+    """Finding of the channels in a mask."""
+    return Finding(what, electrodes, tuple(np.flatnonzero(channels).tolist()), message)
+
+
 def findings_by_electrode(
     what: FindingKind, wrong: Bools, checked: CheckedFrames, said: str, remedy: str
 ) -> Iterator[Finding]:
-    """Findings of wrong channels, by electrode where all channels of one are wrong."""
-    if wrong.all():
-        yield Finding(what, (), channel_numbers(wrong), f"every channel {said}: {remedy}")
+    """Findings of wrong channels, if any, by electrode where all channels of one are wrong."""
+    if wrong.any() and wrong.all():
+        yield finding(what, wrong, f"every channel {said}: {remedy}")
         return
     electrodes, channels = electrodes_at_fault(wrong, checked.protocol)
     for e in electrodes:
         at = checked.with_electrode(e)
-        yield Finding(
-            what, (e,), channel_numbers(at), f"every pair of electrode {e} {said}: {remedy}"
-        )
+        yield finding(what, at, f"every pair of electrode {e} {said}: {remedy}", e)
     for k in channels:
         yield Finding(what, (), (k,), f"channel {checked.protocol.labels[k]} {said}: {remedy}")
 
@@ -255,11 +247,6 @@ def channel_names(wrong: Bools, checked: CheckedFrames) -> str:
     """Wrong channels, in words."""
     labels = [checked.protocol.labels[k] for k in np.flatnonzero(wrong)]
     return "every channel" if wrong.all() else f"channel {', '.join(labels)}"
-
-
-def channel_numbers(channels: Bools) -> tuple[int, ...]:
-    """Numbers of the channels in a mask."""
-    return tuple(np.flatnonzero(channels).tolist())
 
 
 MOVED = 0.003
@@ -287,11 +274,11 @@ def frozen(checked: CheckedFrames) -> Iterator[Finding]:
             f"{repeats} of {len(same) + 1} frames repeat the one before: the board sends old "
             "values; restart it"
         )
-        yield Finding(FindingKind.FROZEN, (), tuple(range(len(checked.expected))), text)
+        yield finding(FindingKind.FROZEN, np.ones(len(checked.expected), bool), text)
         return
-    if (stuck := same.all(axis=0) & checked.usable & ~checked.opened & ~checked.shorted).any():
-        remedy = "its value never changes, not even by noise: check its multiplexer path"
-        yield from findings_by_electrode(FindingKind.STUCK, stuck, checked, "is stuck", remedy)
+    stuck = same.all(axis=0) & checked.usable & ~checked.opened & ~checked.shorted
+    remedy = "its value never changes, not even by noise: check its multiplexer path"
+    yield from findings_by_electrode(FindingKind.STUCK, stuck, checked, "is stuck", remedy)
 
 
 def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
@@ -308,7 +295,7 @@ def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
             f"all values scatter by {100 * usual / size:.1f} % from frame to frame: check ground, "
             "shield and supply of the board, and that nothing moves"
         )
-        yield Finding(FindingKind.NOISY, (), channel_numbers(rest), text)
+        yield finding(FindingKind.NOISY, rest, text)
     elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():
         yield from findings_by_electrode(
             FindingKind.NOISY, noisy, checked, "is noisy", "a loose wire or plug does this"
@@ -341,7 +328,7 @@ def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Findin
     if len(electrodes) == 1 and not others:
         (e,) = electrodes
         text += f"the contact of electrode {e} is loose, press its wire into the gel, check plug "
-        yield Finding(FindingKind.MOVED, (e,), channel_numbers(moved), f"{text}{e}")
+        yield finding(FindingKind.MOVED, moved, f"{text}{e}", e)
         return
     text += "lay the sensor flat, leave it untouched, let it settle, and check again"
-    yield Finding(FindingKind.MOVED, (), channel_numbers(moved), text)
+    yield finding(FindingKind.MOVED, moved, text)

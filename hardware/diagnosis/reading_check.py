@@ -24,7 +24,7 @@ from eitskin.hardware.diagnosis.checked_frames import (
     Finding,
     FindingKind,
     channel_names,
-    channel_numbers,
+    finding,
     findings_by_electrode,
     frozen,
     readings,
@@ -238,11 +238,24 @@ def check_readings(
     dead = _dead(checked)
     limited = _at_a_limit(checked) & ~dead
     good = checked.usable & ~dead & ~limited
-    findings = [*board_flags(checked), *_dead_findings(dead, checked), *_limited(limited, checked)]
-    findings += [
-        each for each in frozen(checked) if not set(each.channels) <= set(channel_numbers(dead))
-    ]
-    magnitudes = _are_magnitudes(values)
+    wrong = (
+        (
+            FindingKind.DEAD,
+            dead,
+            "its value is always zero: check its multiplexer path and its wires",
+        ),
+        (
+            FindingKind.CLIPPED,
+            limited,
+            "it repeats the board's largest value: lower the current or the gain",
+        ),
+    )
+    findings = list(board_flags(checked))
+    for what, channels, remedy in wrong:
+        findings += findings_by_electrode(what, channels, checked, f"is {what}", remedy)
+    findings += [each for each in frozen(checked) if not dead[list(each.channels)].all()]
+    finite = values[np.isfinite(values)]
+    magnitudes = bool(not finite.imag.any() and (finite.real >= 0.0).all())
     relations = [each for each in linear_relations(protocol) if good[list(each.channels)].all()]
     laws = []
     for kind in LAWS:
@@ -268,22 +281,11 @@ def check_frames(frames: Sequence[Frame]) -> ReadingCheck:
     return check_readings(impedance, frames[0].protocol, np.array([f.status for f in frames]))
 
 
-def _are_magnitudes(values: Complex) -> bool:
-    finite = values[np.isfinite(values)]
-    return bool(not finite.imag.any() and (finite.real >= 0.0).all())
-
-
 def _dead(checked: CheckedFrames) -> Bools:
     """Channels that never read anything but zero, (measurements,)."""
     filled = np.where(checked.finite, np.abs(checked.impedance), 0.0)
     largest = filled.max(axis=0)
     return np.asarray((largest <= DEAD * np.median(largest)) & checked.finite.any(axis=0))
-
-
-def _dead_findings(dead: Bools, checked: CheckedFrames) -> Iterator[Finding]:
-    if dead.any():
-        remedy = "its value is always zero: check its multiplexer path and its wires"
-        yield from findings_by_electrode(FindingKind.DEAD, dead, checked, "is dead", remedy)
 
 
 def _at_a_limit(checked: CheckedFrames) -> Bools:
@@ -300,14 +302,6 @@ def _at_a_limit(checked: CheckedFrames) -> Bools:
     there = (sizes == limit).mean(axis=0) > FLAGGED
     varied = np.array([len(np.unique(column)) > FEWEST_VALUES for column in sizes.T])
     return np.asarray(there if there.sum() > 1 else there & varied)
-
-
-def _limited(limited: Bools, checked: CheckedFrames) -> Iterator[Finding]:
-    if limited.any():
-        remedy = "it repeats the board's largest value: lower the current or the gain"
-        yield from findings_by_electrode(
-            FindingKind.CLIPPED, limited, checked, "is clipped", remedy
-        )
 
 
 def _check_law(
@@ -334,7 +328,7 @@ def _check_law(
         return law, []
     channels = _suspects(relations, np.array(wrong), len(checked.expected))
     text = _law_text(law, float(np.median(ratios)), signs, channels, checked)
-    return law, [Finding(kind, (), channel_numbers(channels), text)]
+    return law, [finding(kind, channels, text)]
 
 
 def _suspects(relations: Sequence[Relation], wrong: Bools, count: int) -> Bools:

@@ -8,6 +8,7 @@ limited by the electrode positions and the paths of the board. For other protoco
 need this model are left out.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,9 +24,9 @@ from eitskin.hardware.diagnosis.checked_frames import (
     Finding,
     FindingKind,
     channel_names,
-    channel_numbers,
     checked_frames,
     electrodes_at_fault,
+    finding,
     findings_by_electrode,
     frozen,
     unsteady,
@@ -83,11 +84,16 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     rest = checked.usable & ~opened
     findings = [*board_flags(checked), *frozen(checked)]
     if opened.all():
-        findings.append(_open(range(checked.protocol.n_electrodes), opened))
-        return SensorCheck(tuple(findings))
-    electrodes, channels = electrodes_at_fault(opened, checked.protocol)
-    findings += [_open((e,), checked.with_electrode(e)) for e in electrodes]
-    findings += [_open_channel(k, checked) for k in channels]
+        text = "no electrode is connected: check the plug between sensor and board"
+        electrodes = range(checked.protocol.n_electrodes)
+        return SensorCheck((*findings, finding(FindingKind.OPEN, opened, text, *electrodes)))
+    loose, channels = electrodes_at_fault(opened, checked.protocol)
+    for e in loose:
+        text = f"electrode {e} is open: press its wire into the gel, check plug {e}"
+        findings.append(finding(FindingKind.OPEN, checked.with_electrode(e), text, e))
+    for k in channels:
+        text = f"channel {checked.protocol.labels[k]} is open though its electrodes are not: check "
+        findings.append(Finding(FindingKind.OPEN, (), (k,), f"{text}its multiplexer path"))
     if rest.any():
         changing = list(unsteady(checked, rest & ~checked.shorted))
         steady = _without(changing, rest)
@@ -97,14 +103,13 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
 
 def board_flags(checked: CheckedFrames) -> Iterator[Finding]:
     """Findings of values that are not finite and of status bits."""
-    if (wrong := ~checked.finite.all(axis=0) & ~checked.opened).any():
-        remedy = "the board divides by a current of zero: check these wires, then the firmware"
-        yield from findings_by_electrode(
-            FindingKind.NOT_FINITE, wrong, checked, "gives values that are no numbers", remedy
-        )
-    if (wrong := checked.flagged(Status.CLIPPED) & ~checked.shorted).any():
-        remedy = "lower the excitation, or RTIA, in the firmware"
-        yield from findings_by_electrode(FindingKind.CLIPPED, wrong, checked, "is clipped", remedy)
+    wrong = ~checked.finite.all(axis=0) & ~checked.opened
+    said = "gives values that are no numbers"
+    remedy = "the board divides by a current of zero: check these wires, then the firmware"
+    yield from findings_by_electrode(FindingKind.NOT_FINITE, wrong, checked, said, remedy)
+    wrong = checked.flagged(Status.CLIPPED) & ~checked.shorted
+    remedy = "lower the excitation, or RTIA, in the firmware"
+    yield from findings_by_electrode(FindingKind.CLIPPED, wrong, checked, "is clipped", remedy)
     told = {
         Status.UNCALIBRATED: "is not calibrated: calibrate the board",
         Status.DFT_TIMEOUT: "timed out: restart the board",
@@ -113,7 +118,7 @@ def board_flags(checked: CheckedFrames) -> Iterator[Finding]:
     for bit, said in told.items():
         if (wrong := checked.flagged(bit)).any():
             text = f"the board says that {channel_names(wrong, checked)} {said}"
-            yield Finding(FindingKind.BOARD, (), channel_numbers(wrong), text)
+            yield finding(FindingKind.BOARD, wrong, text)
 
 
 def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
@@ -129,7 +134,7 @@ def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
         yield from _wrong_phase(checked, rest)
         # A short changes what all other pairs should be.
         own = not shorted.any() and checked.senses_where_it_drives.all()
-        fit = fit_contacts(*checked.magnitudes(rest)) if own else None
+        fit = fit_contacts(checked, rest) if own else None
         scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[rest]))
         if not checked.senses_where_it_drives.any():
             # Small values between neighbours change manifold with the places of electrodes.
@@ -145,11 +150,13 @@ def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
                 f"all values are {scale:.2g} times what this design gives: check RTIA and RCAL in "
                 "the firmware, and that this is the sensor that the model is for"
             )
-            yield Finding(FindingKind.FACTOR, (), channel_numbers(rest), text)
+            yield finding(FindingKind.FACTOR, rest, text)
         else:
             scale = 1.0
         if fit and scale > 0.0:
-            yield from _wrong_contacts(checked.divided_by(scale), rest)
+            yield from _wrong_contacts(
+                dataclasses.replace(checked, impedance=checked.impedance / scale), rest
+            )
 
 
 def _by_drive_pair(wrong: Bools, checked: CheckedFrames) -> dict[tuple[int, int], list[int]]:
@@ -168,16 +175,16 @@ def _other_wiring(off: float, checked: CheckedFrames, rest: Bools) -> Finding:
         "another sensor or board, or electrodes in another order; compare the order of the plugs "
         "with the model's"
     )
-    return Finding(FindingKind.MISFIT, (), channel_numbers(rest), text)
+    return finding(FindingKind.MISFIT, rest, text)
 
 
 def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Findings of swapped wires, odd channels and resistances in series."""
-    swaps, odd, fit = corrected_wiring(*checked.magnitudes(rest))
+    swaps, odd, fit = corrected_wiring(checked, rest)
     for a, b in swaps:
         through = (checked.with_electrode(a) != checked.with_electrode(b)) & rest
         text = f"electrodes {a} and {b} are swapped: exchange plugs {a} and {b}"
-        yield Finding(FindingKind.SWAPPED, (a, b), channel_numbers(through), text)
+        yield finding(FindingKind.SWAPPED, through, text, a, b)
     if odd is not None:
         name = checked.protocol.labels[odd]
         text = f"channel {name} does not fit the others: check its multiplexer path"
@@ -188,16 +195,14 @@ def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
             "after contacts are allowed for: lay it flat and untouched, compare the order of the "
             "plugs with the model's"
         )
-        yield Finding(FindingKind.MISFIT, (), channel_numbers(rest), text)
+        yield finding(FindingKind.MISFIT, rest, text)
         return
     for e in np.flatnonzero(fit.series > BAD_CONTACT * np.median(checked.expected)).tolist():
         text = (
             f"electrode {e} has a bad contact, {fit.series[e]:.0f} ohm more than usual in series: "
             f"clean it and wet it, press its wire into the gel, check plug {e}"
         )
-        yield Finding(
-            FindingKind.BAD_CONTACT, (e,), channel_numbers(checked.with_electrode(e) & rest), text
-        )
+        yield finding(FindingKind.BAD_CONTACT, checked.with_electrode(e) & rest, text, e)
 
 
 def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
@@ -211,14 +216,11 @@ def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
             f"all phases are off by {angle:.0f} deg: calibrate the board against RCAL; near 180 "
             "deg its two sense leads are exchanged"
         )
-        yield Finding(FindingKind.PHASE, (), channel_numbers(rest), text)
+        yield finding(FindingKind.PHASE, rest, text)
         turned = turned / common
     wrong = rest & (np.abs(np.angle(turned, deg=True)) > PHASE_DEG)
-    if wrong.any():
-        remedy = "a contact without gel acts as a capacitor: wet it, check its wire"
-        yield from findings_by_electrode(
-            FindingKind.PHASE, wrong, checked, "has a wrong phase", remedy
-        )
+    remedy = "a contact without gel acts as a capacitor: wet it, check its wire"
+    yield from findings_by_electrode(FindingKind.PHASE, wrong, checked, "has a wrong phase", remedy)
 
 
 def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
@@ -228,20 +230,6 @@ def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
         if 2 * len(each.channels) < len(rest):
             steady[list(each.channels)] = False
     return steady if steady.any() else rest
-
-
-def _open(electrodes: Sequence[int], channels: Bools) -> Finding:
-    if len(electrodes) > 1:
-        text = "no electrode is connected: check the plug between sensor and board"
-    else:
-        (e,) = electrodes
-        text = f"electrode {e} is open: press its wire into the gel, check plug {e}"
-    return Finding(FindingKind.OPEN, tuple(electrodes), channel_numbers(channels), text)
-
-
-def _open_channel(k: int, checked: CheckedFrames) -> Finding:
-    text = f"channel {checked.protocol.labels[k]} is open though its electrodes are not: check its "
-    return Finding(FindingKind.OPEN, (), (k,), text + "multiplexer path")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,25 +253,19 @@ class ContactFit:
         return bool(self.misfit**2 <= LARGEST_CHI2 * MODEL_ERROR**2)
 
 
-def fit_contacts(
-    values: Array, expected: Array, used: Bools, protocol: Protocol
-) -> ContactFit | None:
-    """Fit of contacts to the channels `used`; None for too few channels.
+def fit_contacts(checked: CheckedFrames, used: Bools) -> ContactFit | None:
+    """Fit of contacts to the channels `used`, (measurements,), which sense where they drive.
 
-    Args:
-        values: magnitudes, (measurements,) [ohm].
-        expected: of a healthy sensor, (measurements,) [ohm].
-        used: channels of the fit, (measurements,).
-        protocol: a protocol that senses where it drives.
+    None for too few channels.
     """
-    columns = _columns(expected, protocol)
+    columns = _columns(checked)
     if used.sum() < _unknowns(columns, used) + _SPARE_MEASUREMENTS:
         return None
-    return _least_squares(values[None], used[None], columns)[0]
+    return _least_squares(np.abs(checked.value)[None], used[None], columns)[0]
 
 
 def corrected_wiring(
-    values: Array, expected: Array, used: Bools, protocol: Protocol
+    checked: CheckedFrames, used: Bools
 ) -> tuple[tuple[tuple[int, int], ...], int | None, ContactFit]:
     """Fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
 
@@ -291,7 +273,7 @@ def corrected_wiring(
     left out where the fit is good without, or where neither makes the fit good. The arguments are
     those of `fit_contacts`.
     """
-    columns = _columns(expected, protocol)
+    values, protocol, columns = np.abs(checked.value), checked.protocol, _columns(checked)
     given = _least_squares(values[None], used[None], columns)[0]
     if given.good:
         return (), None, given
@@ -314,8 +296,9 @@ def corrected_wiring(
     return (), None, given
 
 
-def _columns(expected: Array, protocol: Protocol) -> Array:
+def _columns(checked: CheckedFrames) -> Array:
     """Design matrix of the unknowns g and r, (measurements, 1 + electrodes)."""
+    protocol, expected = checked.protocol, checked.expected
     table = np.array(protocol.table)[:, :2]
     columns = np.zeros((len(expected), 1 + protocol.n_electrodes))
     columns[:, 0] = expected

@@ -33,6 +33,7 @@ from eitskin.protocol import MOST_ELECTRODES, Protocol, Row
 MAGIC = b"EITS"
 
 _INFO = {1: struct.Struct("<4s16s12sIBBIffffI"), 2: struct.Struct("<4s16s12sIBHIffffI")}
+_ANALOG = ("frequency", "amplitude", "rtia", "rcal")
 _EVENT = struct.Struct("<BH")
 _TABLE_PART = struct.Struct("<HH")
 _ROWS_PER_PACKET = (MAX_PAYLOAD - _TABLE_PART.size) // 4
@@ -108,6 +109,14 @@ class Info:
     rtia: float
     rcal: float
     period: float
+
+    @classmethod
+    def of(cls, protocol: Protocol, **known: Any) -> "Info":
+        """Info of a board with a protocol; what is not known is NaN or zero."""
+        numbers: dict[str, Any] = dict.fromkeys(_ANALOG, math.nan)
+        numbers |= {"n_electrodes": protocol.n_electrodes, "n_measurements": len(protocol)}
+        numbers |= {"uid": bytes(12), "boot_count": 0, "table_crc32": Table.of(protocol).crc32}
+        return cls(**numbers | known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +244,7 @@ def _unpack_info(packet: Packet) -> Info:
     require_field("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
     require_field("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
     require_field("INFO", "n_meas", least <= n_meas <= most, f"{least} to {most}", n_meas)
-    for name in ("frequency", "amplitude", "rtia", "rcal"):
+    for name in _ANALOG:
         value = getattr(info, name)
         good = math.isfinite(value) and value > 0
         require_field("INFO", name, good, "finite and positive", value)

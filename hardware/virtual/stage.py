@@ -194,7 +194,6 @@ class Stage:
         self._cleared = False
         self._truth: OrderedDict[int, Scene] = OrderedDict()
         self._newest = Scene()
-        self._source: Callable[[int], Solved] = self._lazily(lambda _: Scene())
         self.play(scenes or Script((Step(Scene()),)))
 
     @property
@@ -204,8 +203,7 @@ class Stage:
 
     def set(self, scene: Scene) -> None:
         """Set the scene from the next frame on; raises ConfigurationError for an impossible one."""
-        solved = scene, self._solved(scene)
-        self._source = lambda _: solved
+        self.play(Script((Step(scene),)))
 
     def play(self, scenes: SceneSource) -> None:
         """Play scenes from the next frame on; raises ConfigurationError for an impossible one.
@@ -213,19 +211,16 @@ class Stage:
         The scenes of a `Script` are solved now. Those of any other function are solved when their
         frames are due, which may delay them.
         """
-        first = self.frames
-        if not isinstance(scenes, Script):
-            self._source = self._lazily(lambda now: scenes(now - first))
-            return
         # Solved here, so that the board's own thread never waits for a solution.
-        known = {step.scene: self._solved(step.scene) for step in scenes.steps}
-
-        def told(now: int) -> Solved:
-            scene = scenes(now - first)
-            return scene, known[scene]
-
+        steps = scenes.steps if isinstance(scenes, Script) else ()
+        known = {step.scene: self._solved(step.scene) for step in steps}
         first = self.frames
-        self._source = told
+
+        def solved(now: int) -> Solved:
+            scene = scenes(now - first)
+            return scene, known[scene] if scene in known else self._solved(scene)
+
+        self._source = solved
 
     def measured(self, now: int) -> Matrix:
         """Impedance matrix of frame `now`, counted since the board was made, (n, n) [ohm]."""
@@ -276,13 +271,6 @@ class Stage:
         self._injected.clear()
         self._cleared = True
         self.changed()
-
-    def _lazily(self, scenes: SceneSource) -> "Callable[[int], Solved]":
-        def solved(now: int) -> Solved:
-            scene = scenes(now)
-            return scene, self._solved(scene)
-
-        return solved
 
     def _solved(self, scene: Scene) -> Matrix:
         with self._solving:

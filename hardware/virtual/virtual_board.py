@@ -95,7 +95,11 @@ def virtual_firmware(
         instrument = Instrument(snr_db)
     simulated = SimulatedSensor(simulator, instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
-    stage = Stage(simulated.solve, _scenes(scene), chosen)
+    if isinstance(scene, str | Path):
+        scene = Script.from_toml(scene)
+    elif isinstance(scene, Scene):
+        scene = Script((Step(scene),))
+    stage = Stage(simulated.solve, scene, chosen)
     return VirtualFirmware(stage, simulated.protocol, simulated.measure, period)
 
 
@@ -174,6 +178,16 @@ def _virtual_line(speed: str, options: Mapping[str, Any]) -> MemoryLine:
     return MemoryLine(firmware, firmware.info.period if speed == "real" else 0.0)
 
 
+def open_virtual_uri(path: str, uri: str, **options: Any) -> VirtualBoard:
+    """Open the virtual board of a URI, which has no path."""
+    if path:
+        meant = path if "=" in path else f"scene={path}"
+        raise ConfigurationError(
+            f"virtual: takes options and no path, got {uri!r}; write virtual:?{meant}"
+        )
+    return open_virtual(uri, **options)
+
+
 def _simulator(
     resolution: str,
     sensor: str | Path | SensorDesign | None,
@@ -185,27 +199,17 @@ def _simulator(
     if resolution not in get_args(Resolution):
         known = ", ".join(get_args(Resolution))
         raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
-    if sensor is None:
-        sensor = SensorDesign.reference()
-    elif isinstance(sensor, str | Path):
-        sensor = SensorDesign.from_toml(sensor)
+    design = SensorDesign.from_toml(sensor) if isinstance(sensor, str | Path) else sensor
+    design = design or SensorDesign.reference()
     if isinstance(protocol, str):
-        protocol = Protocol.named(protocol, len(sensor.electrodes))
+        protocol = Protocol.named(protocol, len(design.electrodes))
     paths = [Path(each) if isinstance(each, str | Path) else None for each in (fixture, mechanics)]
-    read_fixture, read_mechanics, grid = read_fixed(*paths)
+    fixed = read_fixed(*paths)
     return Simulator(
-        sensor,
+        design,
         cast("Resolution", resolution),
-        read_fixture if isinstance(fixture, str | Path) else fixture,
+        fixed[0] if isinstance(fixture, str | Path) else fixture,
         protocol,
-        read_mechanics if isinstance(mechanics, str | Path) else mechanics,
-        grid=grid,
+        fixed[1] if isinstance(mechanics, str | Path) else mechanics,
+        grid=fixed[2],
     )
-
-
-def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource | None:
-    if isinstance(scene, Scene):
-        return Script((Step(scene),))
-    if isinstance(scene, (str, Path)):
-        return Script.from_toml(scene)
-    return scene

@@ -64,13 +64,10 @@ class VirtualFirmware:
         self._seq = self._left = self.number = self._started = 0
         self._late = 0.0
         self._table = Table.of(protocol)
-        self.info = Info(
+        self.info = Info.of(
+            protocol,
             firmware="eitskin-virtual",
             uid=b"eitskin-0000",
-            boot_count=0,
-            n_electrodes=protocol.n_electrodes,
-            n_measurements=len(protocol),
-            table_crc32=self._table.crc32,
             frequency=40e3,
             amplitude=0.607,
             rtia=200.0,
