@@ -13,7 +13,7 @@ from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encoded
 from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name
+from eitskin.hardware.streams import bad_channels, state_name, zero_name
 
 if TYPE_CHECKING:
     from eitskin.cli.live_pictures import Picture

@@ -4,14 +4,15 @@ A fault is written `name@frame:index`, such as `bit_flip@5:12`. From that frame 
 channel that is NaN) or acts once (a lost frame), by its nature. Faults of replies count requests
 instead of frames: `no_reply@0:2` leaves the first two unanswered.
 
-To add a fault, add a row to one of the tables: `WIRE_FAULTS` in `line_faults.py` for bytes and
-times of frames, `BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for the network
-between the electrodes and the values.
+To add a fault, add a row to one of the tables: `WIRE_FAULTS` for bytes and times of frames,
+`BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for the network between the
+electrodes and the values.
 """
 
 import difflib
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
@@ -20,9 +21,192 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Status
 from eitskin.hardware.protocol.messages import Ack, AckStatus, pack
-from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
+from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, MessageType, encode
 from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplugged
-from eitskin.hardware.virtual.line_faults import WIRE_FAULTS, held_back, two_frames
+
+TEXT = b"\r\nRzMag: 612.034000 Ohm , RzPhase: -0.120000\r\n"
+
+
+def _put(packet: bytes, f: Fault, count: int, new: bytes = b"") -> bytes:
+    """Packet with `new` in place of `count` bytes from byte `index` on, modulo its length."""
+    start = f.index % len(packet)
+    return packet[:start] + new + packet[start + count :]
+
+
+def _bit_flip(packet: bytes, f: Fault) -> bytes:
+    wrong = bytearray(packet)
+    wrong[f.index // 8 % len(packet)] ^= 1 << f.index % 8
+    return bytes(wrong)
+
+
+def _merged(packet: bytes, f: Fault) -> bytes:
+    if f.memory.pop("without end", False):
+        return packet.lstrip(b"\0")
+    if not packet or f.since:
+        return packet
+    f.memory["without end"] = True
+    return packet.rstrip(b"\0")
+
+
+def _reordered(packet: bytes, f: Fault) -> bytes:
+    if not packet or f.since:
+        return packet + bytes(f.memory.pop("held", b""))
+    f.memory["held"] = packet
+    return b""
+
+
+def held_back(data: bytes, f: Fault) -> bytes:
+    """Nothing while the fault acts, then all at once."""
+    held = bytes(f.memory.pop("held", b"")) + data
+    if f.since >= f.amount:
+        return held
+    f.memory["held"] = held
+    return b""
+
+
+def _wrong_baud(data: bytes, f: Fault) -> bytes:
+    return f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1))
+
+
+def _packets(sent: bytes) -> list[bytes]:
+    """Bytes of each packet of a frame."""
+    return [b"\0" + part + b"\0" for part in sent.split(b"\0") if part]
+
+
+def _times(sent: bytes, f: Fault, times: int) -> bytes:
+    """Frame whose packet `index`, modulo their number, is sent `times` times."""
+    packets = _packets(sent)
+    chosen = f.index % len(packets)
+    return b"".join(packets[:chosen] + times * [packets[chosen]] + packets[chosen + 1 :])
+
+
+def _reordered_parts(sent: bytes, f: Fault) -> bytes:
+    packets = _packets(sent)
+    first = f.index % len(packets)
+    packets[first : first + 2] = packets[first : first + 2][::-1]
+    return b"".join(packets)
+
+
+def _merged_frames(sent: bytes, f: Fault) -> bytes:
+    packets = _packets(sent)
+    cut = f.amount % max(len(packets), 1) or 1
+    return b"".join(packets[cut:] if f.since else packets[:cut])
+
+
+def two_frames(_: int) -> int:
+    """The first frame and the one after, which some faults of one frame have a part in."""
+    return 2
+
+
+def _row(hook: Hook, meaning: str, effect: Effect, unit: str = "", **more: Any) -> FaultKind:
+    """Row of a fault with one effect."""
+    return FaultKind(meaning, {hook: effect}, unit, **more)
+
+
+_values, _network = partial(_row, Hook.IMPEDANCE), partial(_row, Hook.NETWORK)
+_packet = partial(_row, Hook.PACKET)
+_reply = partial(_row, Hook.REPLY, unit="requests", default=1, frame=0)
+
+
+def _damage(meaning: str, damaged: Effect, unit: str = "") -> FaultKind:
+    """Row of a fault that changes the packet of one frame, where there is one."""
+
+    def effect(packet: bytes, f: Fault) -> bytes:
+        return damaged(packet, f) if packet and f.since == 0 else packet
+
+    return _packet(meaning, effect, unit, stays=two_frames)
+
+
+DAMAGE_FAULTS = {
+    "bit_flip": _damage("Bit `index` of the packet is turned over.", _bit_flip, "bit"),
+    "dropped_byte": _damage(
+        "Byte `index` of the packet is missing.", lambda packet, f: _put(packet, f, 1), "byte"
+    ),
+    "inserted_byte": _damage(
+        "A byte too many comes before byte `index`.",
+        lambda packet, f: _put(packet, f, 0, b"\x55"),
+        "byte",
+    ),
+    "burst": _damage(
+        "16 bytes from byte `index` on are noise.",
+        lambda packet, f: _put(packet, f, 16, f.rng.randbytes(16)),
+        "byte",
+    ),
+    "truncated": _damage(
+        "The packet ends at byte `index`, at its middle for 0.",
+        lambda packet, f: packet[: f.index % len(packet) or len(packet) // 2],
+        "byte",
+    ),
+    "merged": _packet(
+        "The zero that ends the packet is missing, and the one that begins the next.",
+        _merged,
+        stays=two_frames,
+    ),
+    "duplicated": _damage("The packet is sent twice.", lambda packet, _: packet + packet),
+    "lost_frame": _damage("The frame is measured and never sent.", lambda *_: b""),
+    "reordered": _packet(
+        "The frame comes after the one that follows it.", _reordered, stays=two_frames
+    ),
+    "lost_part": _damage(
+        "Packet `index` of the frame is missing.", lambda sent, f: _times(sent, f, 0), "packet"
+    ),
+    "duplicated_part": _damage(
+        "Packet `index` of the frame is sent twice.", lambda sent, f: _times(sent, f, 2), "packet"
+    ),
+    "reordered_parts": _damage(
+        "Packet `index` of the frame comes after the one that follows it.",
+        _reordered_parts,
+        "packet",
+    ),
+    "merged_frames": _packet(
+        "The frame's packets from number `index` on are missing, and the next one's before it.",
+        _merged_frames,
+        "packet",
+        default=1,
+        stays=two_frames,
+    ),
+    "garbage": _damage(
+        "100 bytes of noise come before the packet.",
+        lambda packet, f: f.rng.randbytes(100) + packet,
+        "seed",
+    ),
+    "text": _damage("A line of text comes before the packet.", lambda packet, _: TEXT + packet),
+    "oversized": _damage(
+        "Twice as many bytes as a packet may have come before it.",
+        lambda packet, _: b"\0" + b"\xaa" * 2 * MAX_PACKET + packet,
+    ),
+}
+WIRE_FAULTS = DAMAGE_FAULTS | {
+    "back_pressure": _packet(
+        "From the frame on the line takes nothing for `index` frames, two for 0; then all at once.",
+        held_back,
+        "frames",
+        default=2,
+        stays=lambda frames: frames + 1,
+    ),
+    "stall": _row(
+        Hook.DELAY,
+        "After the frame nothing comes for `index` periods, five for 0.",
+        lambda delay, f: delay + f.amount * f.info.period,
+        "periods",
+        default=5,
+        stays=lambda _: 1,
+    ),
+    "jitter": _row(
+        Hook.DELAY,
+        "From the frame on each is late by up to one period, at random; `index` is the seed.",
+        lambda delay, f: delay + f.rng.random() * f.info.period,
+        "seed",
+    ),
+    "wrong_baud": _row(
+        Hook.LINE,
+        "From the frame on the line runs at another speed: every byte is another, and some are "
+        "two.",
+        _wrong_baud,
+        "seed",
+    ),
+}
+
 
 Array = NDArray[Any]
 """Impedances [ohm], or status bits, of one frame, (measurements,); or an impedance matrix."""
@@ -146,21 +330,6 @@ def _losing(z: Array, f: Fault) -> Array:
 # ---- the table ----
 
 
-def _reply(meaning: str, effect: Effect) -> FaultKind:
-    """Row of a fault that changes the answers to `index` requests, one for 0."""
-    return FaultKind(meaning, {Hook.REPLY: effect}, "requests", default=1, frame=0)
-
-
-def _network(meaning: str, effect: Effect, unit: str) -> FaultKind:
-    """Row of a fault that changes the network between the electrodes."""
-    return FaultKind(meaning, {Hook.NETWORK: effect}, unit)
-
-
-def _values(meaning: str, effect: Effect, unit: str = "") -> FaultKind:
-    """Row of a fault that changes impedances."""
-    return FaultKind(meaning, {Hook.IMPEDANCE: effect}, unit)
-
-
 BOARD_FAULTS = {
     "no_reply": _reply(
         "A request is not answered.", lambda reply, f: b"" if f.since < f.amount else reply
@@ -169,25 +338,30 @@ BOARD_FAULTS = {
     "negative_ack": _reply(
         "A request that is answered by an ACK is refused as if the board were busy.", _negative_ack
     ),
-    "wrong_version": FaultKind(
+    "wrong_version": _row(
+        Hook.LINE,
         "From the frame on every packet claims another version of the protocol.",
-        {Hook.LINE: _wrong_version},
+        _wrong_version,
     ),
-    "wrong_count": FaultKind(
+    "wrong_count": _row(
+        Hook.INFO,
         "INFO announces one measurement less than the table has.",
-        {Hook.INFO: lambda info, _: replace(info, n_measurements=info.n_measurements - 1)},
+        lambda info, _: replace(info, n_measurements=info.n_measurements - 1),
     ),
-    "wrong_table": FaultKind(
+    "wrong_table": _row(
+        Hook.INFO,
         "INFO announces another table than the board then sends.",
-        {Hook.INFO: lambda info, _: replace(info, table_crc32=info.table_crc32 ^ 1)},
+        lambda info, _: replace(info, table_crc32=info.table_crc32 ^ 1),
     ),
-    "already_streaming": FaultKind(
+    "already_streaming": _row(
+        Hook.STREAMS,
         "The board sends frames from its start on, without having been asked.",
-        {Hook.STREAMS: lambda *_: True},
+        lambda *_: True,
     ),
-    "reboot": FaultKind(
+    "reboot": _row(
+        Hook.REBOOTS,
         "The board starts anew instead of measuring the frame.",
-        {Hook.REBOOTS: lambda already, f: already or f.since == 0},
+        lambda already, f: already or f.since == 0,
         stays=two_frames,
     ),
     "counter_wrap": FaultKind(
@@ -211,16 +385,17 @@ BOARD_FAULTS = {
             Hook.STAYS_OUT: lambda out, f: out or f.since > 0,
         },
     ),
-    "replug": FaultKind(
+    "replug": _packet(
         "The cable is pulled and put back `index` periods later, one for 0; the board starts anew.",
-        {Hook.PACKET: _replug},
+        _replug,
         "periods",
         default=1,
         stays=two_frames,
     ),
-    "port_in_use": FaultKind(
+    "port_in_use": _row(
+        Hook.PORT_HELD,
         "Another program has the port open, from the frame on.",
-        {Hook.PORT_HELD: lambda *_: True},
+        lambda *_: True,
         frame=0,
     ),
 }

@@ -16,7 +16,7 @@ from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
-from eitskin.hardware.streams.reading_record import bad_channels, reading_record
+from eitskin.hardware.streams import bad_channels, reading_record
 from eitskin.simulator import Status
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command

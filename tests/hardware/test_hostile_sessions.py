@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.frame import Frame
 from eitskin.hardware import run_live
-from eitskin.hardware.streams.reading_record import reading_record
+from eitskin.hardware.streams import reading_record
 from eitskin.training import Pipeline
 
 from live_fakes import FakeBoard

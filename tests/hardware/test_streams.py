@@ -19,15 +19,16 @@ from websockets.sync.client import connect
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection, Reading
-from eitskin.hardware.streams.publisher import (
+from eitskin.hardware.streams import (
     MOST_CLIENTS,
     ReadingPublisher,
     UdpOutlet,
     WebSocketOutlet,
     address_of,
     open_publisher,
+    reading_record,
+    silence_record,
 )
-from eitskin.hardware.streams.reading_record import reading_record, silence_record
 from eitskin.training.method.predictions import FoundTouches
 
 from live_fakes import Estimate, FakeBoard, frame
@@ -153,7 +154,7 @@ def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
 
 
 def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
-    monkeypatch.setattr("eitskin.hardware.streams.publisher.STALLED", 0.5)
+    monkeypatch.setattr("eitskin.hardware.streams.STALLED", 0.5)
     big = "x" * 2**20
     with ExitStack() as stack:
         stalled = stack.enter_context(connect(served.url, max_queue=1, max_size=None))

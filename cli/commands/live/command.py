@@ -100,7 +100,7 @@ def command(
     """
     from eitskin.hardware.boards.board import Connection
     from eitskin.hardware.live import run_live
-    from eitskin.hardware.streams.publisher import open_publisher
+    from eitskin.hardware.streams import open_publisher
     from eitskin.training.pipeline.pipeline import open_pipeline
 
     board = named_board(board, output)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
-    from eitskin.hardware.streams.publisher import ReadingPublisher
+    from eitskin.hardware.streams import ReadingPublisher
     from eitskin.training.pipeline.references import StoredReference
     from eitskin.training.pipeline.session import SessionOrder
 
@@ -179,7 +179,7 @@ class LiveSession:
         while not self._asked.empty():
             self._asked.get()()
         if self.output.as_json:
-            from eitskin.hardware.streams.reading_record import reading_record
+            from eitskin.hardware.streams import reading_record
 
             counts = self.connection.board.counts
             typer.echo(json.dumps(reading_record(reading, counts), allow_nan=False))
@@ -312,7 +312,7 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
     rate = f"{reading.rate:.1f} frames/s" if math.isfinite(reading.rate) else "-"
     numbers.add_row("rate", f"{rate}, latency {reading.latency * 1e3:.1f} ms")
     numbers.add_row("losses", losses(counts, reading.unusable))
-    from eitskin.hardware.streams.reading_record import bad_channels
+    from eitskin.hardware.streams import bad_channels
 
     bad = bad_channels(frame)
     health = ", ".join(f"{label} {what}" for label, what in bad.items())
@@ -333,7 +333,7 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
 def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
     """Add state, angle and touches, dimmed where the reading is old."""
     style = "dim" if stale else ""
-    from eitskin.hardware.streams.reading_record import state_name, zero_name
+    from eitskin.hardware.streams import state_name, zero_name
 
     state, angle, touches = state_name(estimate), estimate.bend_angle_deg, estimate.touches
     numbers.add_row("state", Text(state or NOT_ESTIMATED, style=style or "bold"))
