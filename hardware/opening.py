@@ -2,7 +2,6 @@
 
 import difflib
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -32,14 +31,30 @@ def open_board(uri: str, **options: Any) -> Board:
             f"{uri!r}{hint}"
         )
     path, _, query = rest.partition("?")
-    function, readers = _SCHEMES[scheme]
+    readers = _SCHEMES[scheme]
     read = _read_options(scheme, query, readers)
     for name in options:
         _require_known(scheme, name, readers)
-    module, _, name = function.rpartition(".")
-    opener = getattr(import_module(f"eitskin.hardware.{module}"), name)
-    board: Board = opener(path, uri, **read | options)
-    return board
+    return _open(scheme, path, uri, read | options)
+
+
+def _open(scheme: str, path: str, uri: str, options: dict[str, Any]) -> Board:
+    """Board of a kind; only what it needs is imported."""
+    if scheme == "serial":
+        from eitskin.hardware.boards.serial_board import open_serial
+
+        return open_serial(path, uri, **options)
+    if scheme == "text":
+        from eitskin.hardware.boards.text_board import open_text
+
+        return open_text(path, uri, **options)
+    if scheme == "virtual":
+        from eitskin.hardware.virtual.virtual_board import open_virtual_uri
+
+        return open_virtual_uri(path, uri, **options)
+    from eitskin.hardware.boards.replay_board import ReplayBoard
+
+    return ReplayBoard(path, uri, **options)
 
 
 Readers = Mapping[str, Callable[[str], Any] | None]
@@ -68,19 +83,13 @@ def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
     return options
 
 
-_SCHEMES: dict[str, tuple[str, Readers]] = {
-    "serial": ("boards.serial_board.open_serial", {"baud": int, "usb": str}),
-    "text": (
-        "boards.text_board.open_text",
-        {"baud": int, **dict.fromkeys(("protocol", "usb", "mark"), str)}
-        | dict.fromkeys(("pause", "frequency"), float),
-    ),
-    "virtual": (
-        "virtual.virtual_board.open_virtual_uri",
-        dict.fromkeys(("speed", "resolution", "scene", "sensor", "protocol", "fixture"), str)
-        | dict.fromkeys(("mechanics", "instrument", "faults", "link"), str)
-        | {"seed": int, "snr_db": float, "period": float, "simulator": None},
-    ),
-    "replay": ("boards.replay_board.ReplayBoard", {"speed": str}),
+_SCHEMES: dict[str, Readers] = {
+    "serial": {"baud": int, "usb": str},
+    "text": {"baud": int, **dict.fromkeys(("protocol", "usb", "mark"), str)}
+    | dict.fromkeys(("pause", "frequency"), float),
+    "virtual": dict.fromkeys(("speed", "resolution", "scene", "sensor", "protocol"), str)
+    | dict.fromkeys(("fixture", "mechanics", "instrument", "faults", "link"), str)
+    | {"seed": int, "snr_db": float, "period": float, "simulator": None},
+    "replay": {"speed": str},
 }
-"""Function that opens a board, called with path, URI and options, and the options' readers."""
+"""Options of each kind of board."""

@@ -148,7 +148,7 @@ class PortBoard(Board, Generic[Item]):
         """Frame of what was received; None where it is no frame."""
 
     def _received(self, seconds: float) -> Iterator[Item]:
-        """What is received within `seconds`; what is not taken stays for the next call."""
+        """All that is received within `seconds`; the rest stays for the next call."""
         deadline = self._clock() + seconds
         while True:
             # Read before giving up: this process itself may have slept past the deadline.
