@@ -123,7 +123,8 @@ class Dataset:
                     f"got {values.shape}"
                 )
             object.__setattr__(self, field.name, values)
-        object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
+        if self.source == "simulated" and not self.quantity:
+            object.__setattr__(self, "quantity", "impedance")
         check_values(self.columns)
         if self.source not in ("simulated", "measured"):
             raise DataError(f"source must be 'simulated' or 'measured', got {self.source!r}")
@@ -241,9 +242,7 @@ class Dataset:
 
     def select(self, indices: ArrayLike | slice) -> "Dataset":
         """Frames at `indices` (integers, slice or mask) in that order, with all specimens."""
-        chosen = indices if isinstance(indices, slice) else np.asarray(indices)
-        if isinstance(chosen, np.ndarray) and chosen.size == 0:
-            chosen = chosen.astype(np.int64)  # numpy converts an empty list to floats
+        chosen = frame_numbers(indices)
         return dataclasses.replace(
             self, **{field.name: getattr(self, field.name)[chosen] for field in FRAME_FIELDS}
         )
@@ -384,8 +383,8 @@ class ColumnCollector:
         }
 
 
-def require_same_origin(one: Any, other: Any) -> None:
-    """Raise DataError where two datasets, or their origins, cannot be of one dataset."""
+def require_same_origin(one: Dataset, other: Dataset) -> None:
+    """Raise DataError where two datasets cannot be parts of one."""
     if one.protocol is not None and other.protocol is not None:
         one.protocol.require_same(
             other.protocol,
@@ -402,9 +401,10 @@ def require_same_origin(one: Any, other: Any) -> None:
         )
 
 
-def known_quantity(stated: str, source: str) -> str:
-    """Kind of a dataset's values: the stated one; simulated values are impedances in any case."""
-    return stated or ("impedance" if source == "simulated" else "")
+def frame_numbers(indices: ArrayLike | slice) -> Any:
+    """Slice or array that selects frames; numpy makes floats of an empty list."""
+    chosen: Any = indices if isinstance(indices, slice) else np.asarray(indices)
+    return chosen.astype(np.int64) if np.size(chosen) == 0 else chosen
 
 
 def frame_bytes(channels: int, names: Collection[str]) -> int:

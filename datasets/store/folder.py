@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from eitskin.datasets.store.dataset import (
     ColumnCollector,
     Dataset,
     frame_bytes,
+    frame_numbers,
     require_same_origin,
 )
 from eitskin.datasets.store.manifest import (
@@ -26,9 +27,9 @@ from eitskin.datasets.store.manifest import (
     shard_content,
     write_manifest,
 )
-from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS
+from eitskin.datasets.store.schema import FIELDS
 from eitskin.datasets.store.shard import write_entry
-from eitskin.datasets.store.shard_reader import Columns, opened_shard, read_shard, shard_of
+from eitskin.datasets.store.shard_reader import read_shard, shard_of
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 
@@ -38,8 +39,7 @@ READ_AT_ONCE = 64_000_000
 Progress = Callable[[int, int], None]
 
 _NAMES = frozenset(field.name for field in FIELDS)
-# Columns whose values are checked against each other.
-_TOGETHER = ({"touch_x", "touch_y"}, {"specimen", "specimen_number", "reference"})
+_LABELS = {field.name for field in FIELDS if "channel" not in field.axes} | {"reference"}
 
 
 def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
@@ -189,19 +189,17 @@ def _disk_bytes(folder: Path, manifest: Manifest) -> int:
 class StoredDataset(Dataset):
     """Dataset of a folder, whose columns are read into memory when they are first used.
 
-    All else is as in a `Dataset`. A column takes a pass over all shards, `read` takes one for
-    several. Each file's SHA-256 is compared before the file is opened, in every pass, and the
-    columns are checked as they are read. A part of the frames is read without the others by
-    `select`, which reads all columns of the shards that hold them.
+    All else is as in a `Dataset`. A pass over all shards reads the columns that are asked for and
+    all labels; `read` takes one pass for several columns. Each file is checked in every pass. A
+    part of the frames is read without the others by `select`.
     """
 
-    __slots__ = ("_compared", "_folder", "_head", "_held", "_manifest", "_progress")
+    __slots__ = ("_folder", "_head", "_held", "_manifest", "_progress")
     _folder: Path
     _manifest: Manifest
     _head: Dataset
-    _progress: Callable[[int, int], None] | None
+    _progress: Progress | None
     _held: set[str]  # names of the columns in memory
-    _compared: set[str]  # names of the shards that were found to be of this dataset
 
     def __new__(cls, *values: Any, **known: Any) -> Any:
         """Dataset in memory, as `dataclasses.replace` asks for; `of_folder` makes the others."""
@@ -209,25 +207,13 @@ class StoredDataset(Dataset):
 
     @classmethod
     def of_folder(
-        cls,
-        folder: Path,
-        manifest: Manifest,
-        head: Dataset,
-        progress: Callable[[int, int], None] | None = None,
+        cls, folder: Path, manifest: Manifest, head: Dataset, progress: Progress | None = None
     ) -> "StoredDataset":
-        """Dataset without any column in memory.
-
-        Args:
-            folder: of the shards.
-            manifest: of the folder.
-            head: one of its shards, without frames.
-            progress: called with the number of shards read and of all shards, in each pass.
-        """
+        """Dataset without any column in memory; `head` is one of its shards without frames."""
         made: StoredDataset = object.__new__(cls)
-        known = {"_folder": folder, "_manifest": manifest, "_head": head, "_progress": progress}
-        known |= {"_held": set(), "_compared": set()}
-        known["names"] = head.names
-        for name, value in (known | {name: getattr(head, name) for name in ORIGIN}).items():
+        known: dict[str, Any] = {name: getattr(head, name) for name in (*ORIGIN, "names")}
+        known |= {"_folder": folder, "_manifest": manifest, "_head": head, "_progress": progress}
+        for name, value in (known | {"_held": set()}).items():
             object.__setattr__(made, name, value)
         return made
 
@@ -254,31 +240,27 @@ class StoredDataset(Dataset):
         return self._head.channels
 
     def read(self, *names: str) -> None:
-        missing = _complete(names) - self._held
+        missing = {*names} - self._held
         if not missing:
             return
+        missing |= _LABELS - self._held
         require_memory(self._folder, len(self) * frame_bytes(self.channels, missing))
         columns = ColumnCollector(self._head, len(self), missing)
-        shards = self._manifest.shards
-        for number, entry in enumerate(shards, 1):
-            rows = slice(entry.frames.start, entry.frames.stop)
-            columns.put(rows, self._part(entry, missing))
-            if self._progress:
-                self._progress(number, len(shards))
+        parts = _shards(self._folder, self._manifest, self._progress)
+        for entry, part in zip(self._manifest.shards, parts, strict=True):
+            require_same_origin(self._head, part)
+            columns.put(slice(entry.frames.start, entry.frames.stop), part.columns)
         for name, column in columns.whole().items():
             object.__setattr__(self, name, column)
         self._held.update(missing)
         object.__setattr__(self, "_manifest", note_known(self._manifest))
 
     def frame(self, index: int) -> Frame:
-        self.read("impedance", "time", "number", "episode", "status")
+        self.read("impedance", "status")
         return super().frame(index)
 
     def select(self, indices: ArrayLike | slice) -> Dataset:
-        chosen = indices if isinstance(indices, slice) else np.asarray(indices)
-        if isinstance(chosen, np.ndarray) and chosen.size == 0:
-            chosen = chosen.astype(np.int64)
-        rows = np.arange(len(self))[chosen]
+        rows = np.arange(len(self))[frame_numbers(indices)]
         self.read("reference")
         require_memory(self._folder, len(rows) * self.bytes_per_frame)
         columns = ColumnCollector(self._head, len(rows), _NAMES)
@@ -286,24 +268,13 @@ class StoredDataset(Dataset):
         order = np.argsort(rows, kind="stable")
         starts = [entry.first_index for entry in self._manifest.shards]
         ends = [*np.searchsorted(rows[order], starts).tolist(), len(rows)]
-        for entry, start, end in zip(self._manifest.shards, ends[:-1], ends[1:], strict=True):
-            if start < end:
-                part, places = self._part(entry, _NAMES), order[start:end]
-                within = rows[places] - entry.first_index
-                frames = {field.name: part[field.name][within] for field in FRAME_FIELDS}
-                columns.put(places, part | frames)
+        for entry, places in zip(self._manifest.shards, np.split(order, ends[1:-1]), strict=True):
+            if len(places):
+                part = read_entry(self._folder, entry)
+                require_same_origin(self._head, part)
+                columns.put(places, part.select(rows[places] - entry.first_index).columns)
         known: dict[str, Any] = {name: getattr(self, name) for name in ORIGIN}
         return Dataset(**known, **columns.whole(), names=self.names)
-
-    def _part(self, entry: ShardEntry, names: Collection[str]) -> Columns:
-        """Columns of one shard; raises DataError for damage and shards of another dataset."""
-        content = shard_content(self._folder, entry)
-        path = self._folder / entry.name
-        with opened_shard(content, path, entry.first_index, entry.known) as shard:
-            if entry.name not in self._compared:
-                require_same_origin(self._head, shard.origin())
-                self._compared.add(entry.name)
-            return shard.columns(entry.count, self.channels, names)
 
 
 def require_memory(path: Path, needed: int) -> None:
@@ -318,9 +289,3 @@ def require_memory(path: Path, needed: int) -> None:
             f"{memory / 1e9:.1f} GB of this machine; read it in parts with read_shards, or with "
             "ShuffledShards"
         )
-
-
-def _complete(names: Collection[str]) -> set[str]:
-    """`names` with those that are checked together with them."""
-    partners = (group for group in _TOGETHER if group.intersection(names))
-    return set(names).union(*partners)

@@ -1,4 +1,4 @@
-"""Reading of shards: datasets, or single columns, of HDF5 files that are checked as they are read.
+"""Reading of shards: datasets of HDF5 files that are checked as they are read.
 
 h5py's low-level interface is used throughout: it opens and checks the arrays of a small file in
 half the time of the high-level one.
@@ -6,11 +6,10 @@ half the time of the high-level one.
 
 import hashlib
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import h5py
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
 from eitskin.contained import Answer, Limits, contained
-from eitskin.datasets.store.dataset import Dataset, known_quantity
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
@@ -29,16 +28,13 @@ from eitskin.datasets.store.schema import (
     MAX_VALUES,
     MOST_SHARD_BYTES,
     Field,
-    check_values,
 )
 from eitskin.datasets.store.shard import unsealed
-from eitskin.datasets.store.stored_arrays import all_arrays, one_array
+from eitskin.datasets.store.stored_arrays import all_arrays
 from eitskin.errors import DataError
 from eitskin.files import MOST_TEXT, quoted, read_bytes
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
-
-Columns = dict[str, NDArray[Any]]
 
 SECONDS = 5
 """Processor time for the smallest of shards of unknown origin [s]."""
@@ -46,7 +42,6 @@ SECONDS = 5
 _BYTES_PER_SECOND = 2 << 20
 _MEMORY, _MEMORY_PER_BYTE = 400 << 20, 24  # [bytes]
 
-_NAMES = [field.name for field in FIELDS]
 _TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in FIELDS}
 
 
@@ -59,16 +54,7 @@ def read_shard(path: str | Path) -> Dataset:
 def shard_of(
     content: bytes, path: Path, first_index: int | None = None, known: bool = False
 ) -> Dataset:
-    """Dataset of the shard whose file has this content; arguments as for `opened_shard`."""
-    with opened_shard(content, path, first_index, known) as shard:
-        return shard.dataset()
-
-
-@contextmanager
-def opened_shard(
-    content: bytes, path: Path, first_index: int | None = None, known: bool = False
-) -> "Iterator[OpenShard]":
-    """Open shard whose file has this content.
+    """Dataset of the shard whose file has this content.
 
     Args:
         content: of the file.
@@ -87,128 +73,73 @@ def opened_shard(
             )
             for _ in contained(f"{__name__}:try_shard", None, image, limits):
                 pass
-        file = _opened(image)
-        try:
-            yield OpenShard(file, first_index)
-        finally:
-            file.close()
+        return _read(image, first_index)
 
 
 def try_shard(argument: None, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
     """Read every array of a shard, as a reader for `contained`; raises what that raises."""
     with _as_data_errors():
-        file = _opened(content)
-        OpenShard(file, None).dataset()
-        file.close()
+        _read(content)
     return iter(())
 
 
-def _opened(image: bytes) -> h5py.h5f.FileID:
-    """Open HDF5 file; raises DataError for what is none, where HDF5 itself names no reason."""
+def _read(image: bytes, first_index: int | None = None) -> Dataset:
+    """Dataset of an HDF5 file, in which every array is checked."""
     try:
-        return h5py.h5f.open_file_image(image)
-    except (OSError, RuntimeError, ValueError) as error:
+        file = h5py.h5f.open_file_image(image)
+    except (OSError, RuntimeError, ValueError) as error:  # HDF5 itself names no reason
         raise DataError(
             "this is not a whole shard of an eitskin dataset: it is no HDF5 file, or a damaged one;"
             " make or copy it again"
         ) from error
-
-
-class OpenShard:
-    """Shard whose file is open: its arrays are checked when they are read."""
-
-    def __init__(self, file: h5py.h5f.FileID, first_index: int | None) -> None:
-        """Check format, version and number of the first frame; raises DataError."""
-        self._file = file
-        self._version = _checked_version(file)
-        self._first, self._count = (int(_attribute(file, n)) for n in ("first_index", "count"))
-        if not 0 <= self._count <= LIMITS["frame"]:
-            raise DataError(f"expected at most {LIMITS['frame']} frames, got {self._count}")
-        if first_index is not None and self._first != first_index:
-            raise DataError(f"expected frames from {first_index} on, got {self._first}")
-
-    def dataset(self) -> Dataset:
-        """The whole shard, in which every array of the file is checked."""
-        stored = dict(all_arrays(self._root))
-        if sum(array.get_storage_size() for array in stored.values()) > self._file.get_filesize():
+    try:
+        version = _checked_version(file)
+        first, count = (int(_attribute(file, name)) for name in ("first_index", "count"))
+        if not 0 <= count <= LIMITS["frame"]:
+            raise DataError(f"expected at most {LIMITS['frame']} frames, got {count}")
+        if first_index is not None and first != first_index:
+            raise DataError(f"expected frames from {first_index} on, got {first}")
+        stored = dict(all_arrays(h5py.h5g.open(file, b"/")))
+        if sum(array.get_storage_size() for array in stored.values()) > file.get_filesize():
             raise DataError("its arrays claim more than the file holds; it is damaged")
-        columns = self._columns(stored, stored["impedance"].shape[-1], _NAMES)
-        return Dataset(**(self._origin(stored.get("protocol")) | columns))
+        columns = _read_columns(stored, version, first, count)
+        return Dataset(**(_read_origin(file, stored.get("protocol")) | columns))
+    finally:
+        file.close()
 
-    def origin(self) -> SimpleNamespace:
-        """Attributes of `Dataset` that all shards of a dataset share."""
-        channels = one_array(self._root, "impedance").shape[-1]
-        protocol = one_array(self._root, "protocol", required=False)
-        return SimpleNamespace(channels=channels, **self._origin(protocol))
 
-    def columns(self, frames: int, channels: int, names: Collection[str]) -> Columns:
-        """Some columns; arrays of the file that these do not need are not looked at.
+def _read_origin(file: h5py.h5f.FileID, protocol: h5py.h5d.DatasetID | None) -> dict[str, Any]:
+    """Attributes of `Dataset` that all shards of a dataset share."""
+    recipe, design, digest, source = (
+        str(_attribute(file, name)) for name in ("recipe", "design", "recipe_sha256", "source")
+    )
+    if hashlib.sha256(recipe.encode()).hexdigest() != digest:
+        raise DataError("the recipe and its checksum disagree; make or copy the file again")
+    return {
+        "protocol": None if protocol is None else _read_protocol(protocol),
+        "frequency": float(_attribute(file, "frequency")),
+        "source": source,
+        "recipe": recipe,
+        "seed": int(_attribute(file, "seed")),
+        "design": _read_design(design) if design else None,
+        "quantity": str(_attribute(file, "quantity", "")),
+    }
 
-        Args:
-            frames: expected number of frames.
-            channels: expected number of channels.
-            names: attributes of `Dataset`. Values that are checked together must be named together:
-                both coordinates of touches, and `specimen` with `reference`.
 
-        Raises DataError for any violation of the format in these columns.
-        """
-        if self._count != frames:
-            raise DataError(f"must hold {frames} frames, got {self._count}")
-        wanted = (field for field in FIELDS if field.name in names)
-        found = {
-            field.path: one_array(self._root, field.path, required=self._holds(field))
-            for field in wanted
-        }
-        stored = {path: array for path, array in found.items() if array is not None}
-        columns = self._columns(stored, channels, names)
-        check_values(columns)
-        return columns
-
-    def _holds(self, field: Field) -> bool:
-        """Whether a file of this version must hold the array."""
-        return field.since is not None and field.since <= self._version
-
-    @property
-    def _root(self) -> h5py.h5g.GroupID:
-        return h5py.h5g.open(self._file, b"/")
-
-    def _origin(self, protocol: h5py.h5d.DatasetID | None) -> dict[str, Any]:
-        recipe, design, digest, source = (
-            str(_attribute(self._file, name))
-            for name in ("recipe", "design", "recipe_sha256", "source")
-        )
-        if hashlib.sha256(recipe.encode()).hexdigest() != digest:
-            raise DataError("the recipe and its checksum disagree; make or copy the file again")
-        return {
-            "protocol": None if protocol is None else _read_protocol(protocol),
-            "frequency": float(_attribute(self._file, "frequency")),
-            "source": source,
-            "recipe": recipe,
-            "seed": int(_attribute(self._file, "seed")),
-            "design": _read_design(design) if design else None,
-            "quantity": known_quantity(str(_attribute(self._file, "quantity", "")), source),
-        }
-
-    def _columns(self, stored: Mapping[str, Any], channels: int, names: Collection[str]) -> Columns:
-        """Columns of the arrays `stored`, with the values that older files leave out."""
-        sizes = {"frame": self._count, "touch": MAX_TOUCHES, "channel": channels}
-        if "reference" in stored:
-            sizes["specimen"] = stored["reference"].shape[0]
-        arrays: Columns = {}
-        for field in (field for field in FIELDS if field.name in names):
-            if field.path in stored or self._holds(field):
-                arrays[field.name] = _values(stored[field.path], field, sizes)
-            elif field.since is None:
-                shape = tuple(sizes[axis] for axis in field.axes)
-                arrays[field.name] = np.full(shape, field.missing, field.dtype)
-        # Older files have no numbers of frames, and all specimens of the dataset: counts within the
-        # dataset take the place of the numbers.
-        first = self._first
-        if "number" in names:
-            arrays.setdefault("number", np.arange(first, first + self._count))
-        if "specimen_number" in names:
-            arrays.setdefault("specimen_number", np.arange(sizes["specimen"]))
-        return arrays
+def _read_columns(
+    stored: Mapping[str, Any], version: int, first: int, count: int
+) -> dict[str, NDArray[Any]]:
+    """Columns by name; those that a file of this version need not hold only where it does."""
+    sizes = {"frame": count, "touch": MAX_TOUCHES, "channel": stored["impedance"].shape[-1]}
+    sizes["specimen"] = stored["reference"].shape[0]
+    columns = {
+        field.name: _values(stored[field.path], field, sizes)
+        for field in FIELDS
+        if field.path in stored or (field.since is not None and field.since <= version)
+    }
+    # Older files have no numbers of frames: counts within the dataset take their place.
+    columns.setdefault("number", np.arange(first, first + count))
+    return columns
 
 
 @contextmanager

@@ -31,16 +31,6 @@ def all_arrays(group: h5py.h5g.GroupID, inside: str = "") -> Iterator[tuple[str,
             yield from all_arrays(item, f"{name}/")
 
 
-def one_array(root: h5py.h5g.GroupID, path: str, *, required: bool = True) -> Any:
-    """One array of a file, checked as by `all_arrays`; None where a file need not have it."""
-    found = root
-    for name in path.encode().split(b"/"):
-        if not (required or name in found):
-            return None
-        found = _plain(found, name)
-    return found
-
-
 def _plain(group: h5py.h5g.GroupID, name: bytes) -> Any:
     """Group or array whose values lie in the file itself, behind known filters."""
     if group.links.get_info(name).type != h5py.h5l.TYPE_HARD:
