@@ -76,10 +76,19 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
     """
     from numba import njit
 
+    from eitskin.kernel_cache import use_cache
+
     # Sums may be taken in another order and products contracted; infinities and NaN keep meaning.
     flags = {"contract", "reassoc", "nsz", "arcp"}
-    made = njit(types, cache=True, error_model="numpy", fastmath=flags)
-    return cast("Callable[[Loop], Loop]", made)
+
+    def compile_loop(function: Loop) -> Loop:
+        made = njit(error_model="numpy", fastmath=flags)(function)
+        use_cache(made, function)
+        made.compile(types)
+        made.disable_compile()
+        return cast("Loop", made)
+
+    return compile_loop
 
 
 def either(types: str, library: object = None) -> Callable[[Loop], Loop]:
