@@ -1,9 +1,11 @@
-"""Break core formulas one at a time in a copy of the tree, and see that tests fail.
+"""Break formulas one at a time in a copy of the tree, and see that tests fail.
 
-    python tests/mutations/run.py [--jobs 2] [--only WORDS ...]
+    python tests/mutations/run.py [--jobs 2] [--only WORDS ...] [--drawn] [--seed 0]
 
-What is broken, and by which tests it must be noticed, is listed in `mutations.toml`. A mutation
-survives where these pass all the same; then a test is missing.
+`mutations.toml` lists wrong formulas and the tests that must notice them. With `--drawn`, others
+are drawn by a seed (`drawing.py`); the tests that may notice them are the files that run the
+statement, from the data of `make coverage`. A mutation survives where these pass all the same:
+then a test is missing, or the mutation changes nothing, which `equivalent.toml` explains.
 """
 
 import argparse
@@ -14,18 +16,28 @@ import sys
 import tempfile
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from mutations.drawing import Drawn, draw  # noqa: E402
+
 LIST = Path(__file__).with_name("mutations.toml")
+EQUIVALENT = Path(__file__).with_name("equivalent.toml")
+COVERAGE = ROOT / "build" / "coverage" / "data"
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = (".types", "eitskin", *ROOMS, "tests")
-PASSED, FAILED = 0, 1  # exit codes of pytest; others mean that nothing was tested
+PASSED, FAILED, NO_TESTS = 0, 1, 5  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}
+MAX_SECONDS = 900.0  # for the tests of one mutation; one that makes them hang is noticed
+MAX_FILES = 10  # of tests that a drawn mutation is tried with, the nearest first
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +49,7 @@ class Mutation:
         file: that it is in, from the root of the tree.
         old, new: text that is there once, and what takes its place.
         tests: files in `tests`, or single tests of theirs, of which one must fail.
+        text: of the file with the mutation, where it was drawn and not listed.
     """
 
     what: str
@@ -44,9 +57,12 @@ class Mutation:
     old: str
     new: str
     tests: tuple[str, ...]
+    text: str = ""
 
     def applied(self, root: Path = ROOT) -> str:
         """The file's text with the mutation; raises ValueError where `old` is not there once."""
+        if self.text:
+            return self.text
         text = (root / self.file).read_text(encoding="utf-8")
         if (count := text.count(self.old)) != 1:
             raise ValueError(
@@ -58,8 +74,62 @@ class Mutation:
 
 def listed() -> list[Mutation]:
     """All mutations of the list."""
-    entries = tomllib.loads(LIST.read_text(encoding="utf-8"))["mutations"]
+    entries = _entries(LIST, "mutations")
     return [Mutation(**entry | {"tests": tuple(entry["tests"])}) for entry in entries]
+
+
+def _entries(path: Path, name: str) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = tomllib.loads(path.read_text(encoding="utf-8"))[name]
+    return entries
+
+
+def drawn_mutations(seed: int) -> list[Mutation]:
+    """Mutations of a draw with the test files that run their statements, the nearest first."""
+    explained = {(each["old"], each["new"]) for each in _entries(EQUIVALENT, "equivalent")}
+    tests = _test_files()
+    width = Counter(test for lines in tests.values() for test in set().union(*lines.values()))
+    return [
+        Mutation(each.what, each.file, "", "", _nearest(each, tests, width), each.text)
+        for each in draw(ROOT, seed)
+        if (each.old, each.new) not in explained
+    ]
+
+
+def _test_files() -> dict[str, dict[int, set[str]]]:
+    """Files in `tests` that run each line of each file: the contexts of the coverage data."""
+    from coverage import CoverageData
+
+    if not COVERAGE.is_file():
+        raise SystemExit(f"there is no {COVERAGE}; run `make coverage` first")
+    data = CoverageData(str(COVERAGE))
+    data.read()
+    tests: dict[str, dict[int, set[str]]] = {}
+    for measured in data.measured_files():
+        lines = tests.setdefault(os.path.relpath(os.path.realpath(measured), ROOT), {})
+        for line, contexts in data.contexts_by_lineno(measured).items():
+            files = {each.removeprefix("tests/") for each in contexts if each}
+            lines.setdefault(line, set()).update(files)
+    return tests
+
+
+def _nearest(
+    drawn: Drawn, tests: dict[str, dict[int, set[str]]], width: Counter[str]
+) -> tuple[str, ...]:
+    """Test files of the statement: those of its own folder, then those that run the fewest files.
+
+    Compiled functions and other processes leave no trace: the tests of the folder stand in.
+    """
+    files = tests.get(drawn.file, {}).get(drawn.line, set())
+    folder = ROOT / "tests" / Path(drawn.file).parent
+    while not files:
+        files = {str(path.relative_to(ROOT / "tests")) for path in folder.glob("test_*.py")}
+        folder = folder.parent
+
+    def distance(file: str) -> tuple[int, int]:
+        return (-len(os.path.commonpath([file, drawn.file])), width[file])
+
+    inside = [file for file in files if not file.startswith("project/")]  # of no use in a copy
+    return tuple(sorted(inside, key=distance)[:MAX_FILES])
 
 
 def copied(folder: Path) -> Path:
@@ -72,7 +142,7 @@ def copied(folder: Path) -> Path:
 
 
 def tested(tree: Path, tests: Sequence[str]) -> int:
-    """Exit code of pytest for `tests` of a copied tree; presses are solved anew."""
+    """Exit code of pytest for tests of a copied tree, quick ones first; presses are solved anew."""
     cache = tree / ".kernels"
     shutil.rmtree(cache, ignore_errors=True)
     environment = os.environ | {
@@ -83,13 +153,26 @@ def tested(tree: Path, tests: Sequence[str]) -> int:
     }
     # -P: the copy's own eitskin/, which has no rooms, must not come before .types.
     command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-    paths = [f"tests/{test}" for test in tests]
-    done = subprocess.run(
-        [*command, *paths], cwd=tree, env=environment, capture_output=True, text=True, check=False
-    )
-    if done.returncode not in (PASSED, FAILED):
-        print(done.stdout[-2000:], done.stderr[-2000:], sep="\n")  # noqa: T201
-    return done.returncode
+    codes = []
+    for which in ("not slow", "slow"):
+        try:
+            done = subprocess.run(
+                [*command, "-m", which, *(f"tests/{test}" for test in tests)],
+                cwd=tree,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=MAX_SECONDS,
+            )
+        except subprocess.TimeoutExpired:
+            return FAILED
+        if done.returncode not in (PASSED, NO_TESTS):
+            if done.returncode != FAILED:
+                print(done.stdout[-2000:], done.stderr[-2000:], sep="\n")  # noqa: T201
+            return done.returncode
+        codes.append(done.returncode)
+    return min(codes)  # with no test of either kind nothing was tested
 
 
 def broken(tree: Path, mutation: Mutation) -> int:
@@ -115,8 +198,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=2, help="how many are tried at once")
     parser.add_argument("--only", nargs="*", default=[""], help="words of what is to be tried")
+    parser.add_argument("--drawn", action="store_true", help="try mutations drawn by the seed")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
     options = parser.parse_args()
-    mutations = [each for each in listed() if any(words in each.what for words in options.only)]
+    mutations = drawn_mutations(options.seed) if options.drawn else listed()
+    mutations = [
+        each
+        for each in mutations
+        if any(words in f"{each.file}: {each.what}" for words in options.only)
+    ]
     for mutation in mutations:
         mutation.applied()
     began = time.monotonic()

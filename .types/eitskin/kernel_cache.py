@@ -1,0 +1,1 @@
+../../eitskin/kernel_cache.py
