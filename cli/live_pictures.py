@@ -2,18 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin import hardware
 from eitskin.errors import ConfigurationError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.training.method.input_spec import usable_values
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
-
-if TYPE_CHECKING:
-    from eitskin.hardware.live import FramePipeline
 
 Array = NDArray[np.float64]
 
@@ -62,7 +60,9 @@ class LivePictures:
         taken: number of frames in the session's reference so far, at most `REFERENCE`.
     """
 
-    def __init__(self, maker: Reconstructor, pipeline: "FramePipeline | None" = None) -> None:
+    def __init__(
+        self, maker: Reconstructor, pipeline: "hardware.FramePipeline | None" = None
+    ) -> None:
         """Solve the sensor's linear model, so that no frame has to wait for that.
 
         Args:

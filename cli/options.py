@@ -16,15 +16,13 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from eitskin import geometry, hardware, training
 from eitskin.cli.terminal import Terminal
 from eitskin.errors import ConfigurationError, cut
 
 if TYPE_CHECKING:
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.boards.board import Board
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.simulator import Simulator
-    from eitskin.training.method.interface import Method
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
 
@@ -80,7 +78,7 @@ VIRTUAL = "virtual:"
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
 
 
-def own_method(code: str | None) -> "type[Method] | None":
+def own_method(code: str | None) -> "type[training.Method] | None":
     """Class of the method of the user's own whose code is named; None where none is."""
     from eitskin.training.pipeline.methods import named_method
 
@@ -141,7 +139,9 @@ class SensorOptions:
     protocol: Pairs = "pairwise"
 
     def simulator(
-        self, resolution: "Resolution | Discretisation", design: "SensorDesign | None" = None
+        self,
+        resolution: "Resolution | Discretisation",
+        design: "geometry.SensorDesign | None" = None,
     ) -> "Simulator":
         """Simulator of the sensor; raises ConfigurationError for options or files that do not fit.
 
@@ -159,11 +159,10 @@ class SensorOptions:
         return Simulator(design, resolution, fixture, pairs, mechanics, model, grid=grid)
 
 
-def read_design(sensor: Path | None) -> "SensorDesign":
+def read_design(sensor: Path | None) -> "geometry.SensorDesign":
     """Design of a file, or the reference sensor where none is named."""
-    from eitskin.geometry.design.sensor import SensorDesign
 
-    return SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    return geometry.SensorDesign.from_toml(sensor) if sensor else geometry.SensorDesign.reference()
 
 
 def require_parent(out: Path) -> None:
@@ -205,12 +204,11 @@ def named_board(uri: str | None, output: "Output") -> str:
     return uri or VIRTUAL
 
 
-def opened_board(uri: str, seed: int) -> "Board":
+def opened_board(uri: str, seed: int) -> "hardware.Board":
     """Board of a URI, open; the seed is for a virtual one whose URI has none."""
-    from eitskin.hardware.opening import open_board
 
     drawn = uri.startswith(VIRTUAL) and "seed=" not in uri
-    return open_board(uri, **({"seed": seed} if drawn else {}))
+    return hardware.open_board(uri, **({"seed": seed} if drawn else {}))
 
 
 @contextlib.contextmanager

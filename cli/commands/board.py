@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from eitskin import hardware
 from eitskin.cli.options import (
     FixtureFile,
     MechanicsFile,
@@ -60,7 +61,6 @@ def command(
     output: Output,
 ) -> None:
     """Serve a virtual board on a pseudo-terminal until Ctrl-C; hosts can come and go."""
-    from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
     if list_faults:
         from eitskin.hardware.virtual.fault_table import FAULTS
@@ -69,7 +69,7 @@ def command(
         output.result(meanings, table_of(("fault", "what it does"), meanings.items()))
         return
     output.detail(f"meshing at resolution {resolution}, computing the scenes")
-    terminal = virtual_terminal(
+    terminal = hardware.virtual_terminal(
         speed=speed,
         resolution=resolution,
         scene=scene,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
@@ -23,12 +24,8 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError, FrameError
 
 if TYPE_CHECKING:
-    from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.checked_frames import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
-    from eitskin.hardware.live import Estimate
-    from eitskin.protocol import Protocol
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 Recording = Annotated[
     Path | None,
@@ -76,7 +73,6 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
-    from eitskin.training.pipeline.pipeline import open_pipeline
 
     if list_ports:
         _list(output)
@@ -90,7 +86,7 @@ def command(
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        pipeline = open_pipeline(model or SHIPPED, own_method(method))
+        pipeline = training.open_pipeline(model or SHIPPED, own_method(method))
         check_board(
             pipeline,
             named_board(board, output),
@@ -104,7 +100,7 @@ def command(
 
 
 def check_board(
-    pipeline: "Pipeline",
+    pipeline: "training.Pipeline",
     board: str,
     frames: int,
     output: Output,
@@ -163,9 +159,9 @@ class SensorFindings(NamedTuple):
 
 
 def sensor_findings(
-    pipeline: "Pipeline | None",
-    taken: "Sequence[Frame]",
-    estimate: "Callable[[], Estimate]",
+    pipeline: "training.Pipeline | None",
+    taken: "Sequence[simulator.Frame]",
+    estimate: "Callable[[], hardware.Estimate]",
 ) -> SensorFindings:
     """Findings on the flat, untouched sensor in frames that were taken of it.
 
@@ -175,12 +171,11 @@ def sensor_findings(
         estimate: gives the pipeline's estimate of the last one; may raise FrameError.
     """
     from eitskin.hardware.diagnosis.reading_check import LAWS, check_frames
-    from eitskin.hardware.diagnosis.sensor_check import check_sensor
 
     readings = check_frames(taken)
     findings = readings.findings
     if pipeline is not None and (expected := pipeline.expected) is not None:
-        known = check_sensor(taken, expected).findings
+        known = hardware.check_sensor(taken, expected).findings
         findings = (*known, *(each for each in findings if each.what in LAWS))
         # Other faults make a sensor look bent or pressed.
         if pipeline.targets.states or pipeline.targets.angle:
@@ -188,9 +183,10 @@ def sensor_findings(
     return SensorFindings(findings, readings.laws)
 
 
-def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tuple[Finding, ...]":
+def _not_flat(
+    pipeline: "training.Pipeline", estimated: "Callable[[], hardware.Estimate]"
+) -> "tuple[Finding, ...]":
     """Finding of a sensor that is bent or pressed, by its stored reference or by other sensors."""
-    from eitskin.datasets.store.schema import State
     from eitskin.hardware.diagnosis.checked_frames import Finding, FindingKind
 
     try:
@@ -199,7 +195,7 @@ def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tup
         return (Finding(FindingKind.MISFIT, (), (), str(error)),)
     if pipeline.stored is None:
         doubt = next((text for text in estimate.problems if "look flat" in text), "")
-    elif estimate.state is State.IDLE:
+    elif estimate.state is datasets.State.IDLE:
         doubt = ""
     else:
         shown = "unknown" if estimate.bend_angle_deg is None else f"{estimate.bend_angle_deg:+.1f}"
@@ -213,11 +209,10 @@ def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tup
 
 def _check_recording(path: Path, values: str | None, protocol: str | None, output: Output) -> None:
     from eitskin.cli.commands.recorded_frames import read_recorded, required_protocol
-    from eitskin.hardware.diagnosis.reading_check import check_readings
 
     data = read_recorded(path, values, protocol)
     table = required_protocol(data)
-    readings = check_readings(data.impedance, table, data.status)
+    readings = hardware.check_readings(data.impedance, table, data.status)
     source = {"recording": str(path)}
     _report(source, readings.findings, readings.laws, table, len(data), output)
 
@@ -226,7 +221,7 @@ def _report(
     source: dict[str, str],
     findings: "Sequence[Finding]",
     laws: "Sequence[LawCheck]",
-    protocol: "Protocol",
+    protocol: "simulator.Protocol",
     frames: int,
     output: Output,
 ) -> None:
@@ -243,7 +238,7 @@ def _report(
         raise typer.Exit(EXIT_UNHEALTHY)
 
 
-def _plain(finding: "Finding", protocol: "Protocol") -> dict[str, object]:
+def _plain(finding: "Finding", protocol: "simulator.Protocol") -> dict[str, object]:
     """Finding as plain data, channels by their labels."""
     return {
         "what": str(finding.what),

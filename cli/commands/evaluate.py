@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from eitskin import datasets, training
 from eitskin.cli.options import (
     MethodCode,
     Output,
@@ -15,10 +16,7 @@ from eitskin.cli.options import (
 from eitskin.cli.terminal import table_of
 
 if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.training.evaluation.evaluate import Evaluation, Report
-    from eitskin.training.evaluation.position_score import PositionScore
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.evaluation.evaluate import Evaluation
 
 
 @with_output
@@ -34,20 +32,17 @@ def command(
     output: Output,
 ) -> None:
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
-    from eitskin.datasets.store.folder import open_dataset
     from eitskin.datasets.store.summary import specimens_in_words
     from eitskin.training.evaluation.evaluate import Evaluation
-    from eitskin.training.evaluation.position_score import PositionScore
     from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.method.settings import POSITIONS
-    from eitskin.training.pipeline.pipeline import open_pipeline
 
-    data = open_dataset(dataset)
-    trained = open_pipeline(pipeline, own_method(method))
+    data = datasets.open_dataset(dataset)
+    trained = training.open_pipeline(pipeline, own_method(method))
     if out is not None:
         require_report_folder(out)
     if trained.settings.method == POSITIONS:
-        score = PositionScore.of(trained, data)
+        score = training.PositionScore.of(trained, data)
         if out is not None:
             save_position_report(trained, data, out, output)
         output.result(score.as_dict(), position_table(score))
@@ -71,7 +66,7 @@ def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
 
 
 def save_position_report(
-    touches: "Pipeline", data: "Dataset", folder: Path, output: Output
+    touches: "training.Pipeline", data: "datasets.Dataset", folder: Path, output: Output
 ) -> None:
     """Write the report folder of touch positions, with machine, versions and date."""
     from eitskin.training.evaluation.report import write_position_report
@@ -93,7 +88,7 @@ def _made_with(seed: int) -> dict[str, str]:
     }
 
 
-def paper_table(report: "Report") -> Table:
+def paper_table(report: "training.Report") -> Table:
     """Table of the paper's figures beside those of `report`."""
     from eitskin.training.evaluation.report import HEADINGS, table_rows
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
@@ -102,7 +97,7 @@ def paper_table(report: "Report") -> Table:
     return table_of(HEADINGS, table_rows(report), title=title, caption=SSIM_DEFINITION)
 
 
-def position_table(score: "PositionScore") -> Table:
+def position_table(score: "training.PositionScore") -> Table:
     """Table of position errors learned without geometry."""
     rows = (
         ("mean error", f"{score.mean_error_mm:.2f} mm"),

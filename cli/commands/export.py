@@ -4,12 +4,13 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich import box
 from rich.table import Table
 
+from eitskin import hardware, simulator, training
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.options import (
     FramesPath,
@@ -23,10 +24,6 @@ from eitskin.cli.options import (
 )
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from eitskin.hardware.boards.replay_board import ReplayBoard
-    from eitskin.hardware.live import Reading
 
 app = typer.Typer(help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True)
 
@@ -47,11 +44,10 @@ def export_mcap(
 
     docs/interoperability.md has the topics and their units.
     """
-    from eitskin.hardware.boards.replay_board import ReplayBoard
     from eitskin.hardware.ros2.mcap import McapWriter, require_new
 
     require_new(out)
-    board, start = ReplayBoard(str(recording)), time.perf_counter()
+    board, start = hardware.ReplayBoard(str(recording)), time.perf_counter()
     readings, frames, estimates = _readings(board, model, method), 0, 0
     writer = McapWriter(out)
     try:
@@ -105,10 +101,9 @@ def export_vtu(
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
     from eitskin.datasets.store.folder import make_folder
-    from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
 
-    what = Scene.from_toml(scene)
+    what = simulator.Scene.from_toml(scene)
     _require_empty(out)
     design = read_design(sensor.sensor)
     sim = sensor.simulator(field_resolution(design, cell), design)
@@ -130,16 +125,16 @@ def export_vtu(
     )
 
 
-def _readings(board: "ReplayBoard", model: Path | None, method: str | None) -> "Iterator[Reading]":
+def _readings(
+    board: "hardware.ReplayBoard", model: Path | None, method: str | None
+) -> "Iterator[hardware.Reading]":
     """Readings of all recorded frames, with estimates where there is a model; latency unknown."""
-    from eitskin.hardware.live import Reading, run_live
 
     if model is None:
-        return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
-    from eitskin.training.pipeline.pipeline import open_pipeline
+        return (hardware.Reading(frame, None, math.nan, math.nan) for frame in board.frames())
 
-    pipeline = open_pipeline(model, own_method(method))
-    return run_live(board, pipeline, newest=False, clock=lambda: math.nan)
+    pipeline = training.open_pipeline(model, own_method(method))
+    return hardware.run_live(board, pipeline, newest=False, clock=lambda: math.nan)
 
 
 def _require_empty(folder: Path) -> None:

@@ -10,6 +10,7 @@ import typer
 from rich.console import Group
 from rich.table import Column
 
+from eitskin import datasets, geometry, simulator, training
 from eitskin.cli.commands.recorded_frames import (
     OneSpecimen,
     Recorded,
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.simulator.instrument.meter_fit import MeterFit
-    from eitskin.training.twin.twin import Twin
 
 instrument_app = typer.Typer(no_args_is_help=True, help="Fit instruments to frames of real boards.")
 twin_app = typer.Typer(no_args_is_help=True, help="Fit the physical numbers behind one sensor.")
@@ -85,17 +83,15 @@ def fit_instrument(
     Flat frames of a dataset are its references before touches, or else its idle frames, or else,
     where nothing says what the frames show, all of them. See docs/instrument.md.
     """
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.simulator.electrical.forward_model import ForwardModel
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.fit_parameters import USUAL
-    from eitskin.simulator.instrument.instrument import Instrument, snr_db
+    from eitskin.simulator.instrument.instrument import snr_db
     from eitskin.simulator.instrument.meter import Quantity
-    from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
+    from eitskin.simulator.instrument.meter_fit import agreement
 
     detail = one_of("--resolution", resolution, Resolution)
     quantity: Quantity | None = one_of("--reads", reads, Quantity) if reads else None
-    sensor = SensorDesign.from_toml(design)
+    sensor = geometry.SensorDesign.from_toml(design)
     require_parent(out)
     data = read_recorded(recording, values, protocol)
     table = required_protocol(data)
@@ -107,12 +103,12 @@ def fit_instrument(
     flat, which = _flat_frames(data)
     _require_others(first, len(flat), "flat frames")
     output.note(f"{len(flat)} flat frames ({which}); solving the sensor at {resolution}")
-    Z = ForwardModel(sensor, resolution=detail).impedance()
+    Z = simulator.ForwardModel(sensor, resolution=detail).impedance()
     chosen = tuple(terms.split(",")) if terms is not None else USUAL
     quantity = quantity or ("magnitude" if data.quantity == "magnitude" else None)
-    fit = fit_meter if keep_all else select_meter
+    fit = simulator.fit_meter if keep_all else simulator.select_meter
     meter = fit(Z, table, flat[:first], chosen, quantity, seed)
-    ideal = fit_meter(Z, table, flat[:first], (), quantity, seed)
+    ideal = simulator.fit_meter(Z, table, flat[:first], (), quantity, seed)
     means = {"fitted": flat[:first].mean(axis=0)}
     if first is not None:
         means["others"] = flat[first:].mean(axis=0)
@@ -120,7 +116,7 @@ def fit_instrument(
         name: {"ideal": agreement(ideal.predicted, mean), "meter": agreement(meter.predicted, mean)}
         for name, mean in means.items()
     }
-    Instrument(snr_db=snr_db(flat[:first]), meter=meter.meter).to_toml(out)
+    simulator.Instrument(snr_db=snr_db(flat[:first]), meter=meter.meter).to_toml(out)
     rows = list(_meter_rows(meter))
     result = {
         "out": str(out),
@@ -151,18 +147,16 @@ def fit_instrument(
     output.note(f"instrument: {out}")
 
 
-def _flat_frames(data: "Dataset") -> "tuple[NDArray[np.complex128], str]":
+def _flat_frames(data: "datasets.Dataset") -> "tuple[NDArray[np.complex128], str]":
     """Frames of the flat, untouched sensor, (n, channels), and where they come from."""
     import numpy as np
-
-    from eitskin.datasets.store.schema import UNKNOWN_STATE, State
 
     before = data.has_touch_reference & ~(np.abs(data.bend_angle_deg) > 0.0)  # NaN: unknown
     if before.any():
         return data.touch_reference[before].astype(complex), "before touches"
-    if (idle := data.state == State.IDLE).any():
+    if (idle := data.state == datasets.State.IDLE).any():
         return data.impedance[idle].astype(complex), "idle"
-    if (data.state == UNKNOWN_STATE).all() and np.isnan(data.touch_x).all():
+    if (data.state == datasets.UNKNOWN_STATE).all() and np.isnan(data.touch_x).all():
         return data.impedance.astype(complex), "all frames, of unknown state"
     raise DataError(
         "expected frames of the flat, untouched sensor, got only touches and bends; record the "
@@ -178,7 +172,7 @@ def _require_others(first: int | None, count: int, what: str) -> None:
         )
 
 
-def _meter_rows(fit: "MeterFit") -> Iterator[tuple[str, float, float | None, str]]:
+def _meter_rows(fit: "simulator.MeterFit") -> Iterator[tuple[str, float, float | None, str]]:
     """Name, value, standard error and unit of each parameter; None for an error without limit."""
     scale = abs(fit.meter.scale)
     names = [(str(parameter), parameter.unit) for parameter in fit.parameters]
@@ -199,7 +193,7 @@ def _tied(groups: Iterable[Sequence[str]], what: str) -> list[str]:
     ]
 
 
-def _meter_remarks(fit: "MeterFit", terms: tuple[str, ...]) -> Iterator[str]:
+def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterator[str]:
     """Sentences about what the frames do not call for, and what they do not determine."""
     fitted = {each.name for each in fit.parameters}
     if left_out := ", ".join(term for term in terms if term not in fitted):
@@ -255,22 +249,19 @@ def fit_twin(
     """
     from eitskin.config import read_toml
     from eitskin.datasets.store.folder import new_folder
-    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.deformation.sensor_grid import read_fixed
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.twin.files import as_plain, write_twin
-    from eitskin.training.twin.parameters import TwinPrior
-    from eitskin.training.twin.twin import Twin
 
     detail = one_of("--resolution", resolution, Resolution)
     new_folder(out)
-    sensor = SensorDesign.from_toml(design)
-    widths = read_toml(TwinPrior, prior) if prior else TwinPrior()
+    sensor = geometry.SensorDesign.from_toml(design)
+    widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()
     clamp, materials, _ = read_fixed(fixture, mechanics)
     data = read_recorded(recording, values, protocol)
     data = data if specimen is None else of_specimen(data, specimen)
     _require_others(first, len(data), "frames")
-    twin = Twin.fit(
+    twin = training.Twin.fit(
         sensor,
         data.select(slice(first)),
         fixture=clamp,
@@ -300,7 +291,7 @@ def fit_twin(
     output.note(f"twin: {out}")
 
 
-def _twin_rows(twin: "Twin") -> Iterator[tuple[str, ...]]:
+def _twin_rows(twin: "training.Twin") -> Iterator[tuple[str, ...]]:
     """Cells of the fitted numbers: value, error, prior."""
     lost = {names[0] for names in twin.undetermined if len(names) == 1}
     for each, value, error in zip(twin.parameters, twin.values, twin.standard_errors, strict=True):
@@ -309,7 +300,7 @@ def _twin_rows(twin: "Twin") -> Iterator[tuple[str, ...]]:
         yield str(each), f"{value:.4g}", shown, prior, each.unit
 
 
-def _twin_remarks(twin: "Twin") -> Iterator[str]:
+def _twin_remarks(twin: "training.Twin") -> Iterator[str]:
     """Sentences about what was left out, what is not identifiable, and the worst channel."""
     from eitskin.training.twin.files import channel_residuals
 

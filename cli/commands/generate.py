@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.filesize import decimal
 
+from eitskin import datasets
 from eitskin.cli.options import Output, with_output
 from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.datasets.generation.preparation import CostEstimate
-    from eitskin.datasets.recipe.recipe import Recipe
 
 
 @with_output
@@ -58,7 +58,7 @@ def command(
     try:
         made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
     except KeyboardInterrupt:
-        again = ["eitskin", "generate", recipe, "--out", str(out)]
+        again = ["eitskin", "datasets.generate", recipe, "--out", str(out)]
         again += [] if seed is None else ["--seed", str(seed)]
         again += [] if scheduler is None else ["--scheduler", scheduler]
         again += ["--resume"] if shard is None else ["--shard", str(shard)]
@@ -69,7 +69,7 @@ def command(
 
 
 def make_dataset(
-    recipe: "Recipe",
+    recipe: "datasets.Recipe",
     out: Path,
     workers: int,
     resume: bool,
@@ -78,7 +78,6 @@ def make_dataset(
     shard: int | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Generate with a progress bar; the result as plain data and as a sentence."""
-    from eitskin.datasets.generation.generate import generate
 
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
@@ -101,7 +100,7 @@ def make_dataset(
             bar.update(looking, completed=count, total=total, visible=count < total)
 
         looking = bar.add_task("finished shards", total=None, rate="", visible=False)
-        manifest = generate(
+        manifest = datasets.generate(
             recipe,
             out,
             workers,
@@ -132,7 +131,9 @@ def make_dataset(
     )
 
 
-def _solve_missing(recipe: "Recipe", workers: int, output: Output, shard: int | None) -> None:
+def _solve_missing(
+    recipe: "datasets.Recipe", workers: int, output: Output, shard: int | None
+) -> None:
     """Solve the tables of presses and bends that are absent, with a note and a progress bar.
 
     A note also says how many frames will be solved in 3D, one by one.
@@ -171,7 +172,7 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output, shard: int | 
             prepare(recipe, show, workers, specimens)
 
 
-def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:
+def _as_text(found: "CostEstimate", recipe: "datasets.Recipe", workers: int, out: Path) -> str:
     if found.megabytes > found.megabytes_free:
         raise ConfigurationError(
             f"the disk of {out} has no room: '{recipe.name}' will take about "
@@ -198,12 +199,11 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h"
 
 
-def _read(recipe: str) -> "Recipe":
+def _read(recipe: str) -> "datasets.Recipe":
     """Recipe from a file, or the shipped recipe of that name."""
-    from eitskin.datasets.recipe.recipe import Recipe
 
     if recipe.endswith(".toml") or Path(recipe).is_file():
-        return Recipe.from_toml(recipe)
+        return datasets.Recipe.from_toml(recipe)
     if "/" in recipe:
         raise ConfigurationError(f"there is no recipe {recipe}; give a .toml file")
-    return Recipe.shipped(recipe)
+    return datasets.Recipe.shipped(recipe)

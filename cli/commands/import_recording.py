@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eitskin import datasets, geometry, simulator
 from eitskin.cli.options import MeasuredPairs, Output, with_output
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.datasets.recordings.recording import Recording
     from eitskin.datasets.store.summary import DatasetSummary
 
 
@@ -80,23 +80,21 @@ def command(
     output: Output,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
-    from eitskin.datasets.recordings.recorded_file import RecordingForm, RecordingNames
-    from eitskin.datasets.recordings.recording import Recording
     from eitskin.datasets.store.folder import save_parts
     from eitskin.datasets.store.summary import DatasetSummary
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.protocol import Protocol
 
-    design = SensorDesign.from_toml(sensor) if sensor else None
-    recording = Recording(
+    design = geometry.SensorDesign.from_toml(sensor) if sensor else None
+    recording = datasets.Recording(
         files,
-        RecordingNames(
+        datasets.RecordingNames(
             values, touch_reference, positions, _columns(column or ()), _pair(patterns), sheet
         ),
-        Protocol.named(protocol, len(design.electrodes) if design else None) if protocol else None,
+        simulator.Protocol.named(protocol, len(design.electrodes) if design else None)
+        if protocol
+        else None,
         frequency,
         design,
-        RecordingForm(
+        datasets.RecordingForm(
             rows,  # type: ignore[arg-type]
             keep_before,
             transpose,
@@ -117,7 +115,9 @@ def command(
     _tell(output, out, recording, summary)
 
 
-def _tell(output: Output, out: Path, recording: "Recording", summary: "DatasetSummary") -> None:
+def _tell(
+    output: Output, out: Path, recording: "datasets.Recording", summary: "DatasetSummary"
+) -> None:
     """Print what has been imported."""
     contents, counts = summary.contents(), summary.states
     shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.table import Table
 
+from eitskin import geometry
 from eitskin.cli.options import (
     Detail,
     Output,
@@ -20,8 +21,6 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.geometry.meshing.mesh import Mesh
     from eitskin.geometry.meshing.mesh_design import CellKind
     from eitskin.simulator.electrical.resolution import Resolution
 
@@ -66,7 +65,7 @@ def command(
 
 
 def _numbers(
-    design: "SensorDesign", mesh: "Mesh", kind: "CellKind", seconds: float
+    design: "geometry.SensorDesign", mesh: "geometry.Mesh", kind: "CellKind", seconds: float
 ) -> dict[str, Any]:
     """Numbers of the mesh as plain data."""
     import numpy as np
@@ -107,8 +106,8 @@ def _as_table(data: dict[str, Any]) -> Table:
 
 
 def _draw(
-    design: "SensorDesign",
-    mesh: "Mesh",
+    design: "geometry.SensorDesign",
+    mesh: "geometry.Mesh",
     kind: "CellKind",
     drive: tuple[int, int] | None,
     path: Path,

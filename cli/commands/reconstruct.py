@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 import typer
 from rich.table import Column
 
+from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.options import (
@@ -34,12 +35,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eitskin.frame import Frame
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.protocol import Protocol
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.evaluation.drawing import Circle
-    from eitskin.training.reconstruction.reconstructor import Reconstructor
 
 MAX_PICTURES = 24
 SCHEMES = ("serial:", "text:", "virtual:", "replay:")
@@ -56,8 +53,8 @@ class PicturedFrames(NamedTuple):
         circles: true touches of each frame, where known.
     """
 
-    design: "SensorDesign"
-    protocol: "Protocol"
+    design: "geometry.SensorDesign"
+    protocol: "simulator.Protocol"
     names: list[str]
     impedance: "NDArray[Any]"
     reference: "NDArray[Any]"
@@ -99,29 +96,32 @@ class FrameOptions:
             )
         return self._from_dataset(path)
 
-    def require_protocol(self, design: "SensorDesign", known: "Protocol", whose: str) -> None:
+    def require_protocol(
+        self, design: "geometry.SensorDesign", known: "simulator.Protocol", whose: str
+    ) -> None:
         """Refuse a --protocol other than that of the source."""
-        from eitskin.protocol import Protocol
 
         if self.protocol:
-            named = Protocol.named(self.protocol, len(design.electrodes))
+            named = simulator.Protocol.named(self.protocol, len(design.electrodes))
             named.require_same(known, "--protocol names", whose, "leave --protocol out")
 
     def _from_scene(self, path: Path, resolution: "Resolution", output: Output) -> PicturedFrames:
         """Frame of a scene, against it without its touches or against the flat sensor."""
         import numpy as np
 
-        from eitskin.simulator.scene.scene import Scene
-
         if self.reference not in ("untouched", "flat"):
             raise ConfigurationError(
                 f"expected --reference untouched or flat for a scene, got '{self.reference}'"
             )
-        scene, design = Scene.from_toml(path), read_design(self.sensor)
+        scene, design = simulator.Scene.from_toml(path), read_design(self.sensor)
         sim = SensorOptions(protocol=self.protocol or "pairwise").simulator(resolution, design)
         sim.check_scene(scene)
         announce_unsolved(sim, scene, output)
-        before = Scene() if self.reference == "flat" else dataclasses.replace(scene, touches=())
+        before = (
+            simulator.Scene()
+            if self.reference == "flat"
+            else dataclasses.replace(scene, touches=())
+        )
         circles = tuple((each.x, each.y, each.indenter.rims[1]) for each in scene.touches)
         now, then = (np.array([sim.measure(each).impedance]) for each in (scene, before))
         return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles])
@@ -130,10 +130,7 @@ class FrameOptions:
         """Chosen frames of a dataset; the first touched one where none is chosen."""
         import numpy as np
 
-        from eitskin.datasets.store.folder import open_dataset
-        from eitskin.protocol import Protocol
-
-        data = open_dataset(path)
+        data = datasets.open_dataset(path)
         design = read_design(self.sensor) if self.sensor else data.design
         if design is None:
             raise DataError(
@@ -144,7 +141,7 @@ class FrameOptions:
         if protocol is not None:
             self.require_protocol(design, protocol, "the dataset has")
         elif self.protocol:
-            protocol = Protocol.named(self.protocol, len(design.electrodes))
+            protocol = simulator.Protocol.named(self.protocol, len(design.electrodes))
         else:
             raise DataError(
                 f"expected a dataset that knows its protocol, got {path} without one; name it with "
@@ -181,7 +178,7 @@ class FrameOptions:
                 f"expected --frames of a board from 1 to {MAX_PICTURES}, got '{frames}'"
             )
 
-        def good(frame: "Frame") -> "NDArray[np.complex128]":
+        def good(frame: "simulator.Frame") -> "NDArray[np.complex128]":
             return np.where(frame.status == 0, frame.impedance, np.nan)
 
         with opened_board(uri, seed) as board:
@@ -260,20 +257,21 @@ def command(
 ) -> None:
     """Picture where the conductivity of any sensor has changed, without a trained pipeline."""
     from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.training.reconstruction.reconstructor import Difference, Method, Reconstructor
-    from eitskin.training.reconstruction.regularised_inverse import Regularisation
+    from eitskin.training.reconstruction.reconstructor import Difference, Method
 
     names: list[Method] = (
         [one_of("--method", method, Method)] if method != "all" else [*get_args(Method)]
     )
-    chosen_rule = Regularisation.named(rule)
+    chosen_rule = training.Regularisation.named(rule)
     compared = None if difference is None else one_of("--difference", difference, Difference)
     detail = one_of("--resolution", resolution, Resolution)
     _require_out(out)
 
-    def makers(design: "SensorDesign", protocol: "Protocol") -> list[Reconstructor]:
+    def makers(
+        design: "geometry.SensorDesign", protocol: "simulator.Protocol"
+    ) -> list[training.Reconstructor]:
         common = chosen_rule, pixels, compared, detail
-        return [Reconstructor(design, protocol, name, *common) for name in names]
+        return [training.Reconstructor(design, protocol, name, *common) for name in names]
 
     if page.page:
         if not source.startswith(SCHEMES) or len(names) > 1:
@@ -319,7 +317,7 @@ class Image(NamedTuple):
         circles: true touches, where known.
     """
 
-    maker: "Reconstructor"
+    maker: "training.Reconstructor"
     frame: str
     values: "NDArray[np.float64]"
     circles: "tuple[Circle, ...]" = ()
@@ -356,7 +354,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 def _follow_live(
     uri: str,
     wanted: FrameOptions,
-    makers: "Callable[[SensorDesign, Protocol], list[Reconstructor]]",
+    makers: "Callable[[geometry.SensorDesign, simulator.Protocol], list[training.Reconstructor]]",
     page: PageOptions,
     seed: int,
     output: Output,
@@ -364,8 +362,6 @@ def _follow_live(
     """Serve the page with the board's pictures until Ctrl-C, or the end of a recording."""
     from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.live_page import LivePage
-    from eitskin.hardware.boards.board import Connection
-    from eitskin.hardware.live import run_live
 
     access, design = page.access, read_design(wanted.sensor)
     with ExitStack() as stack:
@@ -373,13 +369,13 @@ def _follow_live(
         board = stack.enter_context(opened_board(uri, seed))
         wanted.require_protocol(design, board.protocol, "the board measures")
         (maker,) = makers(design, board.protocol)
-        session = LiveSession(Connection(board), output, LivePictures(maker))
+        session = LiveSession(hardware.Connection(board), output, LivePictures(maker))
         session.connection.tell = session.say
         served = LivePage(session.connection, design, page.page_port, access)
         session.page = stack.enter_context(served)
         tell_invitations(session.page.invitations, output)
         output.note("keep the sensor untouched at first")
-        session.follow(run_live(session.connection, session), None)
+        session.follow(hardware.run_live(session.connection, session), None)
 
 
 def _require_out(out: Path | None) -> None:

@@ -2,15 +2,12 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from eitskin import datasets, simulator
 from eitskin.errors import ConfigurationError, DataError
-
-if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.protocol import Protocol
 
 Recorded = Annotated[
     Path,
@@ -25,7 +22,7 @@ OneSpecimen = Annotated[
 ]
 
 
-def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Dataset":
+def read_recorded(path: Path, values: str | None, protocol: str | None) -> "datasets.Dataset":
     """Dataset of a recording.
 
     Args:
@@ -38,21 +35,17 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
         DataError: where the recording cannot be used.
         FrameError: for another protocol than the dataset's.
     """
-    from eitskin.datasets.recordings.recorded_file import RecordingNames
-    from eitskin.datasets.recordings.recording import read_recording
-    from eitskin.datasets.store.folder import open_dataset
-    from eitskin.protocol import Protocol
 
-    named = Protocol.named(protocol) if protocol else None
+    named = simulator.Protocol.named(protocol) if protocol else None
     if not path.exists():
         raise DataError(f"there is no dataset and no file {path}; check the path")
     if not (path.is_dir() or path.suffix.lower() in (".h5", ".hdf5")):
-        return read_recording(path, RecordingNames(values), named)
+        return datasets.read_recording(path, datasets.RecordingNames(values), named)
     if values is not None:
         raise ConfigurationError(
             f"--values names a variable of a file that is no dataset, got {path}; leave it out"
         )
-    data = open_dataset(path)
+    data = datasets.open_dataset(path)
     if named is not None and data.protocol is None:
         return dataclasses.replace(data, protocol=named)
     if named is not None and data.protocol is not None:
@@ -61,7 +54,7 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
     return data
 
 
-def of_specimen(data: "Dataset", specimen: int) -> "Dataset":
+def of_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Dataset":
     """Frames of one specimen of a dataset; raises ConfigurationError where it has none."""
     own = data.specimen_number[data.specimen] == specimen
     if not own.any():
@@ -72,7 +65,7 @@ def of_specimen(data: "Dataset", specimen: int) -> "Dataset":
     return data.select(own).own_specimens()
 
 
-def of_one_sensor(data: "Dataset", specimen: int | None) -> "Dataset":
+def of_one_sensor(data: "datasets.Dataset", specimen: int | None) -> "datasets.Dataset":
     """Frames of the one specimen, or of that which is chosen; raises ConfigurationError."""
     if specimen is not None:
         return of_specimen(data, specimen)
@@ -83,7 +76,7 @@ def of_one_sensor(data: "Dataset", specimen: int | None) -> "Dataset":
     return data.own_specimens()
 
 
-def required_protocol(data: "Dataset") -> "Protocol":
+def required_protocol(data: "datasets.Dataset") -> "simulator.Protocol":
     """Protocol of a recording; raises ConfigurationError where it has none."""
     if data.protocol is None:
         raise ConfigurationError(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.options import (
     BoardOption,
     MethodCode,
@@ -21,12 +22,6 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.cli.options import Output
-    from eitskin.frame import Frame
-    from eitskin.hardware.boards.board import Board
-    from eitskin.hardware.protocol.messages import Info
-    from eitskin.training.method.predictions import Zero
-    from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.pipeline.references import StoredReference
 
 
 FRAMES = 32  # that are averaged
@@ -62,15 +57,13 @@ def command(
     The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
     replay:DIRECTORY gives its first frames.
     """
-    from eitskin.training.method.predictions import Zero
-    from eitskin.training.pipeline.pipeline import open_pipeline
 
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
     require_parent(out)
-    pipeline = open_pipeline(model, own_method(method))
-    zero = Zero.MOUNTED if mounted else Zero.FLAT
-    if zero is Zero.FLAT:
+    pipeline = training.open_pipeline(model, own_method(method))
+    zero = training.Zero.MOUNTED if mounted else training.Zero.FLAT
+    if zero is training.Zero.FLAT:
         tell_unjudged(pipeline, output)
     if dataset is not None:
         reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
@@ -86,40 +79,36 @@ def command(
 
 
 def taken_from_board(
-    pipeline: "Pipeline", board: "Board", frames: int, zero: "Zero"
-) -> "StoredReference":
+    pipeline: "training.Pipeline", board: "hardware.Board", frames: int, zero: "training.Zero"
+) -> "training.StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""
     require_same_measurements(pipeline, board)
     taken = list(islice(board.frames(), frames))
     return pipeline.tare(taken, zero, board_number(board.info), board.uri)
 
 
-def require_same_measurements(pipeline: "Pipeline", board: "Board") -> None:
+def require_same_measurements(pipeline: "training.Pipeline", board: "hardware.Board") -> None:
     """Raise DataError where a board measures otherwise than a pipeline was trained."""
     pipeline.layout.require_same_measurements(board.protocol, board.info.frequency)
 
 
-def reference_frame(folder: Path, specimen: int) -> "Frame":
+def reference_frame(folder: Path, specimen: int) -> "simulator.Frame":
     """Frame of the flat, untouched specimen of a dataset.
 
     Raises DataError where the dataset has no such specimen, or no protocol.
     """
     import numpy as np
 
-    from eitskin.datasets.store.folder import open_dataset
-    from eitskin.errors import DataError
-    from eitskin.frame import Frame
-
-    data = open_dataset(folder)
+    data = datasets.open_dataset(folder)
     rows = np.flatnonzero(data.specimen_number == specimen)
     if not len(rows) or data.protocol is None:
-        raise DataError(
+        raise geometry.DataError(
             f"expected specimen {specimen} and a protocol in {folder}, found specimens "
             f"{data.specimen_number[:8].tolist()}, protocol {data.protocol}; choose another "
             "--specimen, or import the recording with --protocol"
         )
     reference = data.reference[rows[0]].astype(np.complex128)
-    return Frame(reference, data.protocol, frequency=data.frequency)
+    return simulator.Frame(reference, data.protocol, frequency=data.frequency)
 
 
 ReferenceFile = Annotated[
@@ -131,19 +120,20 @@ ReferenceFile = Annotated[
 ]
 
 
-def board_number(info: "Info") -> str:
+def board_number(info: "hardware.Info") -> str:
     """Unique number of a board in hexadecimal digits; empty where it has none."""
     return info.uid.hex() if any(info.uid) else ""
 
 
-def use_reference(pipeline: "Pipeline", path: Path, info: "Info | None", output: "Output") -> None:
+def use_reference(
+    pipeline: "training.Pipeline", path: Path, info: "hardware.Info | None", output: "Output"
+) -> None:
     """Use the reference in a file; note its zero, and another board than this one.
 
     Raises the errors of `StoredReference.read` and of the pipeline's `use`.
     """
-    from eitskin.training.pipeline.references import StoredReference
 
-    reference = StoredReference.read(path)
+    reference = training.StoredReference.read(path)
     pipeline.use(reference)
     output.note(f"zero: the sensor {reference.zero}, as stored in {path} at {reference.taken}")
     number = "" if info is None else board_number(info)
@@ -154,7 +144,7 @@ def use_reference(pipeline: "Pipeline", path: Path, info: "Info | None", output:
         )
 
 
-def tell_unjudged(pipeline: "Pipeline", output: "Output") -> None:
+def tell_unjudged(pipeline: "training.Pipeline", output: "Output") -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
     from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
 

@@ -11,6 +11,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
+from eitskin import datasets
 from eitskin.cli.commands.evaluate import save_position_report, save_report
 from eitskin.cli.options import (
     TRAINING,
@@ -24,7 +25,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
     from eitskin.training.evaluation.evaluate import Evaluation, Report
     from eitskin.training.evaluation.selection import Selection
     from eitskin.training.method.interface import Method
@@ -73,14 +73,13 @@ def command(
     where the sensor's geometry is not known, only positions are learned, from the first 80 % in
     time.
     """
-    from eitskin.datasets.store.folder import open_dataset
     from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
 
     require_all(training=TRAINING)
     require_writable(out, replace)
-    data = open_dataset(dataset)
+    data = datasets.open_dataset(dataset)
     alone = _positions_alone(data)
     if report is not None:
         require_report_folder(report)
@@ -124,7 +123,7 @@ def command(
     )
 
 
-def _positions_alone(data: "Dataset") -> str:
+def _positions_alone(data: "datasets.Dataset") -> str:
     """Reason why only positions of touches can be learned; empty where more can be."""
     from eitskin.training.method.targets import Targets, with_implied_labels
 
@@ -217,7 +216,7 @@ def read_options(texts: Sequence[str]) -> dict[str, Any]:
     return values
 
 
-def train_and_measure(data: "Dataset", choice: Choice, output: Output) -> "Evaluation":
+def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) -> "Evaluation":
     """Evaluation of a newly trained pipeline on its held-out frames; shows a bar per network."""
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
@@ -279,7 +278,7 @@ def _comparison(selection: "Selection") -> Group:
     return Group(table, *remarks, f"chosen: {selection.preset}")
 
 
-def train_positions(data: "Dataset") -> "Pipeline":
+def train_positions(data: "datasets.Dataset") -> "Pipeline":
     """Regression of touch positions from a recording without geometry, with its metrics."""
     from eitskin.training.evaluation.position_score import PositionScore
     from eitskin.training.method.settings import POSITIONS, TrainingSettings

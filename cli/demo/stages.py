@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
+from eitskin import datasets, hardware, training
 from eitskin.cli.commands.evaluate import paper_table
 from eitskin.cli.commands.generate import make_dataset
 from eitskin.cli.commands.train import choose, train_and_measure, train_positions
@@ -47,11 +48,6 @@ from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.saved_form import SHIPPED as SHIPPED_MODEL
 from eitskin.training.pipeline.saved_form import read_pipeline
-
-if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.hardware.live import FramePipeline, Reading
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 PACKAGES = ("eitskin", "numpy", "scipy", "torch")
 SETS = ("quick", "quick_test", "paper_indentation")
@@ -125,7 +121,7 @@ class Demo:
         make_folder(self.out)
 
     @cached_property
-    def sets(self) -> "dict[str, Dataset]":
+    def sets(self) -> "dict[str, datasets.Dataset]":
         """Datasets by name; finished shards are kept."""
         for name, recipe in self.recipes.items():
             folder = self.out / name
@@ -133,9 +129,8 @@ class Demo:
             self.output.show(sentence)
         return {name: open_dataset(self.out / name) for name in self.recipes}
 
-    def pipeline(self, which: str) -> "Pipeline":
+    def pipeline(self, which: str) -> "training.Pipeline":
         """Saved pipeline `TRAINED`, trained where that is needed, or `SHIPPED`."""
-        from eitskin.training.pipeline.pipeline import Pipeline
 
         if which == TRAINED and not self.is_trained():
             start = time.perf_counter()
@@ -144,7 +139,7 @@ class Demo:
             seconds = round(time.perf_counter() - start, 1)
             trained.metrics["training"] = {"made_from": self._made_from, "seconds": seconds}
             self.output.show(f"saved pipeline: {trained.save(self.model)}")
-        return Pipeline.load(self.model if which == TRAINED else SHIPPED_MODEL)
+        return training.Pipeline.load(self.model if which == TRAINED else SHIPPED_MODEL)
 
     def is_trained(self) -> bool:
         """Whether the saved pipeline was trained on the same frames in the same way."""
@@ -275,24 +270,21 @@ def go_live(demo: Demo) -> Stage:
     return Stage(numbers, {"film": film}, table=table_of(COLUMNS, map(episode_cells, rows)))
 
 
-def run_episode(pipeline: "FramePipeline", seed: int, frames: int) -> list[dict[str, Any]]:
+def run_episode(pipeline: "hardware.FramePipeline", seed: int, frames: int) -> list[dict[str, Any]]:
     """Play the episode through a virtual board and `pipeline`; one row of results per step.
 
     Every frame comes as packets, as from a real board. A row holds the state estimated in most
     frames of its step, the median angle, the touches of the last frame, and state, angle, touches
     and time of each frame.
     """
-    from eitskin.hardware.live import run_live
-    from eitskin.hardware.opening import open_board
-    from eitskin.hardware.virtual.stage import Script, Step
 
-    script = Script(tuple(Step(scene, frames) for scene in STEPS), repeat=False)
-    with open_board("virtual:", scene=script, speed="max", seed=seed) as board:
-        live = run_live(board, pipeline, newest=False)
+    script = hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS), repeat=False)
+    with hardware.open_board("virtual:", scene=script, speed="max", seed=seed) as board:
+        live = hardware.run_live(board, pipeline, newest=False)
         return [_episode_row(scene, list(islice(live, frames))) for scene in STEPS]
 
 
-def _episode_row(scene: Scene, readings: "Sequence[Reading]") -> dict[str, Any]:
+def _episode_row(scene: Scene, readings: "Sequence[hardware.Reading]") -> dict[str, Any]:
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(each.state, "name", each.state)).lower() for each in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"

@@ -4,11 +4,12 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 import numpy as np
 
+from eitskin import hardware
 from eitskin.cli.page.plan import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
@@ -17,9 +18,6 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.bodies.pressed_body import require_above
 from eitskin.simulator.scene.scene import Scene, Touch
-
-if TYPE_CHECKING:
-    from eitskin.hardware.boards.board import Board
 
 Kind = TypeVar("Kind")
 
@@ -131,7 +129,7 @@ def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
     return from_dict(kind, data, path.lstrip("/"))
 
 
-def stage_commands(board: "Board", sheet: SensorDesign | Region) -> Commands:
+def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Commands:
     """Commands to scene and faults of a virtual board; they conflict with every other board."""
     stage: Any = getattr(board, "stage", None)
 
@@ -148,13 +146,12 @@ def stage_commands(board: "Board", sheet: SensorDesign | Region) -> Commands:
             stage.inject(command.fault)
 
     def play(command: PlayCommand) -> None:
-        from eitskin.hardware.virtual.stage import Script, Step
 
         if not command.play:
             stage.set(Scene())
             return
         frames = max(1, round(STEP / (board.info.period or 1.0)))
-        stage.play(Script(tuple(Step(scene, frames) for scene in STEPS)))
+        stage.play(hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS)))
 
     def take(path: str, kind: Any, act: Callable[[Any], None], body: bytes) -> None:
         if stage is None:

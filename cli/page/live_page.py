@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from eitskin import hardware
 from eitskin.cli.page.access import Access
 from eitskin.cli.page.commands import SessionCommands, stage_commands
 from eitskin.cli.page.plan import Region
@@ -18,8 +19,6 @@ from eitskin.hardware.live import AcquisitionClock
 
 if TYPE_CHECKING:
     from eitskin.cli.page.server import ClientLimits
-    from eitskin.hardware.boards.board import Connection
-    from eitskin.hardware.live import Reading
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +40,7 @@ class LivePage(Closeable):
 
     def __init__(
         self,
-        connection: "Connection",
+        connection: "hardware.Connection",
         sheet: SensorDesign | Region,
         port: int = 0,
         access: Access | None = None,
@@ -90,7 +89,7 @@ class LivePage(Closeable):
         self._thread = threading.Thread(target=self._send_events, name="page", daemon=True)
         self._thread.start()
 
-    def publish(self, reading: "Reading") -> None:
+    def publish(self, reading: "hardware.Reading") -> None:
         """Make this reading the next one that the page shows; returns at once."""
         counts, now, frame = self._connection.board.counts, self._clock(), reading.frame
         begun = self._acquired.begun(frame, now - reading.latency)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin import hardware, simulator
 from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MOST_TOUCHES
 from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encoded
 from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
@@ -17,9 +18,6 @@ from eitskin.hardware.streams import bad_channels, state_name, zero_name
 
 if TYPE_CHECKING:
     from eitskin.cli.live_pictures import Picture
-    from eitskin.hardware.boards.board import Board, Counts
-    from eitskin.hardware.live import Estimate, Reading
-    from eitskin.simulator.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +32,8 @@ class Snapshot:
         published: when the reading came, by the page's clock [s].
     """
 
-    reading: "Reading"
-    counts: "Counts"
+    reading: "hardware.Reading"
+    counts: "hardware.Counts"
     reference: Frame
     begun: float = math.nan
     published: float = math.nan
@@ -51,12 +49,12 @@ class PageContent:
         drawing: three-dimensional drawing of the sensor; None where its geometry is unknown.
     """
 
-    board: "Board"
+    board: "hardware.Board"
     sheet: "SensorDesign | Region"
     drawing: GelDrawing | None
 
     @classmethod
-    def of(cls, board: "Board", sheet: "SensorDesign | Region") -> "PageContent":
+    def of(cls, board: "hardware.Board", sheet: "SensorDesign | Region") -> "PageContent":
         """Contents for a board with a sensor."""
         return cls(board, sheet, None if isinstance(sheet, Region) else GelDrawing.of(sheet))
 
@@ -125,7 +123,7 @@ class PageContent:
             "stage": self.stage(frame.number),
         }
 
-    def _estimate(self, estimate: "Estimate") -> dict[str, Any]:
+    def _estimate(self, estimate: "hardware.Estimate") -> dict[str, Any]:
         presses, touches = found_presses(estimate), estimate.touches
         angle = math.nan if estimate.bend_angle_deg is None else float(estimate.bend_angle_deg)
         return {
@@ -181,7 +179,7 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
     return [_known(float(value), 3) for value in change]
 
 
-def found_presses(estimate: "Estimate") -> list[DrawnPress]:
+def found_presses(estimate: "hardware.Estimate") -> list[DrawnPress]:
     """x [m], y [m] and force [N] of each estimated touch; NaN where the force is not estimated."""
     return [
         (float(touch[0]), float(touch[1]), float(getattr(touch, "force", math.nan)))
@@ -211,7 +209,7 @@ def _image(levels: NDArray[np.float64]) -> dict[str, Any]:
     return {"rows": rows, "columns": columns, "data": encoded(np.rint(levels), "u1")}
 
 
-def _scene(scene: "Scene") -> dict[str, Any]:
+def _scene(scene: "simulator.Scene") -> dict[str, Any]:
     touches = [touch for touch in scene.touches if not touch.released]
     return {
         "bend_deg": _known(scene.bend.angle_deg, 3),

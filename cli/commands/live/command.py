@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eitskin import datasets, geometry, hardware, training
 from eitskin.cli.commands.live.session import LiveSession, Recording
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
@@ -28,10 +29,6 @@ from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
     from eitskin.cli.page.plan import Region
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.boards.board import Board
-    from eitskin.hardware.live import FramePipeline
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 
 MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
@@ -98,15 +95,12 @@ def command(
     board has started anew; with its stored reference it may be bent and touched. A board that goes
     away is connected to again until it is back.
     """
-    from eitskin.hardware.boards.board import Connection
-    from eitskin.hardware.live import run_live
     from eitskin.hardware.streams import open_publisher
-    from eitskin.training.pipeline.pipeline import open_pipeline
 
     board = named_board(board, output)
     access = page.access if page.page else None  # refused before the board is opened
     own = own_method(method)
-    pipeline = open_pipeline(model, own)
+    pipeline = training.open_pipeline(model, own)
     tell_missing(pipeline, output)
     recordings: list[Recording] = []
     with ExitStack() as stack:
@@ -122,7 +116,7 @@ def command(
         tell_unjudged(pipeline, output)
         # A recording was checked when it was made, and need not begin flat.
         checks = not board.startswith("replay:")
-        session = LiveSession(Connection(opened), output, pipeline, checks, recordings)
+        session = LiveSession(hardware.Connection(opened), output, pipeline, checks, recordings)
         session.connection.tell = session.say
         if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
@@ -146,14 +140,16 @@ def command(
                 output.note(f"readings: {address}")
         newest = not (every_frame or recordings)
         followed = session if picture is None else _pictured(session, opened, picture)
-        session.follow(run_live(session.connection, followed, newest=newest), frames)
+        session.follow(hardware.run_live(session.connection, followed, newest=newest), frames)
 
 
-def _pictured(session: LiveSession, board: "Board", method: str) -> "FramePipeline":
+def _pictured(
+    session: LiveSession, board: "hardware.Board", method: str
+) -> "hardware.FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.plan import Region
-    from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
+    from eitskin.training.reconstruction.reconstructor import Method
 
     sheet = sheet_of(session.pipeline)
     if isinstance(sheet, Region):
@@ -162,17 +158,17 @@ def _pictured(session: LiveSession, board: "Board", method: str) -> "FramePipeli
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
     name = one_of("--picture", method, Method)
-    return LivePictures(Reconstructor(sheet, board.protocol, name), session)
+    return LivePictures(training.Reconstructor(sheet, board.protocol, name), session)
 
 
-def tell_missing(pipeline: "Pipeline", output: Output) -> None:
+def tell_missing(pipeline: "training.Pipeline", output: Output) -> None:
     """Note what a pipeline does not estimate."""
     targets = getattr(pipeline, "targets", None)
     if targets is not None and targets.missing:
         output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
 
 
-def sheet_of(pipeline: "Pipeline") -> "SensorDesign | Region":
+def sheet_of(pipeline: "training.Pipeline") -> "geometry.SensorDesign | Region":
     """Sensor of a pipeline, or the region of the positions that it was trained with.
 
     Raises ConfigurationError where a pipeline tells neither.
@@ -207,6 +203,4 @@ def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
 
         yield Recording(McapWriter(mcap, now=time.time_ns), mcap)
     if record is not None:
-        from eitskin.datasets.store.writer import ShardWriter
-
-        yield Recording(ShardWriter(record), record)
+        yield Recording(datasets.ShardWriter(record), record)

@@ -20,6 +20,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.tare import board_number
 from eitskin.cli.options import Output
 from eitskin.errors import PartialError
@@ -30,14 +31,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eitskin.cli.page.live_page import LivePage
-    from eitskin.datasets.store.writer import ShardWriter
-    from eitskin.frame import Frame
-    from eitskin.hardware.boards.board import Connection, Counts
-    from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.ros2.mcap import McapWriter
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams import ReadingPublisher
-    from eitskin.training.pipeline.references import StoredReference
     from eitskin.training.pipeline.session import SessionOrder
 
 
@@ -50,7 +46,7 @@ class Recording:
         problem: reason why nothing more is written; empty while everything is.
     """
 
-    def __init__(self, writer: "ShardWriter | McapWriter", folder: Path) -> None:
+    def __init__(self, writer: "datasets.ShardWriter | McapWriter", folder: Path) -> None:
         """Write into `folder` by `writer`, which `close` closes."""
         self._writer: Any = writer
         self.folder, self._is_dataset = folder, hasattr(writer, "readable")
@@ -73,7 +69,7 @@ class Recording:
             "there and can be replayed"
         )
 
-    def append(self, reading: "Reading") -> None:
+    def append(self, reading: "hardware.Reading") -> None:
         """Write the reading, unless that failed before."""
         self.given += 1
         if self.problem:
@@ -113,7 +109,7 @@ class LiveSession:
         checks: whether the sensor is checked where a session begins.
     """
 
-    connection: "Connection"
+    connection: "hardware.Connection"
     output: Output
     pipeline: Any = None
     checks: bool = True
@@ -125,26 +121,26 @@ class LiveSession:
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
-    newest: "Reading | None" = None
+    newest: "hardware.Reading | None" = None
     newest_at: float = 0.0
-    beginning: "list[Frame]" = field(default_factory=list)
+    beginning: "list[simulator.Frame]" = field(default_factory=list)
     notes: deque[str] = field(default_factory=lambda: deque(maxlen=3))
-    latest: Latest["Reading"] = field(default_factory=Latest)
+    latest: Latest["hardware.Reading"] = field(default_factory=Latest)
     _recording: threading.Lock = field(default_factory=threading.Lock)
     _asked: queue.SimpleQueue[Callable[[], None]] = field(default_factory=queue.SimpleQueue)
 
     @property
-    def stored(self) -> "StoredReference | None":
+    def stored(self) -> "training.StoredReference | None":
         """Reference of the sensor, beside which a session need not begin flat."""
-        reference: StoredReference | None = getattr(self.pipeline, "stored", None)
+        reference: training.StoredReference | None = getattr(self.pipeline, "stored", None)
         return reference
 
-    def process(self, frame: "Frame") -> "Estimate":
+    def process(self, frame: "simulator.Frame") -> "hardware.Estimate":
         """Estimate of the session's pipeline."""
-        estimate: Estimate = self.pipeline.process(frame)
+        estimate: hardware.Estimate = self.pipeline.process(frame)
         return estimate
 
-    def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
+    def follow(self, readings: Iterator["hardware.Reading"], frames: int | None) -> None:
         """Show readings until they end or `frames` of them were processed, then summarise."""
         view = Live(
             get_renderable=self.view,
@@ -165,7 +161,7 @@ class LiveSession:
         finally:
             self.sum_up()
 
-    def take(self, reading: "Reading") -> None:
+    def take(self, reading: "hardware.Reading") -> None:
         """Keep, show, record and print one reading."""
         self.notice_session(reading.frame)
         self.newest, self.newest_at = reading, self.clock()
@@ -184,7 +180,7 @@ class LiveSession:
             counts = self.connection.board.counts
             typer.echo(json.dumps(reading_record(reading, counts), allow_nan=False))
 
-    def record(self, reading: "Reading") -> None:
+    def record(self, reading: "hardware.Reading") -> None:
         """Write the reading; a recording that fails is noted and ended."""
         with self._recording:
             for recording in self.recordings:
@@ -218,17 +214,19 @@ class LiveSession:
         self._asked.put(call)
         return future
 
-    def tare(self, frames: Sequence["Frame"]) -> str:
+    def tare(self, frames: Sequence["simulator.Frame"]) -> str:
         """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
-        from eitskin.training.method.predictions import Zero
 
-        zero, board = Zero.FLAT if self.stored is None else self.stored.zero, self.connection.board
+        zero, board = (
+            training.Zero.FLAT if self.stored is None else self.stored.zero,
+            self.connection.board,
+        )
         self.pipeline.tare(frames, zero, board_number(board.info), board.uri)
         text = f"zero: the sensor {zero}, mean of {len(frames)} frames"
         self.say(text)
         return text
 
-    def notice_session(self, frame: "Frame") -> None:
+    def notice_session(self, frame: "simulator.Frame") -> None:
         """Note the beginning of a session, and findings on the sensor there."""
         from eitskin.training.pipeline.session import SessionOrder
 
@@ -247,9 +245,7 @@ class LiveSession:
             return
         self.beginning.append(frame)
         if len(self.beginning) == CHECKED:
-            from eitskin.hardware.diagnosis.sensor_check import check_sensor
-
-            for finding in check_sensor(self.beginning, expected).findings:
+            for finding in hardware.check_sensor(self.beginning, expected).findings:
                 self.say(f"sensor check: {finding.message}")
 
     def say(self, text: str) -> None:
@@ -299,7 +295,9 @@ NOT_ESTIMATED = "not estimated"
 SHOWN = 0.3  # least value of the touch map that is drawn
 
 
-def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableType:
+def draw(
+    reading: "hardware.Reading", counts: "hardware.Counts", silence: str = ""
+) -> RenderableType:
     """Panel of a reading: numbers, touch map, health; `silence`: why no newer reading comes."""
     frame, estimate = reading.frame, reading.estimate
     numbers = Table.grid(padding=(0, 2))
@@ -330,7 +328,7 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
     )
 
 
-def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
+def _add_estimate(numbers: Table, estimate: "hardware.Estimate", stale: bool) -> None:
     """Add state, angle and touches, dimmed where the reading is old."""
     style = "dim" if stale else ""
     from eitskin.hardware.streams import state_name, zero_name
@@ -366,7 +364,7 @@ def touch_picture(touch_map: "NDArray[np.floating]") -> Text:
     return picture
 
 
-def losses(counts: "Counts", unusable: int) -> str:
+def losses(counts: "hardware.Counts", unusable: int) -> str:
     """Lost, skipped, unusable and dropped frames as a sentence."""
     dropped = ", ".join(f"{count} {reason}" for reason, count in counts.dropped.items())
     return (

@@ -5,15 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from eitskin import hardware, simulator
 from eitskin.cli.commands.own_sensor.poses import Dialogue
 from eitskin.errors import DeviceError, EitskinError
 from eitskin.latest import Latest
-
-if TYPE_CHECKING:
-    from eitskin.frame import Frame
-    from eitskin.hardware.live import Reading
 
 PATIENCE = 15.0  # s without a frame, after which a task fails; slow boards take seconds for one
 _GLANCE = 0.1  # s between two looks whether a task was cancelled
@@ -70,7 +67,7 @@ class Task(Dialogue):
     def __init__(
         self,
         name: str,
-        readings: "Latest[Reading]",
+        readings: "Latest[hardware.Reading]",
         changed: Callable[[], None],
         patience: float = PATIENCE,
         clock: Callable[[], float] = time.monotonic,
@@ -116,7 +113,7 @@ class Task(Dialogue):
     def sketch(self, text: str) -> None:
         """Do nothing: the page shows places on its map."""
 
-    def readings(self) -> "Iterator[Reading]":
+    def readings(self) -> "Iterator[hardware.Reading]":
         """Readings from the next one on, without those that become old meanwhile.
 
         Raises DeviceError where none comes for too long, CancelledError after `cancel`.
@@ -136,9 +133,9 @@ class Task(Dialogue):
                     "when it is back"
                 )
 
-    def take(self, count: int, what: str) -> "list[Reading]":
+    def take(self, count: int, what: str) -> "list[hardware.Reading]":
         """So many readings, all of one session of the board; their number is shown."""
-        taken: list[Reading] = []
+        taken: list[hardware.Reading] = []
         for reading in self.readings():
             if taken and taken[0].frame.session != reading.frame.session:
                 taken = []  # the board has started anew
@@ -148,7 +145,7 @@ class Task(Dialogue):
                 break
         return taken
 
-    def frames(self) -> "Iterator[Frame]":
+    def frames(self) -> "Iterator[simulator.Frame]":
         """Frames of `readings`."""
         for reading in self.readings():
             yield reading.frame

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.check import FRAMES, sensor_findings
 from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.commands.live.task import Task
@@ -24,17 +25,12 @@ from eitskin.simulator.scene.scene import Scene
 
 if TYPE_CHECKING:
     from eitskin.cli.commands.live.session import LiveSession
-    from eitskin.frame import Frame
-    from eitskin.hardware.boards.board import Counts
-    from eitskin.hardware.live import Estimate, Reading
-    from eitskin.hardware.protocol.messages import Info
-    from eitskin.training.method.interface import Method
 
 
 class SessionBoard(Board):
     """The board of a live session, for one who reads frames beside the live loop."""
 
-    info: "Info"
+    info: "hardware.Info"
 
     def __init__(self, board: Board, task: Task) -> None:
         """Frames are those that come while they are asked for."""
@@ -43,14 +39,14 @@ class SessionBoard(Board):
         self.stage = board.stage
 
     @property
-    def counts(self) -> "Counts":
+    def counts(self) -> "hardware.Counts":
         return self._board.counts
 
     @property
     def lost(self) -> int:
         return self._board.lost
 
-    def frames(self, newest: bool = False) -> "Iterator[Frame]":  # noqa: ARG002
+    def frames(self, newest: bool = False) -> "Iterator[simulator.Frame]":  # noqa: ARG002
         return self._task.frames()
 
     def calibrate(self) -> None:
@@ -99,7 +95,7 @@ class SessionTasks(Closeable, SessionCommands):
         session: "LiveSession",
         folder: Path,
         model: Path,
-        method: "type[Method] | None" = None,
+        method: "type[training.Method] | None" = None,
     ) -> None:
         """Take what is asked from now on.
 
@@ -233,9 +229,8 @@ class SessionTasks(Closeable, SessionCommands):
 
     def _exchange(self, done: Setup) -> str:
         """Go on with the pipeline that was set up; between two frames."""
-        from eitskin.training.pipeline.references import StoredReference
 
-        done.adapted.use(None if done.zero is None else StoredReference.read(done.zero))
+        done.adapted.use(None if done.zero is None else training.StoredReference.read(done.zero))
         self._session.pipeline, self._session.checks = done.adapted, True
         text = "this session goes on with it"
         self._session.say(f"{done.out}: {text}")
@@ -247,10 +242,8 @@ class SessionTasks(Closeable, SessionCommands):
             now = "one is being made" if begin else "none is being made"
             raise ConflictError(f"expected a recording to {'begin' if begin else 'end'}, but {now}")
         if self._recording is None:
-            from eitskin.datasets.store.writer import ShardWriter
-
             folder = self._fresh("recording")
-            self._recording = Recording(ShardWriter(folder), folder)
+            self._recording = Recording(datasets.ShardWriter(folder), folder)
             self._session.begin(self._recording)
             return
         ended, self._recording = self._recording, None
@@ -274,7 +267,7 @@ class SessionTasks(Closeable, SessionCommands):
         return path
 
 
-def _estimate(reading: "Reading") -> "Estimate":
+def _estimate(reading: "hardware.Reading") -> "hardware.Estimate":
     if reading.estimate is None:
         raise FrameError(reading.problem)
     return reading.estimate

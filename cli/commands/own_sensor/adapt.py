@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from eitskin import datasets, geometry, simulator
 from eitskin.cli.commands.own_sensor.poses import (
     TerminalDialogue,
     asked,
@@ -34,8 +35,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.frame import Frame
     from eitskin.training.evaluation.adaptation_curve import CurvePoint
     from eitskin.training.method.input_spec import InputSpec
     from eitskin.training.method.interface import Calibration, Method
@@ -110,7 +109,9 @@ def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | None":
     return open_pipeline(model, method)
 
 
-def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) -> "Pipeline":
+def adapt(
+    before: "Pipeline | None", data: "datasets.Dataset", twin: Path | None = None
+) -> "Pipeline":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
     Raises the errors of `Pipeline.adapt`, `InputSpec.described`, `Pipeline.fit` and
@@ -135,10 +136,9 @@ def adapt(before: "Pipeline | None", data: "Dataset", twin: Path | None = None) 
 
 
 def curve_of(
-    before: "Pipeline | None", data: "Dataset", output: Output
+    before: "Pipeline | None", data: "datasets.Dataset", output: Output
 ) -> "tuple[CurvePoint, ...]":
     """Errors against the number of labelled frames; none, with a note, where these are too few."""
-    from eitskin.errors import DataError
     from eitskin.training.adaptation.press_fit import LabelledPresses
     from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
     from eitskin.training.method.settings import POSITIONS
@@ -149,7 +149,7 @@ def curve_of(
                 known = data if before is None else before.layout.described(data)
                 return press_curve(LabelledPresses.of(known), show)
             return pipeline_curve(before, data, show)
-        except DataError as error:
+        except geometry.DataError as error:
             output.note(f"no table of errors: {error}")
             return ()
 
@@ -309,7 +309,7 @@ def _from_board(
     no_prompt: bool,
     seed: int,
     output: Output,
-) -> "Iterator[Frame]":
+) -> "Iterator[simulator.Frame]":
     with opened_board(uri, seed) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
         alone = left_alone if board.stage is None or "scene=" in uri else staged(0.0)

@@ -3,19 +3,12 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import typer
 
+from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.options import Output
-
-if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.frame import Frame
-    from eitskin.geometry.design.outline import PlaneOutline
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.boards.board import Board
-    from eitskin.training.method.known_frames import FrameLabel
 
 
 class Dialogue(Protocol):
@@ -66,7 +59,7 @@ class TerminalDialogue(Dialogue):
 
 STALE = 2  # frames after a prompt that may have begun before it was answered
 
-Hand = Callable[["Board", "Pose", "Iterator[Frame]"], None]
+Hand = Callable[["hardware.Board", "Pose", "Iterator[simulator.Frame]"], None]
 """Way of bringing a sensor into a pose; frames that began before are taken from the iterator."""
 
 
@@ -80,29 +73,27 @@ class Pose:
     """
 
     words: str
-    label: "FrameLabel"
+    label: "training.FrameLabel"
 
 
 def bent(angle_deg: float) -> Pose:
     """Pose of the untouched sensor at an angle."""
-    from eitskin.training.method.known_frames import FrameLabel
 
     words = "lay it flat" if angle_deg == 0 else f"bend it by {angle_deg:g} deg"
-    return Pose(f"{words}, untouched", FrameLabel(angle_deg))
+    return Pose(f"{words}, untouched", training.FrameLabel(angle_deg))
 
 
 def pressed(name: str, x: float, y: float) -> Pose:
     """Pose of the flat sensor with a press at a place [m]."""
-    from eitskin.training.method.known_frames import FrameLabel, TouchLabel
 
     words = f"press at {name}: x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, and hold"
-    return Pose(words, FrameLabel(touches=(TouchLabel(x, y),)))
+    return Pose(words, training.FrameLabel(touches=(training.TouchLabel(x, y),)))
 
 
 def asked(dialogue: "Dialogue") -> Hand:
     """Ask a person for each pose, and wait until it is held."""
 
-    def wait(_board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
+    def wait(_board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]") -> None:
         touches = pose.label.touches or ()
         place = next(((touch.x, touch.y) for touch in touches), None)
         dialogue.ask(pose.words, {"": "it is so"}, place)
@@ -112,25 +103,22 @@ def asked(dialogue: "Dialogue") -> Hand:
     return wait
 
 
-def left_alone(_board: "Board", _pose: Pose, _stream: "Iterator[Frame]") -> None:
+def left_alone(_board: "hardware.Board", _pose: Pose, _stream: "Iterator[simulator.Frame]") -> None:
     """Do nothing: the board goes through the poses by itself."""
 
 
 def staged(force: float) -> Hand:
     """Bring the simulated sensor of a virtual board into its poses, pressed by a force [N]."""
 
-    def moved(board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
-        from eitskin.errors import ConfigurationError
-        from eitskin.geometry.deformation.fixtures import Bend
-        from eitskin.simulator.scene.scene import Scene, Touch
+    def moved(board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]") -> None:
 
         if board.stage is None:
-            raise ConfigurationError(
+            raise geometry.ConfigurationError(
                 "--no-prompt is for a virtual: board, whose sensor moves by itself, got another "
                 "board; leave it out"
             )
-        touches = tuple(Touch(each.x, each.y, force) for each in pose.label.touches or ())
-        scene = Scene(Bend(pose.label.angle_deg or 0.0), touches)
+        touches = tuple(simulator.Touch(each.x, each.y, force) for each in pose.label.touches or ())
+        scene = simulator.Scene(geometry.Bend(pose.label.angle_deg or 0.0), touches)
         board.stage.set(scene)
         while board.stage.truth(next(stream).number) != scene:
             pass
@@ -139,14 +127,14 @@ def staged(force: float) -> Hand:
 
 
 def frames_in_poses(
-    board: "Board",
+    board: "hardware.Board",
     poses: Sequence[Pose],
     count: int,
     hand: Hand,
     done: Callable[[Pose], None] = lambda _: None,
     *,
     newest: bool = False,
-) -> "Iterator[tuple[Frame, FrameLabel]]":
+) -> "Iterator[tuple[simulator.Frame, training.FrameLabel]]":
     """So many frames in each pose, with what is known of them.
 
     Args:
@@ -166,8 +154,9 @@ def frames_in_poses(
 
 
 def as_dataset(
-    taken: "Sequence[tuple[Frame, FrameLabel]]", design: "SensorDesign | None"
-) -> "Dataset":
+    taken: "Sequence[tuple[simulator.Frame, training.FrameLabel]]",
+    design: "geometry.SensorDesign | None",
+) -> "datasets.Dataset":
     """Labelled frames of one sensor as a dataset.
 
     A touched frame is compared with the mean of the latest untouched frames, in succession and of
@@ -177,15 +166,13 @@ def as_dataset(
     """
     import numpy as np
 
-    from eitskin.datasets.store.dataset import Dataset
-    from eitskin.datasets.store.schema import MAX_TOUCHES, State
-    from eitskin.errors import DataError
+    from eitskin.datasets.store.schema import MAX_TOUCHES
 
     values = np.array([frame.impedance for frame, _ in taken])
     labels = [label for _, label in taken]
     flat = [row for row, label in enumerate(labels) if label.flat]
     if not flat:
-        raise DataError(
+        raise geometry.DataError(
             "expected frames of the flat, untouched sensor among the labelled ones, got none; "
             "repeat the step that lays it flat"
         )
@@ -202,11 +189,15 @@ def as_dataset(
         if latest and labels[latest[-1]].angle_deg == label.angle_deg:
             before[row] = values[latest].mean(axis=0)
     states = [
-        State.TOUCH if label.touches else State.IDLE if label.flat else State.BEND
+        datasets.State.TOUCH
+        if label.touches
+        else datasets.State.IDLE
+        if label.flat
+        else datasets.State.BEND
         for label in labels
     ]
     first = taken[0][0]
-    return Dataset.from_arrays(
+    return datasets.Dataset.from_arrays(
         values,
         values[flat].mean(axis=0),
         touch_reference=before,
@@ -223,14 +214,14 @@ def as_dataset(
     )
 
 
-def _period(taken: "Sequence[tuple[Frame, FrameLabel]]") -> float:
+def _period(taken: "Sequence[tuple[simulator.Frame, training.FrameLabel]]") -> float:
     """Mean time from frame to frame [s]; the clock of a board may begin anew at each step."""
     steps = [b.time - a.time for (a, _), (b, _) in pairwise(taken)]
     forward = [step for step in steps if step > 0.0]
     return sum(forward) / len(forward) if forward else 1.0
 
 
-def press_places(design: "SensorDesign", count: int) -> list[tuple[float, float]]:
+def press_places(design: "geometry.SensorDesign", count: int) -> list[tuple[float, float]]:
     """Places (x, y) [m] spread over a plane sensor, each as far from all others as can be.
 
     Raises ConfigurationError for an outline that is no plane one.
@@ -254,7 +245,7 @@ def press_places(design: "SensorDesign", count: int) -> list[tuple[float, float]
 
 
 def place_map(
-    design: "SensorDesign", places: Sequence[tuple[float, float]], width: int = 48
+    design: "geometry.SensorDesign", places: Sequence[tuple[float, float]], width: int = 48
 ) -> str:
     """Small map of a plane sensor, y upwards, with the numbers of places from 1."""
     import numpy as np
@@ -274,13 +265,11 @@ def place_map(
     return "\n".join("".join(line) for line in drawn[::-1])
 
 
-def _plane(design: "SensorDesign") -> "PlaneOutline":
+def _plane(design: "geometry.SensorDesign") -> "geometry.PlaneOutline":
     """Outline of a plane sensor; raises ConfigurationError for any other."""
-    from eitskin.errors import ConfigurationError
-    from eitskin.geometry.design.outline import PlaneOutline
 
-    if not isinstance(design.outline, PlaneOutline):
-        raise ConfigurationError(
+    if not isinstance(design.outline, geometry.PlaneOutline):
+        raise geometry.ConfigurationError(
             "places are named on plane sensors, got a surface; label own presses with eitskin "
             "import, and use eitskin adapt"
         )

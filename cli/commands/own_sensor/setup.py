@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.commands import check, tare
 from eitskin.cli.commands.own_sensor.adapt import (
     ANGLES,
@@ -44,11 +45,6 @@ from eitskin.errors import ConfigurationError, DataError, DeviceError, PartialEr
 
 if TYPE_CHECKING:
     from eitskin.cli.commands.own_sensor.poses import Hand, Pose
-    from eitskin.frame import Frame
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.hardware.boards.board import Board
-    from eitskin.training.method.known_frames import FrameLabel
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 FORCE = 8.0  # N, of the presses on a virtual board
 REPEAT, SKIP = "r", "s"
@@ -93,13 +89,12 @@ def command(
     Every step can be repeated or skipped. With `none` in place of a pipeline, and a --sensor, touch
     positions are learned from the presses alone.
     """
-    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.training.pipeline.saved_form import require_writable
 
     require_writable(out, replace)
     dialogue, start = TerminalDialogue(output), open_start(model, None)
     hand = staged(FORCE) if no_prompt else asked(dialogue)
-    design = SensorDesign.from_toml(sensor) if sensor else None
+    design = geometry.SensorDesign.from_toml(sensor) if sensor else None
     setup = Setup(model, start, out, options, dialogue, hand, design, asks=not no_prompt)
     if setup.recorded.exists() and not replace:
         raise ConfigurationError(
@@ -162,16 +157,18 @@ class Setup:
     """
 
     model: Path
-    start: "Pipeline | None"
+    start: "training.Pipeline | None"
     out: Path
     options: SetupOptions
     dialogue: Dialogue
     hand: "Hand"
-    design: "SensorDesign | None" = None
+    design: "geometry.SensorDesign | None" = None
     asks: bool = True
-    taken: "dict[str, list[tuple[Frame, FrameLabel]]]" = field(default_factory=dict)
+    taken: "dict[str, list[tuple[simulator.Frame, training.FrameLabel]]]" = field(
+        default_factory=dict
+    )
     zero: Path | None = None
-    adapted: "Pipeline" = field(init=False)
+    adapted: "training.Pipeline" = field(init=False)
 
     def __post_init__(self) -> None:
         """Take the pipeline's design, where no other is given."""
@@ -202,13 +199,13 @@ class Setup:
         reference = f" --reference {self.zero}" if self.zero else ""
         return f"eitskin live {self.out} --board '{uri}'{reference} --page"
 
-    def run(self, opened: "Callable[[], Board]") -> "Pipeline":
+    def run(self, opened: "Callable[[], hardware.Board]") -> "training.Pipeline":
         """Go through all steps with a board, which each opens and closes.
 
         Raises ConfigurationError where no step took frames to learn from.
         """
         start, angles, presses = self.start, angles_of(self.options.angles), self.options.presses
-        steps: list[tuple[str, str, Callable[[Board], str]]] = []
+        steps: list[tuple[str, str, Callable[[hardware.Board], str]]] = []
         if start is not None:
             check_sensor, store_zero = partial(self._check, start), partial(self._tare, start)
             steps.append(("check", "is the sensor on the board healthy?", check_sensor))
@@ -222,7 +219,11 @@ class Setup:
         return self._finish()
 
     def _step(
-        self, name: str, what: str, opened: "Callable[[], Board]", work: "Callable[[Board], str]"
+        self,
+        name: str,
+        what: str,
+        opened: "Callable[[], hardware.Board]",
+        work: "Callable[[hardware.Board], str]",
     ) -> None:
         """Run a step, as often as wanted; its errors are told, and it may be repeated."""
 
@@ -244,7 +245,7 @@ class Setup:
             if answer != REPEAT:
                 return
 
-    def _check(self, start: "Pipeline", board: "Board") -> str:
+    def _check(self, start: "training.Pipeline", board: "hardware.Board") -> str:
         """The sensor check; findings are told, and the step may be repeated."""
         tare.require_same_measurements(start, board)
         taken = list(islice(board.frames(), check.FRAMES))
@@ -257,19 +258,18 @@ class Setup:
             raise typer.Exit(check.EXIT_UNHEALTHY)
         return text or "healthy"
 
-    def _tare(self, start: "Pipeline", board: "Board") -> str:
-        from eitskin.training.method.predictions import Zero
+    def _tare(self, start: "training.Pipeline", board: "hardware.Board") -> str:
 
-        reference = tare.taken_from_board(start, board, tare.FRAMES, Zero.FLAT)
+        reference = tare.taken_from_board(start, board, tare.FRAMES, training.Zero.FLAT)
         start.use(None)
         self.zero = reference.write(self.out.with_suffix(".json"))
         return f"{self.zero} is the zero of this sensor, for --reference"
 
-    def _bend(self, board: "Board") -> str:
+    def _bend(self, board: "hardware.Board") -> str:
         angles = angles_of(self.options.angles)
         return self._take(board, "angles", [bent(0.0), *(bent(angle) for angle in angles)])
 
-    def _press(self, board: "Board") -> str:
+    def _press(self, board: "hardware.Board") -> str:
         count = self.options.presses
         if self.design is None:
             raise ConfigurationError(
@@ -281,9 +281,8 @@ class Setup:
         named = [pressed(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
         return self._take(board, "presses", [bent(0.0), *named[:half], bent(0.0), *named[half:]])
 
-    def _take(self, board: "Board", name: str, poses: "list[Pose]") -> str:
+    def _take(self, board: "hardware.Board", name: str, poses: "list[Pose]") -> str:
         """Frames in poses, kept in the folder of labelled frames once all are taken."""
-        from eitskin.datasets.store.folder import save_dataset
         from eitskin.files import atomic_folder
 
         done = frames_in_poses(
@@ -297,13 +296,12 @@ class Setup:
         taken = {**self.taken, name: list(done)}
         data = as_dataset([each for step in taken.values() for each in step], self.design)
         with atomic_folder(self.recorded) as made:
-            save_dataset(data, made)
+            datasets.save_dataset(data, made)
         self.taken = taken
         return f"{len(taken[name])} frames in {len(poses)} poses"
 
-    def _finish(self) -> "Pipeline":
+    def _finish(self) -> "training.Pipeline":
         """Adapt to the labelled frames, and save."""
-        from eitskin.datasets.store.folder import open_dataset
 
         if not self.taken:
             raise ConfigurationError(
@@ -311,6 +309,6 @@ class Setup:
                 f"{self.kept}"
             )
         self.dialogue.note("learning from the labelled frames")
-        self.adapted = adapt(self.start, open_dataset(self.recorded))
+        self.adapted = adapt(self.start, datasets.open_dataset(self.recorded))
         self.out = self.adapted.save(self.out)
         return self.adapted
