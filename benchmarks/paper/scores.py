@@ -21,7 +21,6 @@ from eitskin.training.evaluation.scores import (
     TouchScore,
     determination,
     match_distances,
-    percentiles,
     root_mean_square,
 )
 from eitskin.training.method.predictions import Estimate
@@ -57,7 +56,7 @@ def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     if errors:
         values, weights = zip(*errors, strict=True)
         found["touch.error_mm"] = float(np.average(values, weights=weights))
-    p50, p99 = percentiles(frame_times(pipeline, data, range(len(data))).tolist())
+    p50, p99 = np.percentile(frame_times(pipeline, data, range(len(data))), [50, 99]).tolist()
     return found | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
 
 

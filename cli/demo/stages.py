@@ -43,7 +43,7 @@ from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.figures import draw_error_vectors, loss_curves
 from eitskin.training.evaluation.position_score import held_out_positions
 from eitskin.training.evaluation.report import PICTURES
-from eitskin.training.evaluation.scores import match_distances, percentiles
+from eitskin.training.evaluation.scores import match_distances
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.saved_form import SHIPPED as SHIPPED_MODEL
@@ -249,7 +249,8 @@ def go_live(demo: Demo) -> Stage:
     angles = np.concatenate([row["angles_deg"] for row in rows])
     true = np.repeat([row["true_angle_deg"] for row in rows], [len(row["states"]) for row in rows])
     errors = [error for row in rows for error in row["errors_mm"]]
-    p50, p99 = percentiles([time for row in rows for time in row["latencies_ms"]])
+    latencies = [time for row in rows for time in row["latencies_ms"]]
+    p50, p99 = np.percentile(latencies, [50, 99]).tolist()
     numbers = {
         "frames": len(angles),
         "right_states": sum(row["right_frames"] for row in rows),

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -135,30 +135,33 @@ class PicturePanel:
     Attributes:
         title: above the picture.
         design: of the sensor.
-        grid: pixels of the picture.
-        values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
+        grid: pixels of the picture; None for one of the whole bounding box.
+        values: dimensionless (rows, columns); NaN outside.
         circles: true positions of what changed, where known.
+        crosses: x and y of touches that were found (k, 2) [m].
     """
 
     title: str
     design: SensorDesign
-    grid: PixelGrid
-    values: Array
+    grid: PixelGrid | None
+    values: NDArray[np.floating]
     circles: tuple[Circle, ...] = ()
-
-    @property
-    def largest(self) -> float:
-        """Largest magnitude of the values."""
-        return float(np.nanmax(np.abs(self.values)))
+    crosses: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
-def draw_panels(panels: Sequence[PicturePanel], columns: int = COLUMNS, common: bool = True) -> Any:
-    """Figure of pictures, row by row, each with a colour scale in percent centred at zero.
+def draw_panels(
+    panels: Sequence[PicturePanel],
+    columns: int = COLUMNS,
+    common: bool = True,
+    quantity: str = "change of conductivity",
+) -> Any:
+    """Figure of pictures, row by row, with colour scales in percent centred at zero.
 
     Args:
         panels: the pictures.
         columns: most panels in a row.
         common: one scale for all, so that pictures of one method are comparable; else each its own.
+        quantity: what the colours show.
     """
     across = min(columns, len(panels))
     rows = math.ceil(len(panels) / across)
@@ -167,22 +170,24 @@ def draw_panels(panels: Sequence[PicturePanel], columns: int = COLUMNS, common: 
     width, height = (_PANEL, _PANEL * tall) if tall < 1 else (_PANEL / tall, _PANEL)
     figure = new_figure(1.25 * across * max(width, 2.2) + 0.4, rows * (height + 0.75) + 0.35)
     axes = figure.subplots(rows, across, squeeze=False).ravel()
-    largest = max(panel.largest for panel in panels)
-    for each, panel in zip(axes, panels, strict=False):
-        image = draw_picture(each, panel, largest if common else panel.largest)
+    limits = [100.0 * float(np.nanmax(np.abs(panel.values))) for panel in panels]
+    if common:
+        limits = [max(limits)] * len(panels)
+    for each, panel, limit in zip(axes, panels, limits, strict=False):
+        image = _draw_picture(each, panel, limit or 100.0)
         bar = figure.colorbar(image, ax=each, shrink=0.8, pad=0.02, aspect=18)
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=7.5, length=2)
     for unused in axes[len(panels) :]:
         unused.set_axis_off()
-    figure.supxlabel("x [mm]; colours: change of conductivity [%]", fontsize=9)
+    figure.supxlabel(f"x [mm]; colours: {quantity} [%]", fontsize=9)
     figure.supylabel("y [mm]", fontsize=9)
     return figure
 
 
-def draw_picture(axes: Any, panel: PicturePanel, largest: float) -> Any:
+def _draw_picture(axes: Any, panel: PicturePanel, limit: float) -> Any:
     """Draw one picture with the sensor's outline and numbered electrodes; returns the image."""
-    outline, limit = panel.design.outline, 100.0 * (largest or 1.0)
+    outline = panel.design.outline
     axes.set_axisbelow(False)
     image = axes.imshow(
         100.0 * _filled(panel),
@@ -194,38 +199,33 @@ def draw_picture(axes: Any, panel: PicturePanel, largest: float) -> Any:
         interpolation="nearest",
         zorder=0,
     )
-    patches = require("matplotlib.patches", EXTRA)
-    image.set_clip_path(
-        patches.Polygon(1e3 * _rim(panel.grid), transform=axes.transData, closed=True)
-    )
+    patches, ticker = (require(f"matplotlib.{name}", EXTRA) for name in ("patches", "ticker"))
+    if not isinstance(outline, Surface):
+        along = np.linspace(0.0, outline.perimeter, 181)[:-1]
+        rim = outline.at(along) if isinstance(outline, Disc) else outline.vertices
+        image.set_clip_path(patches.Polygon(1e3 * rim, transform=axes.transData, closed=True))
     draw_sensor(axes, panel.design, numbers=True)
     for x, y, radius in panel.circles:
         circle = patches.Circle((1e3 * x, 1e3 * y), 1e3 * radius)
         circle.set(fill=False, edgecolor=DARK, linewidth=0.9, linestyle="--")
         axes.add_patch(circle)
+    axes.plot(*(1e3 * panel.crosses.T), "x", color=DARK, markersize=5, markeredgewidth=1.2)
     axes.set_title(panel.title, fontsize=9.5, pad=4)
     axes.tick_params(labelsize=7.5, length=2)
-    round_ticks = require("matplotlib.ticker", EXTRA).MaxNLocator(5, steps=(1, 2, 5, 10))
+    round_ticks = ticker.MaxNLocator(5, steps=(1, 2, 5, 10))
     for set_ticks, extent in ((axes.set_xticks, outline.length), (axes.set_yticks, outline.width)):
         ticks = round_ticks.tick_values(0.0, 1e3 * extent)
         set_ticks([tick for tick in ticks if -1e-6 <= tick <= 1e3 * extent + 1e-6])
     return image
 
 
-def _rim(grid: PixelGrid) -> Array:
-    """Points along the rim (k, 2) [m]; the corners of an outline with straight sides."""
-    outline = grid.outline
-    if isinstance(outline, Disc):
-        return outline.at(np.linspace(0.0, outline.perimeter, 181)[:-1])
-    return outline.vertices
-
-
-def _filled(panel: PicturePanel) -> Array:
+def _filled(panel: PicturePanel) -> NDArray[np.floating]:
     """Values (rows, columns), those outside taken from the nearest pixel inside.
 
     The rim then cuts the picture, not the staircase of its pixels.
     """
-    grid = panel.grid
+    if (grid := panel.grid) is None:
+        return panel.values
     nearest = NearestNDInterpolator(grid.centres, panel.values[grid.inside])
     filled: Array = nearest(*np.meshgrid(grid.x, grid.y))
     return filled

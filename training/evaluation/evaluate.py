@@ -1,7 +1,10 @@
 """Evaluation of a pipeline on a dataset: the figures of the paper, by stated definitions."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +14,6 @@ from eitskin.datasets.store.schema import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import DataError
 from eitskin.frame import Frame
-from eitskin.protocol import Protocol
 from eitskin.training.evaluation.scores import (
     BendScore,
     ForceScore,
@@ -21,10 +23,8 @@ from eitskin.training.evaluation.scores import (
     StateScore,
     TouchScore,
     UntouchedScore,
-    confusion,
     consistency,
     determination,
-    percentiles,
     root_mean_square,
     similarity,
 )
@@ -37,10 +37,9 @@ from eitskin.training.pipeline.pipeline import Pipeline
 __all__ = ["Evaluation", "Report", "TouchScore", "evaluate"]
 
 TIMED_FRAMES = 300
-PIECE = 512  # frames at once
+PIECE = 512  # frames at once, which bounds the memory for feature maps
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +86,8 @@ class Evaluation:
         pipeline.layout.require_same_measurements(dataset.protocol, dataset.frequency)
         require_on_sheet(dataset, pipeline.layout.outline)
         dataset, targets = with_implied_labels(dataset), pipeline.targets
-        predictions = _perceive(pipeline, dataset)
+        pieces = (slice(start, start + PIECE) for start in range(0, len(dataset), PIECE))
+        predictions = Predictions.joined([pipeline.perceive(dataset.select(p)) for p in pieces])
         matches = Matches.of(dataset, predictions)
         located = targets.touches
         similarity = _similarities(pipeline, dataset, predictions) if located else {}
@@ -122,14 +122,6 @@ def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
     return Evaluation.of(pipeline, dataset).report
 
 
-def contact_maps(
-    dataset: Dataset, pipeline: Pipeline, shape: tuple[int, ...]
-) -> NDArray[np.float32]:
-    """True contact maps (n, rows, columns) of touched frames, 0 to 1."""
-    discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
-    return touch_maps(*discs, pipeline.layout.outline, (shape[-2], shape[-1]))
-
-
 def drawable(dataset: Dataset) -> NDArray[np.intp]:
     """Numbers of the frames with touches, all of known position and radius."""
     placed = np.isfinite(dataset.touch_x)
@@ -137,23 +129,22 @@ def drawable(dataset: Dataset) -> NDArray[np.intp]:
     return np.flatnonzero(placed.any(axis=1) & known)
 
 
-def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[np.float32]]:
-    """Reconstructions (n, rows, columns) with either reference, positive for lower conductivity.
+def images(
+    pipeline: Pipeline, dataset: Dataset, touch_map: NDArray[np.float32]
+) -> dict[str, NDArray[np.float32]]:
+    """Images (n, rows, columns) of touched frames, by name.
 
-    Empty for a method without reconstructions.
+    "truth" is the true contact map, 0 to 1; "static" and "dynamic" are the reconstructions with
+    either reference of a method that makes some, positive for lower conductivity; "touch_map" are
+    the estimated maps, as given.
     """
-    if not isinstance(pipeline.method, PaperMethod):
-        return {}
-    static, dynamic = pipeline.method.reconstructions(Observations.of(dataset))
-    return {"static": -static, "dynamic": -dynamic}
-
-
-def _perceive(pipeline: Pipeline, dataset: Dataset) -> Predictions:
-    """Predictions in pieces of `PIECE` frames, which bounds the memory for feature maps."""
-    starts = range(0, len(dataset), PIECE)
-    return Predictions.joined(
-        [pipeline.perceive(dataset.select(slice(start, start + PIECE))) for start in starts]
-    )
+    discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
+    rows, columns = touch_map.shape[1:]
+    made = {"truth": touch_maps(*discs, pipeline.layout.outline, (rows, columns))}
+    if isinstance(pipeline.method, PaperMethod):
+        static, dynamic = pipeline.method.reconstructions(Observations.of(dataset))
+        made |= {"static": -static, "dynamic": -dynamic}
+    return {**made, "touch_map": touch_map}
 
 
 def _similarities(
@@ -164,52 +155,45 @@ def _similarities(
     chosen = drawable(dataset)
     for start in range(0, len(chosen), PIECE):
         piece = chosen[start : start + PIECE]
-        frames = dataset.select(piece)
-        truth = contact_maps(frames, pipeline, predictions.touch_map.shape)
-        pictures = {"touch_map": predictions.touch_map[piece], **reconstructions(pipeline, frames)}
-        pictures["empty"] = np.zeros_like(truth)
-        for name, maps in pictures.items():
-            pairs = zip(maps, truth, strict=True)
+        pictures = images(pipeline, dataset.select(piece), predictions.touch_map[piece])
+        truth = pictures.pop("truth")
+        for name, maps in {**pictures, "empty": np.zeros_like(truth)}.items():
             row = values.setdefault(name, np.full(len(dataset), np.nan))
-            row[piece] = [similarity(*pair) for pair in pairs]
+            row[piece] = [similarity(*pair) for pair in zip(maps, truth, strict=True)]
     return values
 
 
 def _state_score(
-    dataset: Dataset, predictions: Predictions, told_apart: tuple[str, ...]
+    dataset: Dataset, predictions: Predictions, distinguished: tuple[str, ...]
 ) -> StateScore:
-    """Score of the frames whose true state is one that the pipeline tells apart."""
-    known = np.isin(dataset.state, [STATE_NAMES.index(name) for name in told_apart])
-    counts = confusion(dataset.state[known], predictions.state[known])
+    """Score of the frames whose true state is one that the pipeline distinguishes."""
+    known = np.isin(dataset.state, [STATE_NAMES.index(name) for name in distinguished])
+    counts = np.zeros((len(STATE_NAMES), len(STATE_NAMES)), np.int64)
+    np.add.at(counts, (dataset.state[known].astype(int), predictions.state[known]), 1)
     bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
-    right = predictions.state == dataset.state
-    idle = counts[State.IDLE]
+    recognised = predictions.state == dataset.state
+    totals = counts.sum(axis=1)
     return StateScore(
-        {
-            name: _share(row[i], row.sum())
-            for i, (name, row) in enumerate(zip(STATE_NAMES, counts, strict=True))
-        },
-        _share(right[bent].sum(), bent.sum()),
-        _share(idle[State.TOUCH], idle.sum()),
+        {name: _share(counts[i, i], totals[i]) for i, name in enumerate(STATE_NAMES)},
+        _share(recognised[bent].sum(), bent.sum()),
+        _share(counts[State.IDLE, State.TOUCH], totals[State.IDLE]),
         counts.tolist(),
         int(np.isin(dataset.state, list(State)).sum() - known.sum()),
     )
 
 
 def _bend_score(dataset: Dataset, predictions: Predictions) -> BendScore:
-    known = np.isfinite(dataset.bend_angle_deg) & np.isfinite(predictions.bend_angle_deg)
-    bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
     true, estimated = dataset.bend_angle_deg.astype(float), predictions.bend_angle_deg
     error = estimated - true
-
-    def size_and_bias(mask: Mask) -> tuple[float | None, float | None]:
-        errors = error[mask]
-        return (root_mean_square(errors), float(errors.mean())) if errors.size else (None, None)
-
+    bent, touched = (
+        np.isfinite(error) & (dataset.state == state) for state in (State.BEND, State.TOUCH)
+    )
     return BendScore(
-        determination(true[bent], estimated[bent]) if bent.any() else None,
-        *size_and_bias(bent),
-        *size_and_bias(touched),
+        determination(true[bent], estimated[bent]),
+        _statistic(root_mean_square, error[bent]),
+        _statistic(np.mean, error[bent]),
+        _statistic(root_mean_square, error[touched]),
+        _statistic(np.mean, error[touched]),
         consistency(error, predictions.bend_deviation_deg),
     )
 
@@ -221,39 +205,31 @@ def _touch_scores(
     counts = dataset.touch_count
     groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
     groups |= {"several": counts > 1, "bent": (counts > 0) & _bent(dataset)}
-    return {
-        name: _touch_score(group, counts, matches, similarity)
-        for name, group in groups.items()
-        if group.any()
-    }
-
-
-def _touch_score(
-    group: Mask, counts: NDArray[np.int64], matches: Matches, similarity: dict[str, Array]
-) -> TouchScore:
-    """Score of the frames of a mask (n,)."""
-    errors = matches.error[group[matches.frame]] * 1e3
-    some = errors.size > 0
-    true = int(counts[group].sum())
-    drawn = {name: values[group & np.isfinite(values)] for name, values in similarity.items()}
-    return TouchScore(
-        int(group.sum()),
-        float(errors.mean()) if some else None,
-        float(errors.std()) if some else None,
-        float(np.median(errors)) if some else None,
-        float(np.percentile(errors, 95)) if some else None,
-        errors.size / true,
-        int(matches.false[group].sum()) / true,
-        {name: float(values.mean()) for name, values in drawn.items() if values.size},
-    )
+    scores = {}
+    for name, group in groups.items():
+        if not group.any():
+            continue
+        errors = matches.error[group[matches.frame]] * 1e3
+        true = int(counts[group].sum())
+        drawn = {key: values[group & np.isfinite(values)] for key, values in similarity.items()}
+        scores[name] = TouchScore(
+            int(group.sum()),
+            _statistic(np.mean, errors),
+            _statistic(np.std, errors),
+            _statistic(np.median, errors),
+            _statistic(partial(np.percentile, q=95), errors),
+            errors.size / true,
+            int(matches.false[group].sum()) / true,
+            {key: float(values.mean()) for key, values in drawn.items() if values.size},
+        )
+    return scores
 
 
 def _untouched_score(dataset: Dataset, matches: Matches) -> UntouchedScore | None:
-    untouched = np.isin(dataset.state, (State.IDLE, State.BEND))
-    if not untouched.any():
+    false = matches.false[np.isin(dataset.state, (State.IDLE, State.BEND))]
+    if not false.size:
         return None
-    false = matches.false[untouched]
-    return UntouchedScore(int(untouched.sum()), float(np.mean(false > 0)), int(false.sum()))
+    return UntouchedScore(false.size, float(np.mean(false > 0)), int(false.sum()))
 
 
 def _force_score(matches: Matches) -> ForceScore | None:
@@ -265,31 +241,29 @@ def _force_score(matches: Matches) -> ForceScore | None:
 
 
 def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
-    """Latency of `process` in a session of one specimen."""
+    """Latency of `process` in a session of one specimen: its flat reference, then its frames."""
+    mine = np.flatnonzero(dataset.specimen == dataset.specimen[0])[:TIMED_FRAMES]
+    values = [dataset.reference[dataset.specimen[0]], *dataset.impedance[mine]]
+    protocol, frequency, seconds = pipeline.layout.protocol, dataset.frequency, []
     pipeline.reset()
-    seconds = []
-    for frame in _session(dataset, pipeline.layout.protocol):
+    for n, value in enumerate(values):
+        frame = Frame(value.astype(np.complex128), protocol, 0.1 * n, n, 0, frequency)
         start = time.perf_counter()
         pipeline.process(frame)
         seconds.append(time.perf_counter() - start)
     pipeline.reset()
-    p50, p99 = percentiles(seconds[1:])
-    return LatencyScore(p50 * 1e3, p99 * 1e3)
+    p50, p99 = (1e3 * np.percentile(seconds[1:], [50, 99])).tolist()
+    return LatencyScore(p50, p99)
 
 
-def _session(dataset: Dataset, protocol: Protocol) -> list[Frame]:
-    """Session of one specimen: its flat reference, then some of its frames."""
-    mine = np.flatnonzero(dataset.specimen == dataset.specimen[0])[:TIMED_FRAMES]
-    values = [dataset.reference[dataset.specimen[0]], *dataset.impedance[mine]]
-    return [
-        Frame(value.astype(np.complex128), protocol, 0.1 * n, n, 0, dataset.frequency)
-        for n, value in enumerate(values)
-    ]
-
-
-def _bent(dataset: Dataset) -> Mask:
-    bent: Mask = np.abs(dataset.bend_angle_deg) > 0
+def _bent(dataset: Dataset) -> NDArray[np.bool_]:
+    bent: NDArray[np.bool_] = np.abs(dataset.bend_angle_deg) > 0
     return bent
+
+
+def _statistic(statistic: Callable[[Array], Any], errors: Array) -> float | None:
+    """A statistic of some errors; None without any."""
+    return float(statistic(errors)) if errors.size else None
 
 
 def _share(part: int, whole: int) -> float | None:

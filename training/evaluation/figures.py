@@ -19,13 +19,14 @@ from eitskin.training.evaluation.drawing import (
     GREY,
     ORANGE,
     CaptionedFigure,
+    Circle,
     NoFigure,
     PicturePanel,
     draw_panels,
     draw_sensor,
     new_figure,
 )
-from eitskin.training.evaluation.evaluate import Evaluation, contact_maps, drawable, reconstructions
+from eitskin.training.evaluation.evaluate import Evaluation, drawable, images
 from eitskin.training.evaluation.scores import GATE, SSIM_DEFINITION, root_mean_square
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.targets import STATE_NAMES
@@ -37,6 +38,7 @@ LEAST_MOVED = 1.0  # deg, in a sequence that is worth drawing
 MOST_VECTORS = 240  # more would hide each other
 ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
 SEVERAL_DEG = 30.0  # and one to four touches
+NOWHERE = np.zeros((0, 2))
 NEAR_DEG = 5.0  # the frame that is nearest to a wanted angle is shown where it is this near
 COLUMNS = {
     "truth": "truth",
@@ -300,17 +302,22 @@ def draw_errors(errors: Array, caption: str) -> CaptionedFigure:
 
 def touch_maps_by_angle(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Touch maps of one touch at the angles of the paper that have frames near them."""
-    return _draw_rows(evaluation, [(1, angle) for angle in ANGLES_DEG]) or NoFigure(
-        "no frame has exactly one touch of known position and radius at a known angle"
+    return _draw_touch_maps(
+        evaluation,
+        [(1, angle) for angle in ANGLES_DEG],
+        "One touch at several bend angles",
+        "no frame has exactly one touch of known position and radius at a known angle",
     )
 
 
 def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Touch maps of one to four touches on the sensor bent by 30 deg."""
-    counts = range(1, evaluation.dataset.touch_x.shape[1] + 1)
-    return _draw_rows(evaluation, [(count, SEVERAL_DEG) for count in counts]) or NoFigure(
+    return _draw_touch_maps(
+        evaluation,
+        [(count, SEVERAL_DEG) for count in range(1, evaluation.dataset.touch_x.shape[1] + 1)],
+        f"One to four touches near {SEVERAL_DEG:g} deg",
         f"no touched frame of known positions and radii is within {NEAR_DEG:g} deg of "
-        f"{SEVERAL_DEG:g} deg"
+        f"{SEVERAL_DEG:g} deg",
     )
 
 
@@ -324,77 +331,39 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
     return nearest if away[nearest] <= NEAR_DEG else None
 
 
-def _draw_rows(
-    evaluation: Evaluation, wanted: Sequence[tuple[int, float]]
-) -> CaptionedFigure | None:
-    """Grid of images, a column for each kind; None where no frame is near.
+def _draw_touch_maps(
+    evaluation: Evaluation, wanted: Sequence[tuple[int, float]], title: str, missing: str
+) -> CaptionedFigure | NoFigure:
+    """Grid of images, a column for each kind, a row for each frame nearest to what is wanted.
 
-    A row shows the frame with a number of touches that is nearest to an angle [deg].
+    Args:
+        evaluation: of the frames.
+        wanted: numbers of touches and angles [deg].
+        title: first words of the caption.
+        missing: reason for no figure where no frame is near.
     """
     near = dict.fromkeys(_nearest(evaluation, *each) for each in wanted)
     rows = [row for row in near if row is not None]
     if not rows:
-        return None
-    frames = evaluation.dataset.select(rows)
-    title = "One touch at several bend angles"
-    labels = [f"{a:.0f} deg".replace("-", "\N{MINUS SIGN}") for a in frames.bend_angle_deg]
-    if wanted[-1][0] > 1:
-        title = f"One to four touches near {SEVERAL_DEG:g} deg"
-        labels = [f"{n} at\n{label}" for n, label in zip(frames.touch_count, labels, strict=True)]
-    post_processed = evaluation.predictions.touch_map[rows]
-    images = {"truth": contact_maps(frames, evaluation.pipeline, post_processed.shape)}
-    images |= {**reconstructions(evaluation.pipeline, frames), "touch_map": post_processed}
-    names = [name for name in COLUMNS if name in images]
-    length, width = (1e3 * side for side in evaluation.pipeline.layout.outline)
-    panel = 10.0 / len(names) if len(names) > 2 else 3.6
-    figure = new_figure(2.0 + panel * len(names), 0.6 + (panel * width / length + 0.1) * len(rows))
-    panels = figure.subplots(len(rows), len(names), squeeze=False, sharex=True, sharey=True)
-    look = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "origin": "lower"}
-    look |= {"extent": (0.0, length, 0.0, width), "interpolation": "nearest"}
-    for i, (frame, label) in enumerate(zip(rows, labels, strict=True)):
-        for axes, name in zip(panels[i], names, strict=True):
-            axes.grid(visible=False)
-            axes.spines[:].set_visible(False)
-            axes.tick_params(length=2)
-            values = images[name][i]
-            image = axes.imshow(values / (float(np.abs(values).max()) or 1.0), **look)
-            _mark(axes, evaluation, frame, name)
-            if i == 0:
-                axes.set_title(COLUMNS[name])
-        panels[i, 0].set_ylabel(label, rotation=0, ha="right", va="center", weight="bold")
-    figure.supxlabel("x [mm]", fontsize=10)
-    figure.supylabel("y [mm]", fontsize=10)
-    tall = {"shrink": min(1.0, 2.6 / len(rows)), "aspect": 22, "pad": 0.01}
-    bar = figure.colorbar(image, ax=panels, ticks=(-1, 0, 1), **tall)
-    bar.set_ticklabels(["more\nconductive", "no change", "touched"])
-    bar.outline.set_visible(False)
-    scaled = (
-        " Reconstructions, against the flat sensor and against the bent one, are scaled to their "
-        "largest magnitude."
-        if "static" in names
-        else " The method makes no reconstructions."
-    )
+        return NoFigure(missing)
+    frames, design = evaluation.dataset.select(rows), evaluation.pipeline.layout.design
+    maps = evaluation.predictions.touch_map[rows]
+    pictures = images(evaluation.pipeline, frames, maps)
+    panels = []
+    for i, (row, angle) in enumerate(zip(rows, frames.bend_angle_deg, strict=True)):
+        for name, values in pictures.items():
+            words = f"{frames.touch_count[i]} at {angle:.0f} deg: {COLUMNS[name]}"
+            if name in evaluation.similarity:
+                words += f", SSIM {evaluation.similarity[name][row]:.2f}"
+            crosses = evaluation.predictions.touches[row].place if name == "touch_map" else NOWHERE
+            scaled = values[i] / (float(np.abs(values[i]).max()) or 1.0)
+            panels.append(PicturePanel(words, design, None, scaled, _discs(frames, i), crosses))
     return CaptionedFigure(
-        figure,
-        f"{title}: the frame nearest to each angle, without selection. Circles: the true touches; "
-        f"crosses: those found.{scaled} {SSIM_DEFINITION}",
+        draw_panels(panels, len(pictures), quantity="touched, as a share of the largest magnitude"),
+        f"{title}: the frame nearest to each angle, without selection, each image scaled to its "
+        "largest magnitude; reconstructions are against the flat sensor and against the bent one. "
+        f"Dashed: the true touches; crosses: those found. {SSIM_DEFINITION}",
     )
-
-
-def _mark(axes: Any, evaluation: Evaluation, frame: int, name: str) -> None:
-    """Mark true and found touches, and write the SSIM."""
-    data = evaluation.dataset
-    circle = require("matplotlib.patches", EXTRA).Circle
-    halo = require("matplotlib.patheffects", EXTRA).withStroke(linewidth=2.2, foreground="white")
-    for x, y, radius in 1e3 * _discs(data, frame):
-        axes.add_patch(circle((x, y), radius, fill=False, edgecolor=DARK, linewidth=0.7))
-    if name == "touch_map":
-        found = 1e3 * evaluation.predictions.touches[frame].place
-        axes.plot(*found.T, "x", color=DARK, markersize=5, markeredgewidth=1.2, path_effects=[halo])
-    if name in evaluation.similarity:
-        text = f"SSIM {evaluation.similarity[name][frame]:.2f}"
-        place = {"transform": axes.transAxes, "ha": "right", "va": "top", "path_effects": [halo]}
-        axes.text(0.985, 0.96, text, fontsize=8, color=DARK, **place)
 
 
 def pictures_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
@@ -419,7 +388,7 @@ def pictures_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
             layout.design,
             maker.grid,
             picture[row],
-            tuple(map(tuple, _discs(data, row).tolist())),
+            _discs(data, row),
         )
         for row, count in enumerate(data.touch_count.tolist())
         for maker, picture in zip(makers, pictures, strict=True)
@@ -432,8 +401,7 @@ def pictures_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     )
 
 
-def _discs(data: Dataset, frame: int) -> NDArray[np.float32]:
-    """Positions and radius [m] of the true touches of a frame, (touches, 3)."""
+def _discs(data: Dataset, frame: int) -> tuple[Circle, ...]:
+    """Positions and radii of the true touches of a frame."""
     discs = np.stack([data.touch_x[frame], data.touch_y[frame], data.touch_radius[frame]], axis=1)
-    placed: NDArray[np.float32] = discs[np.isfinite(discs[:, 0])]
-    return placed
+    return tuple(map(tuple, discs[np.isfinite(discs[:, 0])].tolist()))

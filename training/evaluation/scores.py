@@ -1,6 +1,5 @@
 """Matching of touches, metrics of estimates, and the report of all scores of a pipeline."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -11,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.extras import require
 from eitskin.training.method.predictions import Predictions
-from eitskin.training.method.targets import STATE_NAMES, Targets
+from eitskin.training.method.targets import Targets
 
 GATE = 0.015  # m; half of the 30 mm that the test touches are apart, so that no two can claim one
 
@@ -304,21 +303,10 @@ def consistency(errors: ArrayLike, deviations: ArrayLike) -> Consistency | None:
 
 
 def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
-    """Coefficient of determination R2; None where `true` does not vary."""
+    """Coefficient of determination R2; None where `true` does not vary, or is empty."""
     truth = np.asarray(true, dtype=float)
+    if not truth.size:
+        return None
     variance = float(np.sum((truth - truth.mean()) ** 2))
     error = float(np.sum((truth - np.asarray(estimated, dtype=float)) ** 2))
     return 1.0 - error / variance if variance > 0 else None
-
-
-def confusion(true: ArrayLike, estimated: ArrayLike) -> NDArray[np.int64]:
-    """Confusion matrix (3, 3): rows the true state, columns the estimated one."""
-    counts = np.zeros((len(STATE_NAMES), len(STATE_NAMES)), np.int64)
-    np.add.at(counts, (np.asarray(true, dtype=int), np.asarray(estimated, dtype=int)), 1)
-    return counts
-
-
-def percentiles(values: Sequence[float]) -> tuple[float, float]:
-    """The median and the 99th percentile, in the unit of the values."""
-    p50, p99 = np.percentile(values, [50, 99])
-    return float(p50), float(p99)

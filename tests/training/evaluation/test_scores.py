@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from eitskin.training.evaluation.scores import (
-    confusion,
     consistency,
     determination,
     root_mean_square,
@@ -27,11 +26,6 @@ def test_angles():
     assert determination(true, np.full(3, true.mean())) == pytest.approx(0.0)
     assert determination(np.ones(3), true) is None
     assert root_mean_square([3.0, -4.0]) == pytest.approx(np.sqrt(12.5))
-
-
-def test_confusion_has_the_truth_in_rows():
-    counts = confusion([0, 0, 1, 2, 2], [0, 1, 1, 0, 2])
-    assert counts.tolist() == [[1, 1, 0], [0, 1, 0], [1, 0, 1]]
 
 
 def test_consistency_compares_errors_with_what_was_stated():
