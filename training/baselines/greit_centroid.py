@@ -102,7 +102,7 @@ class GreitMethod(Method):
         most = max(map(len, found.values()), default=0)
         placed = np.full((len(state), most, 3), np.nan)
         for row, touches in found.items():
-            placed[row, : len(touches)] = np.reshape(touches, (-1, 3))
+            placed[row, : len(touches)] = touches
         return Predictions.of(
             len(state),
             self.spec,
@@ -112,8 +112,8 @@ class GreitMethod(Method):
             radius=self.radius,
         )
 
-    def _touches(self, difference: Array) -> tuple[tuple[float, float, float], ...]:
-        """Touches (x [m], y [m], strength) of one frame's dV (C,)."""
+    def _touches(self, difference: Array) -> Array:
+        """Touches (k, 3) of x [m], y [m] and strength of one frame's dV (C,)."""
         picture = np.tensordot(difference, self.matrix, 1)
         return find_touches(picture / max(float(picture.max()), 1e-300), self.spec.outline, HALF)
 

@@ -209,7 +209,9 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float) -> Any:
         circle = patches.Circle((1e3 * x, 1e3 * y), 1e3 * radius)
         circle.set(fill=False, edgecolor=DARK, linewidth=0.9, linestyle="--")
         axes.add_patch(circle)
-    axes.plot(*(1e3 * panel.crosses.T), "x", color=DARK, markersize=5, markeredgewidth=1.2)
+    halo = require("matplotlib.patheffects", EXTRA).withStroke(linewidth=2.2, foreground="white")
+    cross = {"color": DARK, "markersize": 5, "markeredgewidth": 1.2, "path_effects": [halo]}
+    axes.plot(*(1e3 * panel.crosses.T), "x", **cross)
     axes.set_title(panel.title, fontsize=9.5, pad=4)
     axes.tick_params(labelsize=7.5, length=2)
     round_ticks = ticker.MaxNLocator(5, steps=(1, 2, 5, 10))

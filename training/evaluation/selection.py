@@ -11,7 +11,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.scores import GATE, Report, ospa
+from eitskin.training.evaluation.scores import GATE, ospa
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import STATE_NAMES, Targets, with_implied_labels
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -127,65 +127,52 @@ class Selection:
 
         Raises DataError where no candidate can be trained on the dataset.
         """
-        course = _Course(dataset, seed, adjust, progress)
+
+        def trial(preset: str, share: float) -> Trial:
+            settings = replace(TrainingSettings.preset(preset, seed), whole_specimens=True)
+            return train_candidate(dataset, preset, adjust(settings), share, progress)
+
         brief: list[Trial] = []
         for preset in presets:
-            rivals = len(presets) - 1 - sum(bool(trial.refusal) for trial in brief)
-            brief.append(course.trial(preset, BRIEF if rivals else 1.0))
-        trials = tuple(course.continued(trial, brief) for trial in brief)
+            rivals = len(presets) - 1 - sum(bool(each.refusal) for each in brief)
+            brief.append(trial(preset, BRIEF if rivals else 1.0))
+        leader, trials = min(brief, key=lambda each: each.loss), []
+        for each in brief:
+            if each.refusal or each.share == 1.0:
+                trials.append(each)
+            elif each.loss > HOPELESS * leader.loss:
+                why = f"after {BRIEF:.0%} of the training its loss was {each.loss:.3f}, that of "
+                trials.append(replace(each, stopped=f"{why}{leader.preset} {leader.loss:.3f}"))
+            else:
+                full = trial(each.preset, 1.0)
+                trials.append(replace(full, seconds=each.seconds + full.seconds))
         best = min((each for each in trials if not each.stopped), key=lambda each: each.loss)
         if best.evaluation is None:
-            reasons = "; ".join(f"{trial.preset}: {trial.refusal}" for trial in trials)
+            reasons = "; ".join(f"{each.preset}: {each.refusal}" for each in trials)
             raise DataError(f"no method can be trained on this dataset: {reasons}")
-        best.evaluation.pipeline.metrics["selection"] = [trial.as_dict() for trial in trials]
-        return cls(trials, best.evaluation, best.preset)
+        best.evaluation.pipeline.metrics["selection"] = [each.as_dict() for each in trials]
+        return cls(tuple(trials), best.evaluation, best.preset)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Course:
-    """Dataset and settings that all trials share; attributes as the arguments of `Selection.of`."""
-
-    dataset: Dataset
-    seed: int
-    adjust: Callable[[TrainingSettings], TrainingSettings]
-    progress: Progress
-
-    def trial(self, preset: str, share: float = 1.0) -> Trial:
-        """The candidate, trained for a share of its epochs and judged, or refused."""
-        start, words = time.perf_counter(), preset if share == 1.0 else f"{preset}, briefly"
-        settings = replace(TrainingSettings.preset(preset, self.seed), whole_specimens=True)
-        settings = self.adjust(settings)
-
-        def named(stage: str, done: int, total: int) -> None:
-            self.progress(f"{words}: {stage}", done, total)
-
-        try:
-            shortened = settings if share == 1.0 else settings.shortened(share)
-            pipeline = Pipeline.fit(self.dataset, shortened, named)
-        except DataError as error:
-            return Trial(preset, time.perf_counter() - start, str(error), None, {})
-        frames = pipeline.held_out(self.dataset)
-        if share < 1.0 and len(frames) > BRIEFLY_JUDGED:
-            frames = frames[:: -(-len(frames) // BRIEFLY_JUDGED)]
-        evaluation = Evaluation.of(pipeline, self.dataset.select(frames))
-        labels = Targets.of(with_implied_labels(self.dataset))
-        losses = losses_of(evaluation, labels)
-        seconds = time.perf_counter() - start
-        return Trial(preset, seconds, "", evaluation, losses, share=share)
-
-    def continued(self, trial: Trial, brief: Sequence[Trial]) -> Trial:
-        """The candidate trained to the end, unless it is refused, hopeless or trained already."""
-        if trial.refusal or trial.share == 1.0:
-            return trial
-        best = min(brief, key=lambda each: each.loss)
-        if trial.loss > HOPELESS * best.loss:
-            return replace(
-                trial,
-                stopped=f"after {BRIEF:.0%} of the training its loss was {trial.loss:.3f}, that of "
-                f"{best.preset} {best.loss:.3f}",
-            )
-        full = self.trial(trial.preset)
-        return replace(full, seconds=trial.seconds + full.seconds)
+def train_candidate(
+    dataset: Dataset, preset: str, settings: TrainingSettings, share: float, progress: Progress
+) -> Trial:
+    """The candidate, trained for a share of its epochs and judged, or refused."""
+    start, words = time.perf_counter(), preset if share == 1.0 else f"{preset}, briefly"
+    try:
+        pipeline = Pipeline.fit(
+            dataset,
+            settings if share == 1.0 else settings.shortened(share),
+            lambda stage, *steps: progress(f"{words}: {stage}", *steps),
+        )
+    except DataError as error:
+        return Trial(preset, time.perf_counter() - start, str(error), None, {})
+    frames = pipeline.held_out(dataset)
+    if share < 1.0:
+        frames = frames[:: max(1, -(-len(frames) // BRIEFLY_JUDGED))]
+    evaluation = Evaluation.of(pipeline, dataset.select(frames))
+    losses = losses_of(evaluation, Targets.of(with_implied_labels(dataset)))
+    return Trial(preset, time.perf_counter() - start, "", evaluation, losses, share=share)
 
 
 def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
@@ -196,41 +183,32 @@ def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
       either.
     - "angle": root mean square error over the standard deviation of the angles, at most 1.
     """
-    report, estimated = evaluation.report, evaluation.pipeline.targets.shared_with(labels)
-    losses: dict[str, float] = {}
+    data, report = evaluation.dataset, evaluation.report
+    estimated, losses = evaluation.pipeline.targets.shared_with(labels), {}
     if labels.states:
-        losses["state"] = _state_loss(report, labels.states) if estimated.states else 1.0
+        accuracy, losses["state"] = report.states.accuracy, 1.0
+        if estimated.states:  # a state that is not distinguished is never recognised
+            shares = [
+                accuracy[name] if name in report.estimates.states else 0.0 for name in labels.states
+            ]
+            losses["state"] -= float(np.mean([s for s in shares if s is not None] or [0.0]))
     if labels.touches:
-        losses["touches"] = _touch_loss(evaluation) if estimated.touches else 1.0
+        distances = [1.0]
+        if estimated.touches:
+            truth = np.stack([data.touch_x, data.touch_y], axis=2).astype(float)
+            pairs = (
+                (places[np.isfinite(places[:, 0])], touches.place)
+                for places, touches in zip(truth, evaluation.predictions.touches, strict=True)
+            )
+            distances = [ospa(*pair) / GATE for pair in pairs if any(map(len, pair))]
+        losses["touches"] = float(np.mean(distances)) if distances else 0.0
     if labels.angle:
-        losses["angle"] = _angle_loss(evaluation) if estimated.angle else 1.0
+        angles, rmse = data.bend_angle_deg[data.state == State.BEND], report.bend.rmse_deg
+        spread = float(np.nanstd(angles)) if len(angles) else 0.0
+        losses["angle"] = 1.0
+        if estimated.angle and rmse is not None and spread > 0.0:
+            losses["angle"] = min(1.0, rmse / spread)
     return losses
-
-
-def _state_loss(report: Report, states: Sequence[str]) -> float:
-    """Balanced error rate; a state that is not told apart is never recognised."""
-    accuracy, told_apart = report.states.accuracy, report.estimates.states
-    shares = [accuracy[name] if name in told_apart else 0.0 for name in states]
-    return 1.0 - float(np.mean([share for share in shares if share is not None] or [0.0]))
-
-
-def _touch_loss(evaluation: Evaluation) -> float:
-    data = evaluation.dataset
-    truth = np.stack([data.touch_x, data.touch_y], axis=2).astype(float)
-    distances = []
-    for places, touches in zip(truth, evaluation.predictions.touches, strict=True):
-        true = places[np.isfinite(places[:, 0])]
-        if len(true) or len(touches):
-            distances.append(ospa(true, touches.place) / GATE)
-    return float(np.mean(distances)) if distances else 0.0
-
-
-def _angle_loss(evaluation: Evaluation) -> float:
-    angles = evaluation.dataset.bend_angle_deg[evaluation.dataset.state == State.BEND]
-    spread, rmse = float(np.nanstd(angles)) if len(angles) else 0.0, evaluation.report.bend.rmse_deg
-    if rmse is None or spread == 0.0:
-        return 1.0
-    return min(1.0, rmse / spread)
 
 
 def _left_out(data: Dataset, evaluation: Evaluation) -> list[str]:

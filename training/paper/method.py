@@ -40,6 +40,8 @@ from eitskin.training.paper.reconstruction import (
 from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
 from eitskin.training.reconstruction.linear_model import linear_model
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperMethod(Method):
@@ -91,35 +93,63 @@ class PaperMethod(Method):
         Losses on `frames.validation` are recorded and change nothing. Raises DataError for too few
         frames of a kind.
         """
-        dataset, layout, targets = frames.dataset, frames.spec, frames.targets
-        observations, noise, validation = frames.observations, frames.noise, frames.validation
-        rms = np.full(observations.dynamic.shape[1], noise)
+        data, seen, spec, noise = frames.dataset, frames.observations, frames.spec, frames.noise
+        rms = np.full(seen.dynamic.shape[1], noise)
         if settings.weighted:
-            rms = channel_noise(dataset, observations)
-        missing_static = MissingChannels.fit(observations.static, noise)
-        missing_dynamic = MissingChannels.fit(observations.dynamic, noise)
-
-        def filled(data: Dataset, observations: Observations) -> LabelledFrames:
-            static = missing_static.fill(observations.static)
-            return LabelledFrames(data, static, missing_dynamic.fill(observations.dynamic))
-
-        train = filled(dataset, observations)
-        unseen = None if validation is None else filled(validation, Observations.of(validation))
-        touched = dataset.state == State.TOUCH
-        signal = train.dynamic[touched] if touched.any() else train.static
+            rms = channel_noise(data, seen)
+        missing_static = MissingChannels.fit(seen.static, noise)
+        missing_dynamic = MissingChannels.fit(seen.dynamic, noise)
+        static, dynamic = missing_static.fill(seen.static), missing_dynamic.fill(seen.dynamic)
+        touched = data.state == State.TOUCH
         unit = np.where(rms > 0, rms, 1.0)  # a set without noise weighs all channels alike
-        snr = signal_to_noise(signal / unit, float(noise > 0))
-        model = linear_model(layout.design, layout.protocol, layout.pixels)
-        reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels, unit)
-        stages = _Stages(train, unseen, layout, reconstruction, settings, rms, progress)
+        snr = signal_to_noise((dynamic[touched] if touched.any() else static) / unit, noise > 0)
+        model = linear_model(spec.design, spec.protocol, spec.pixels)
+        reconstruction = Reconstruction.fit(model.relative, snr, spec.pixels, unit)
+        unseen_states = unseen_touches = None
+        if (unseen := frames.validation) is not None:
+            others = Observations.of(unseen)
+            unseen_states = _states(unseen, missing_static.fill(others.static))
+            unseen_touches = _touches(unseen, missing_dynamic.fill(others.dynamic), spec)
+        classifier = bend_angle = postprocessor = None
+        if frames.targets.states and (known := _states(data, static)):
+            maps = np.stack(_state_maps(reconstruction, data.state, static, settings))
+            classifier = Classifier.fit(
+                *known,
+                maps,
+                reconstruction.shape,
+                settings.classifier,
+                rms,
+                settings.seed,
+                progress,
+                unseen_states,
+                compress=settings.compressed_maps,
+            )
+        if frames.targets.angle:
+            angle = untouched_angles(data)
+            usable = np.isfinite(angle)
+            labelled = (static[usable], angle[usable], data.specimen[usable])
+            bend_angle = BendAngle.fit(*labelled, settings.seed, squares=settings.bend_squares)
+        placed = _touches(data, dynamic, spec)
+        if "touch" in frames.targets.states and placed:
+            flips = [mirror.flips for mirror in mirrors(spec.design, spec.protocol)]
+            postprocessor = PostProcessor.fit(
+                *placed,
+                reconstruction,
+                settings.postprocessor,
+                rms,
+                settings.seed,
+                progress,
+                unseen_touches,
+                flips if settings.mirrored else flips[:1],
+            )
         return cls(
             reconstruction,
-            stages.classifier() if targets.states else None,
-            stages.bend_angle() if targets.angle else None,
-            stages.postprocessor() if "touch" in targets.states else None,
+            classifier,
+            bend_angle,
+            postprocessor,
             missing_static,
             missing_dynamic,
-            layout.outline,
+            spec.outline,
         )
 
     @property
@@ -140,9 +170,9 @@ class PaperMethod(Method):
         free = self.missing_dynamic.fill(observations.dynamic)
         count = len(flat)
         unknown = np.full(count, np.nan)
-        probabilities = np.full((count, len(State)), np.nan)
-        if self.classifier:
-            probabilities = self.classifier.apply(flat)
+        probabilities = (
+            self.classifier.apply(flat) if self.classifier else np.full((count, len(State)), np.nan)
+        )
         touched = most_probable(probabilities) == State.TOUCH
         untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
         maps = np.full((count, *self.reconstruction.shape), np.nan, np.float32)
@@ -157,7 +187,7 @@ class PaperMethod(Method):
             self.bend_angle.apply(untouched_dV) if self.bend_angle else unknown,
             unknown,
             maps,
-            tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
+            tuple(FoundTouches.of(each[:, :2], each[:, 2]) for each in found),
             ((),) * count,
         )
 
@@ -178,15 +208,13 @@ class PaperMethod(Method):
         told = Adaptation(flat, len(bent), left_out=len(known) - flat - len(bent))
         if self.bend_angle is None or not len(bent):
             return self, told
-        angle_deg = bent.angle_deg
         estimated = self.bend_angle.apply(self.missing_static.fill(bent.observations.static))
-        factor = float(estimated @ angle_deg) / float(estimated @ estimated)
-        before = float(np.sqrt(np.mean((estimated - angle_deg) ** 2)))
-        after = float(np.sqrt(np.mean((factor * estimated - angle_deg) ** 2)))
-        count = len(angle_deg)
-        calibration = Calibration(
-            tuple(angle_deg.tolist()), (before,) * count, (after,) * count, after
+        factor = float(estimated @ bent.angle_deg) / float(estimated @ estimated)
+        before, after = (
+            float(np.sqrt(np.mean((by * estimated - bent.angle_deg) ** 2))) for by in (1.0, factor)
         )
+        errors = ((before,) * len(bent), (after,) * len(bent))
+        calibration = Calibration(tuple(bent.angle_deg.tolist()), *errors, after)
         adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
         return adapted, dataclasses.replace(told, calibration=calibration)
 
@@ -227,94 +255,37 @@ class PaperMethod(Method):
         return cls(**restored_fields(cls, arrays, **given))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledFrames:
-    """Frames of a dataset and their dV from either reference (n, measurements), without gaps."""
-
-    dataset: Dataset
-    static: NDArray[np.float64]
-    dynamic: NDArray[np.float64]
-
-    def states(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
-        """dV from the static reference and states of frames of known state; None without any."""
-        known = self.dataset.state != UNKNOWN_STATE
-        return (self.static[known], self.dataset.state[known]) if known.any() else None
-
-    def touches(
-        self, outline: tuple[float, float], shape: tuple[int, int]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
-        """dV from the dynamic reference and true touch maps of touched frames; None without any."""
-        data = self.dataset
-        placed = (data.state == State.TOUCH) & (data.touch_count > 0)
-        if not placed.any():
-            return None
-        discs = (data.touch_x[placed], data.touch_y[placed], data.touch_radius[placed])
-        return self.dynamic[placed], touch_maps(*discs, outline, shape)
+def _states(data: Dataset, static: Array) -> tuple[Array, NDArray[np.uint8]] | None:
+    """dV (n, C) and states of the frames of known state; None without any."""
+    known = data.state != UNKNOWN_STATE
+    return (static[known], data.state[known]) if known.any() else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stages:
-    """Training of the stages, from frames to learn from and, where there are any, unseen ones.
+def _touches(
+    data: Dataset, dynamic: Array, spec: InputSpec
+) -> tuple[Array, NDArray[np.float32]] | None:
+    """dV (n, C) and true touch maps of the touched frames of known places; None without any."""
+    placed = (data.state == State.TOUCH) & (data.touch_count > 0)
+    if not placed.any():
+        return None
+    discs = (data.touch_x[placed], data.touch_y[placed], data.touch_radius[placed])
+    return dynamic[placed], touch_maps(*discs, spec.outline, spec.pixels)
 
-    `noise` is the rms noise of dV of each channel (measurements,).
+
+def _state_maps(
+    reconstruction: Reconstruction,
+    state: NDArray[np.uint8],
+    static: Array,
+    settings: TrainingSettings,
+) -> list[Array]:
+    """Linear maps that the classifier sees: the reconstruction and, if chosen, one without bends.
+
+    A bend changes dV ten to fifty times more than a light touch on top of it; in the plain
+    reconstruction such a touch is the last percent of the input.
     """
-
-    train: LabelledFrames
-    unseen: LabelledFrames | None
-    layout: InputSpec
-    reconstruction: Reconstruction
-    settings: TrainingSettings
-    noise: NDArray[np.float64]
-    progress: Progress
-
-    def classifier(self) -> Classifier:
-        """Classifier on the reconstruction and, with `bend_free_map`, on one without the bend.
-
-        A bend changes dV ten to fifty times more than a light touch on top of it; in the plain
-        reconstruction such a touch is the last percent of the input.
-        """
-        static, state = self.train.static, self.train.dataset.state
-        known = state != UNKNOWN_STATE
-        maps = [self.reconstruction.matrix]
-        idle, bend = (static[state == s] for s in (State.IDLE, State.BEND))
-        if self.settings.bend_free_map and len(idle) and len(bend):
-            idle_noise = float(np.sqrt(np.mean(idle**2)))
-            maps.append(maps[0] @ bend_free_projection(bend, idle_noise))
-        return Classifier.fit(
-            static[known],
-            state[known],
-            np.stack(maps),
-            self.reconstruction.shape,
-            self.settings.classifier,
-            self.noise,
-            self.settings.seed,
-            self.progress,
-            self.unseen.states() if self.unseen else None,
-            compress=self.settings.compressed_maps,
-        )
-
-    def bend_angle(self) -> BendAngle:
-        """Regression of the angle on all untouched frames; an idle sensor is flat."""
-        dataset, squares = self.train.dataset, self.settings.bend_squares
-        angle = untouched_angles(dataset)
-        usable = np.isfinite(angle)
-        frames = (self.train.static[usable], angle[usable], dataset.specimen[usable])
-        return BendAngle.fit(*frames, self.settings.seed, squares=squares)
-
-    def postprocessor(self) -> PostProcessor | None:
-        """Post-processor of the touch map; None where no touched frame has a position."""
-        maps = self.layout.outline, self.reconstruction.shape
-        placed = self.train.touches(*maps)
-        if placed is None:
-            return None
-        flips = [each.flips for each in mirrors(self.layout.design, self.layout.protocol)]
-        return PostProcessor.fit(
-            *placed,
-            self.reconstruction,
-            self.settings.postprocessor,
-            self.noise,
-            self.settings.seed,
-            self.progress,
-            self.unseen.touches(*maps) if self.unseen else None,
-            flips if self.settings.mirrored else flips[:1],
-        )
+    maps = [reconstruction.matrix]
+    idle, bend = (static[state == s] for s in (State.IDLE, State.BEND))
+    if settings.bend_free_map and len(idle) and len(bend):
+        idle_noise = float(np.sqrt(np.mean(idle**2)))
+        maps.append(maps[0] @ bend_free_projection(bend, idle_noise))
+    return maps

@@ -233,8 +233,8 @@ def find_touches(
     outline: tuple[float, float],
     threshold: float = THRESHOLD,
     smallest: int = SMALLEST,
-) -> tuple[tuple[float, float, float], ...]:
-    """Touches (x [m], y [m], strength) in a touch map, strongest first.
+) -> Array:
+    """Touches (k, 3) of x [m], y [m] and strength in a touch map, strongest first.
 
     A touch is a connected component (8-neighbourhood) above a threshold. Its position is the
     centroid of the pixels weighted by their values, the paper's equation (3); its strength is its
@@ -247,15 +247,13 @@ def find_touches(
         smallest: least number of pixels of a touch.
     """
     values = np.asarray(touch_map, dtype=float)
-    rows, columns = values.shape
     labels, count = ndimage.label(values > threshold, structure=np.ones((3, 3)))
-    touches = []
-    for component in range(1, count + 1):
-        iy, ix = np.nonzero(labels == component)
-        if len(iy) < smallest:
-            continue
-        weights = values[iy, ix]
-        x = float(np.average(ix + 0.5, weights=weights)) * outline[0] / columns
-        y = float(np.average(iy + 0.5, weights=weights)) * outline[1] / rows
-        touches.append((x, y, float(weights.max())))
-    return tuple(sorted(touches, key=lambda touch: -touch[2]))
+    numbers = np.arange(1, count + 1)
+    numbers = numbers[ndimage.sum(labels > 0, labels, numbers) >= smallest]
+    if not numbers.size:
+        return np.zeros((0, 3))
+    pixel = np.array(outline[::-1]) / values.shape  # along y and x
+    places = (np.array(ndimage.center_of_mass(values, labels, numbers)) + 0.5) * pixel
+    touches = np.column_stack([places[:, ::-1], ndimage.maximum(values, labels, numbers)])
+    strongest_first: Array = touches[np.argsort(-touches[:, 2], kind="stable")]
+    return strongest_first

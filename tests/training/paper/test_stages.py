@@ -298,4 +298,4 @@ def test_faint_and_tiny_regions_are_no_touches():
     touch_map = np.zeros((32, 80))
     touch_map[10:14, 20:24] = 0.2
     touch_map[20, 60:63] = 1.0
-    assert find_touches(touch_map, (0.150, 0.060)) == ()
+    assert len(find_touches(touch_map, (0.150, 0.060))) == 0

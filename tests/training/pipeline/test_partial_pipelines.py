@@ -179,12 +179,12 @@ def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monke
     evaluation, trained = Evaluation.of(never_touched, data), []
     brief, whole = {"joint": 0.2, "quick": 0.3, "paper": 0.5}, {"joint": 0.2, "quick": 0.1}
 
-    def trial(_, preset, share=1.0):
+    def trial(_data, preset, _settings, share, _progress):
         trained.append((preset, share < 1.0))
         loss = (whole if share == 1.0 else brief)[preset]
         return Trial(preset, 1.0, "", evaluation, {"x": loss}, share=share)
 
-    monkeypatch.setattr(selection._Course, "trial", trial)
+    monkeypatch.setattr(selection, "train_candidate", trial)
     found = Selection.of(data, presets=("joint", "quick", "paper"))
     assert found.preset == "quick"
     assert [preset for preset, briefly in trained if not briefly] == ["joint", "quick"]
