@@ -1,7 +1,7 @@
 """Report of an evaluation as a folder: figures, and numbers beside those of the paper."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -100,56 +100,31 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
         ConfigurationError: as `require_report_folder`.
         PartialError: for a folder that can no longer be written to; its files are whole.
     """
+    pipeline, data = evaluation.pipeline, evaluation.dataset
+    seeds = {
+        "training seed": str(pipeline.settings.seed),
+        "seed of these frames": str(data.seed),
+    }
+    notes = [
+        SSIM_DEFINITION,
+        "Errors of positions are those of touches matched by the Hungarian method within 15 mm.",
+    ]
+    recipe: list[str] = []
+    if data.recipe:
+        recipe = [
+            "Recipe of the frames, with instrument and specimens:",
+            f"```toml\n{data.recipe.rstrip()}\n```",
+        ]
     document = {
-        "provenance": {**provenance(evaluation), **made_with},
+        "provenance": {**_provenance(pipeline, data), **seeds, **made_with},
         "report": evaluation.report.as_dict(),
         "definitions": {"ssim": SSIM_DEFINITION},
-        "losses": {
-            name: asdict(each) for name, each in learning_curves(evaluation.pipeline).items()
-        },
+        "losses": {name: asdict(each) for name, each in learning_curves(pipeline).items()},
     }
     drawings = {name: partial(draw, evaluation) for name, draw in PICTURES.items()}
-    return write_folder(Path(folder), drawings, document, partial(markdown, evaluation))
-
-
-def write_folder(
-    folder: Path,
-    drawings: Mapping[str, Callable[[], CaptionedFigure | NoFigure]],
-    document: Mapping[str, Any],
-    text: Callable[[Mapping[str, Any]], str],
-) -> Path:
-    """Write pictures, report.json and report.md; returns the folder.
-
-    Args:
-        folder: made if missing.
-        drawings: pictures by file name.
-        document: of report.json, to which captions and reasons of missing pictures are added.
-        text: of report.md, from that document.
-
-    Raises errors as `write_report`.
-    """
-    require_report_folder(folder)
-    captions, left_out = {}, {}
-    with style():
-        for name, draw in drawings.items():
-            drawn = draw()
-            if isinstance(drawn, NoFigure):
-                left_out[name] = drawn.why
-                continue
-            with atomic_file(folder / name, PartialError, _REMEDY) as path:
-                drawn.figure.savefig(path)
-            captions[name] = drawn.caption
-    whole = {**document, "pictures": captions, "left_out": left_out}
-    _write(folder / DOCUMENT, json.dumps(whole, indent=1, allow_nan=False) + "\n")
-    _write(folder / TEXT, text(whole))
-    for name in left_out:
-        (folder / name).unlink(missing_ok=True)  # of an earlier report
-    return folder
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_file(path, PartialError, _REMEDY) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    table = [HEADINGS, *table_rows(evaluation.report)]
+    title = "Evaluation of a pipeline"
+    return _write_folder(Path(folder), title, table, drawings, document, notes, recipe)
 
 
 def write_position_report(
@@ -176,78 +151,86 @@ def write_position_report(
         ),
         "localisation_errors.png": lambda: draw_errors(errors, caption),
     }
-    judged = dataset.select(touches.held_out(dataset))
-    made = {**_provenance(touches.method.KIND, touches.trained_on, judged), **made_with}
     rows = [
         (name.replace("_mm", " [mm]").replace("_", " "), f"{value:.2f}")
         if isinstance(value, float)
         else (name.replace("_", " "), str(value))
         for name, value in score.items()
     ]
-
-    def text(document: Mapping[str, Any]) -> str:
-        title = "Evaluation of touch positions"
-        return "\n".join(_page(title, document, ("figure", "here"), rows, ()))
-
-    return write_folder(Path(folder), drawings, {"provenance": made, "report": score}, text)
+    made = _provenance(touches, dataset.select(touches.held_out(dataset)))
+    document = {"provenance": {**made, **made_with}, "report": score}
+    table, title = [("figure", "here"), *rows], "Evaluation of touch positions"
+    return _write_folder(Path(folder), title, table, drawings, document)
 
 
-def provenance(evaluation: Evaluation) -> dict[str, Any]:
-    """Provenance of an evaluation: method, training set and test frames."""
-    pipeline, data = evaluation.pipeline, evaluation.dataset
-    return {
-        **_provenance(pipeline.method.KIND, pipeline.trained_on, data),
-        "training seed": str(pipeline.settings.seed),
-        "seed of these frames": str(data.seed),
+def _write_folder(
+    folder: Path,
+    title: str,
+    table: Sequence[Sequence[str]],
+    drawings: Mapping[str, Callable[[], CaptionedFigure | NoFigure]],
+    document: dict[str, Any],
+    notes: Sequence[str] = (),
+    ends: Sequence[str] = (),
+) -> Path:
+    """Write pictures, report.json and report.md; returns the folder.
+
+    Args:
+        folder: made if missing.
+        title: of report.md.
+        table: headings, and rows of words.
+        drawings: pictures by file name.
+        document: of report.json, to which captions and reasons of missing pictures are added.
+        notes: paragraphs after the table.
+        ends: paragraphs after the pictures.
+
+    Raises errors as `write_report`.
+    """
+    require_report_folder(folder)
+    captions, left_out = {}, {}
+    with style():
+        for name, draw in drawings.items():
+            drawn = draw()
+            if isinstance(drawn, NoFigure):
+                left_out[name] = drawn.why
+                continue
+            with atomic_file(folder / name, PartialError, _REMEDY) as path:
+                drawn.figure.savefig(path)
+            captions[name] = drawn.caption
+    document |= {"pictures": captions, "left_out": left_out}
+    first, *rows = ("| " + " | ".join(row) + " |" for row in table)
+    paragraphs = [
+        f"# {title}",
+        "\n".join(f"- {name}: {value}" for name, value in document["provenance"].items()),
+        "\n".join([first, "|---" * len(table[0]) + "|", *rows]),
+        *notes,
+    ]
+    for name, caption in captions.items():
+        words = name.removesuffix(".png").replace("_", " ")
+        paragraphs += [f"![{words}]({name})", caption]
+    if left_out:
+        reasons = (f"- {name}: {why}" for name, why in left_out.items())
+        paragraphs += ["Left out:", "\n".join(reasons)]
+    texts = {
+        DOCUMENT: json.dumps(document, indent=1, allow_nan=False),
+        TEXT: "\n\n".join([*paragraphs, *ends]),
     }
+    for name, text in texts.items():
+        with atomic_file(folder / name, PartialError, _REMEDY) as path:
+            path.write_text(text + "\n", encoding="utf-8")
+    for name in left_out:
+        (folder / name).unlink(missing_ok=True)  # of an earlier report
+    return folder
 
 
-def _provenance(kind: str, trained_on: Mapping[str, Any], data: Dataset) -> dict[str, Any]:
+def _provenance(pipeline: Pipeline, data: Dataset) -> dict[str, Any]:
+    """Method, training set and frames of an evaluation."""
+    made = pipeline.trained_on
     return {
-        "method": kind,
-        "trained on": f"{trained_on['frames']} {trained_on['source']} frames of the dataset "
-        f"{trained_on['sha256']}",
+        "method": pipeline.method.KIND,
+        "trained on": f"{made['frames']} {made['source']} frames of the dataset {made['sha256']}",
         "measured on": f"{len(data)} {data.source} frames of {specimens_in_words(data)}, frames "
         + fingerprint(data),
     }
-
-
-def markdown(evaluation: Evaluation, document: Mapping[str, Any]) -> str:
-    """The report as Markdown."""
-    notes = (
-        SSIM_DEFINITION,
-        "Errors of positions are those of touches matched by the Hungarian method within 15 mm.",
-    )
-    rows = table_rows(evaluation.report)
-    lines = _page("Evaluation of a pipeline", document, HEADINGS, rows, notes)
-    if evaluation.dataset.recipe:
-        lines += ["Recipe of the frames, with instrument and specimens:", ""]
-        lines += ["```toml", evaluation.dataset.recipe.rstrip(), "```", ""]
-    return "\n".join(lines)
-
-
-def _page(
-    title: str,
-    document: Mapping[str, Any],
-    headings: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    notes: Iterable[str],
-) -> list[str]:
-    """Lines of report.md: provenance, table, notes, pictures, reasons of those left out."""
-    lines = [f"# {title}", ""]
-    lines += [f"- {name}: {value}" for name, value in document["provenance"].items()]
-    lines += ["", "| " + " | ".join(headings) + " |", "|---" * len(headings) + "|"]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    lines.append("")
-    for note in notes:
-        lines += [note, ""]
-    for name, caption in document["pictures"].items():
-        lines += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})", "", caption, ""]
-    if document["left_out"]:
-        lines += ["Left out:", ""]
-        lines += [f"- {name}: {why}" for name, why in document["left_out"].items()]
-        lines.append("")
-    return lines
 
 
 def table_rows(report: Report) -> Iterator[Row]:
