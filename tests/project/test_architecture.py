@@ -17,8 +17,22 @@ WALKS = {
 }
 
 
+def exported() -> dict[str, str]:
+    """File of each public name, as `room.Name`."""
+    return {
+        f"{stub.parent.name}.{alias.name}": f"{node.module[8:].replace('.', '/')}.py"
+        for stub in ROOT.glob("*/__init__.pyi")
+        for node in ast.parse(stub.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+
+
+EXPORTED = exported()
+
+
 def imported(file: str) -> set[str]:
-    """Files that a file imports from, lazily too."""
+    """Files that a file imports from, lazily too, or by the name of a room."""
     source = (ROOT / file).read_text(encoding="utf-8")
     if file.endswith(".js"):
         names = re.findall(r'from "\./(\w+\.js)"', source)
@@ -28,7 +42,8 @@ def imported(file: str) -> set[str]:
         if isinstance(node, ast.ImportFrom) and node.module:
             module = node.module.removeprefix("eitskin.").replace(".", "/")
             paths |= {f"{module}.py", *(f"{module}/{each.name}.py" for each in node.names)}
-    return {*paths, *(f"eitskin/{path}" for path in paths)}
+    named = {EXPORTED[n] for n in re.findall(r"\b\w+\.\w+", source) if n in EXPORTED}
+    return {*paths, *named, *(f"eitskin/{path}" for path in paths)}
 
 
 def test_there_are_four_walks() -> None:
@@ -65,13 +80,7 @@ def test_every_place_for_a_change_is_there() -> None:
 
 def test_the_glossary_has_every_public_name() -> None:
     glossary = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    names = {
-        alias.name
-        for stub in ROOT.glob("*/__init__.pyi")
-        for node in ast.parse(stub.read_text(encoding="utf-8")).body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    names = {name.partition(".")[2] for name in EXPORTED}
     missing = {name for name in names if f"`{name}`" not in glossary}
     assert len(names) > 70
     assert not missing
