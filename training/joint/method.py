@@ -191,20 +191,19 @@ class JointMethod(Method):
         The angle of the dynamic reference comes first, then touches and motion since that
         reference; the angle of an untouched frame is estimated from the static reference.
         """
-        specimen = self._specimen(frame.flat[0])
+        specimen, bends = self._specimen(frame.flat[0]), self.bend_prior.bends
         static, dynamic = log_change(frame.static[0]), log_change(frame.dynamic[0])
-        static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
-        own_share = 1.0 / frame.frames[0]
+        share, static_share, dynamic_share = (
+            1.0 / each[0] for each in (frame.frames, frame.static_frames, frame.dynamic_frames)
+        )
         reference = AngleEstimate(0.0, 0.0, 0.0)
-        bends = self.bend_prior.bends
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
-            reference = specimen.angle(
-                self._combined(static - dynamic, static_share + dynamic_share, frame.age[0])
-            )
-        change = self._combined(dynamic, own_share + dynamic_share, frame.dynamic_age[0])
+            shares = static_share + dynamic_share
+            reference = specimen.angle(self._combined(static - dynamic, shares, frame.age[0]))
+        change = self._combined(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
         def untouched() -> CombinedChange:
-            return self._combined(static, own_share + static_share, frame.age[0])
+            return self._combined(static, share + static_share, frame.age[0])
 
         def bend_deg() -> float | None:
             by_networks = specimen.angle_by_networks(untouched())
@@ -218,12 +217,13 @@ class JointMethod(Method):
             deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
-            seen = untouched()
-            moved = found.angle_deg - reference.angle_deg
+            seen, moved = untouched(), found.angle_deg - reference.angle_deg
             if abs(moved) > STILL_DEG:
-                objective = found.estimate.objective
-                skew = objective.scan_skew(objective.curve.slope(found.angle_deg), moved)
-                seen = replace(seen, further=skew)
+                # The first and the last of a frame's measurements see different angles. The speed
+                # is unknown; the motion since the previous frame bounds it.
+                slope = found.estimate.objective.curve.slope(found.angle_deg)
+                late = moved * (self.combinations.lateness @ slope)
+                seen = replace(seen, further=np.outer(late, late))
             bend = specimen.angle(seen)
         return self._prediction(found, bend, specimen)
 
@@ -239,8 +239,11 @@ class JointMethod(Method):
         A reference of the bent sensor tells whether that bends as usual. One of the flat sensor
         does not: where the sensor has moved since, the likelier of both fits is taken.
         """
-        angle_deg = reference.angle_deg
-        proposed = self._proposed(change, angle_deg, specimen) if self.touches else None
+        angle_deg, proposed = reference.angle_deg, None
+        if self.touches:
+            deviation = np.sqrt(2.0) * self.combinations.unit
+            inputs = network_inputs(change.change, deviation, angle_deg, specimen.features)
+            proposed = self.proposals.places(inputs, self.touch_prior.separation)
         candidates = specimen.candidates(angle_deg, self.places, self._rows)
 
         def fit(curve: BendCurve) -> FrameFit:
@@ -259,53 +262,40 @@ class JointMethod(Method):
         gain = found.estimate.improbability - usual.estimate.improbability
         return usual if gain > -2.0 * LOG_ODDS else found
 
-    def _proposed(
-        self, change: CombinedChange, reference_deg: float, specimen: SpecimenModel
-    ) -> Array:
-        """Positions (k, 2) [m] from which the fit starts."""
-        deviation = np.sqrt(2.0) * self.combinations.unit
-        inputs = network_inputs(change.change, deviation, reference_deg, specimen.features)
-        return self.proposals.places(inputs, self.touch_prior.separation)
-
     def _prediction(
         self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
     ) -> Predictions:
         """One frame's predictions from its fit."""
+        places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
-        x, y = found.touches[None, :, :2].transpose(2, 0, 1)
-        map_ = (
-            touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)
-            if self.touches
-            else np.full((1, *self.shape), np.nan, np.float32)
-        )
+        spread *= self.error_scale.of(specimen.features) * self.own_error_scale
+        if self.touches:
+            x, y = places.T[:, None]
+            map_ = touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)
+        else:
+            map_ = np.full((1, *self.shape), np.nan, np.float32)
         surplus = np.maximum(found.estimate.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
-        force = found.touches[:, 2] if self.forces else None
-        scale = self.error_scale.of(specimen.features) * self.own_error_scale
         bends = self.bend_prior.angle_deg if self.bend_prior.bends else None
         return Predictions(
             state_probabilities(found, bend, bends, self.touches)[None],
             np.array([bend.angle_deg]),
             np.array([bend.deviation_deg]),
             map_,
-            (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
+            (FoundTouches.of(places, strength, force, spread),),
             (specimen.problems + fit_problems(found, bend, self.touches),),
         )
 
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
-        """CombinedChange of the difference of two means of frames.
+        """Combinations of the difference of two means of frames.
 
         Args:
             change: of log V (C,); NaN where a measurement is bad.
             frames: sum of the reciprocal numbers of frames in both means.
             age: time between the means [s].
         """
-        noise = self.own_noise_scale**2
-        return self.combinations.combined(change, noise * frames, self._drift(age))
-
-    def _drift(self, age: float) -> float:
-        """Variance, after a time [s], of the change common to all measurements."""
-        return self.drift**2 * max(age, 0.0) / DRIFT_TIME
+        drift = self.drift**2 * max(age, 0.0) / DRIFT_TIME
+        return self.combinations.combined(change, self.own_noise_scale**2 * frames, drift)
 
     def _specimen(self, flat: Array) -> SpecimenModel:
         """The model of the specimen with these flat magnitudes (C,) [ohm]; the latest are kept."""
@@ -313,19 +303,16 @@ class JointMethod(Method):
         if key not in self._specimens:
             if len(self._specimens) > 64:
                 self._specimens.clear()
-            p = self.features.bounded(flat)
-            curve = self.calibrated or self.bend_prior.of(p)
-            usual = self.usual if self.calibrated is None else None
+            p, learned = self.features.bounded(flat), self.calibrated is None
             told = self.angle_features.apply(flat) if self.angle_features else p
-            networks = (self.angles, told) if self.angles and self.calibrated is None else None
             self._specimens[key] = SpecimenModel(
                 p,
                 self.response_of(flat),
-                curve,
+                self.calibrated or self.bend_prior.of(p),
                 possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
-                networks,
-                usual.of(p) if usual else None,
+                (self.angles, told) if self.angles and learned else None,
+                self.usual.of(p) if self.usual and learned else None,
             )
         return self._specimens[key]
 

@@ -141,7 +141,7 @@ class TouchObjective:
         """Covariance (K, K) of the residual.
 
         The sum of those of the noise, of the bend curve's change since the reference, of measuring
-        one after the other while the sensor bends (`scan_skew`), and of the touch response.
+        one after the other while the sensor bends, and of the touch response.
         """
         covariance: Array = self.kernels.covariance(tuple(at), self._frame, self._spread)
         return covariance
@@ -156,19 +156,6 @@ class TouchObjective:
         errors = self.response.response.mismatch * at.changes @ combinations.back
         scale: Array = np.sqrt(combined.frames + np.sum((errors / combinations.noise) ** 2, axis=0))
         return scale
-
-    def scan_skew(self, slope: Array, moved_deg: float) -> Array:
-        """Covariance (K, K) of measuring one after the other while the sensor bends.
-
-        The first and the last of a frame's measurements see different angles. The speed is
-        unknown; the motion since the previous frame bounds it.
-
-        Args:
-            slope: derivative by the angle (K,) [1/deg].
-            moved_deg: motion since the reference [deg].
-        """
-        late = moved_deg * (self.combined.combinations.lateness @ slope)
-        return np.outer(late, late)
 
     def quadratic(self, at: Linearisation, whitening: Array) -> "MapEstimate":
         """Misfit, gradient and Hessian, in the metric of `whitening`."""

@@ -38,81 +38,51 @@ class TouchPrior:
         separation: smallest distance of two simultaneous touches [m].
         force: mean and standard deviation [N].
         low, high: bounds of x, y [m] and force [N], (3,).
-        mean: of x, y [m] and force [N], (3,); follows from the above.
-        stiffness: inverse variances, in unit steps (3,); follows from the above.
+        box: of x, y [m] and force [N] the mean, the inverse variance in unit steps, and the bounds
+            (4, 3); follows from the above.
     """
 
     separation: float
     force: tuple[float, float]
     low: Array
     high: Array
-    mean: Array = field(init=False)
-    stiffness: Array = field(init=False)
-    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit_kernels`
+    box: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Derive mean and stiffness."""
-        mean = 0.5 * (self.low + self.high)
-        deviation = (self.high - self.low) / math.sqrt(12.0)
+        mean, deviation = 0.5 * (self.low + self.high), (self.high - self.low) / math.sqrt(12.0)
         mean[2], deviation[2] = self.force
-        object.__setattr__(self, "mean", mean)
-        stiffness = (TOUCH_UNITS / deviation) ** 2
-        object.__setattr__(self, "stiffness", stiffness)
-        object.__setattr__(self, "box", np.array([mean, stiffness, self.low, self.high]))
+        box = np.array([mean, (TOUCH_UNITS / deviation) ** 2, self.low, self.high])
+        object.__setattr__(self, "box", box)
 
     @classmethod
     def fit(
-        cls,
-        x: Floats,
-        y: Floats,
-        force: Floats,
-        outline: tuple[float, float],
-        largest_radius: float,
+        cls, touches: Floats, outline: tuple[float, float], largest_radius: float
     ) -> "TouchPrior":
         """Estimate the prior from the touches of n frames.
 
         Args:
-            x: (n, k) [m]; NaN where absent, as are y and force.
-            y: (n, k) [m].
-            force: (n, k) [N].
+            touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent.
             outline: length and width of the sensor [m].
             largest_radius: of the indenters [m]; touches keep its double apart where no frame has
                 two touches.
         """
-        length, width = outline
-        low = [
-            max(0.0, np.nanmin(x) - MARGIN),
-            max(0.0, np.nanmin(y) - MARGIN),
-            FORCE_MARGINS[0] * np.nanmin(force),
-        ]
-        high = [
-            min(length, np.nanmax(x) + MARGIN),
-            min(width, np.nanmax(y) + MARGIN),
-            FORCE_MARGINS[1] * np.nanmax(force),
-        ]
-        distances = np.concatenate(
-            [
-                np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j])
-                for i in range(x.shape[1])
-                for j in range(i)
-            ]
-        )
+        least, most = (end(touches, axis=(0, 1)) for end in (np.nanmin, np.nanmax))
+        low = [*np.maximum(least[:2] - MARGIN, 0.0), FORCE_MARGINS[0] * least[2]]
+        high = [*np.minimum(most[:2] + MARGIN, outline), FORCE_MARGINS[1] * most[2]]
+        one, other = np.triu_indices(touches.shape[1], 1)
+        distances = np.hypot(*(touches[:, one, :2] - touches[:, other, :2]).T)
         distances = distances[np.isfinite(distances)]
         separation = float(distances.min()) if len(distances) else 2 * largest_radius
-        mean = float(np.nanmean(force))
-        deviation = float(np.hypot(np.nanstd(force), SENSITIVITY_STD * mean))
+        mean = float(np.nanmean(touches[..., 2]))
+        deviation = float(np.hypot(np.nanstd(touches[..., 2]), SENSITIVITY_STD * mean))
         return cls(
             separation, (mean, deviation), np.array(low, dtype=float), np.array(high, dtype=float)
         )
 
     @classmethod
     def anywhere(cls, outline: tuple[float, float], radius: float) -> "TouchPrior":
-        """Prior of unit touches anywhere on a sensor, for a method that never saw one.
-
-        Args:
-            outline: length and width of the sensor [m].
-            radius: of the indenters [m].
-        """
+        """Prior of unit touches anywhere on a sensor [m], for a method that never saw one."""
         low, high = (0.0, 0.0, FORCE_MARGINS[0]), (*outline, FORCE_MARGINS[1])
         return cls(2 * radius, (1.0, SENSITIVITY_STD), np.array(low), np.array(high))
 
@@ -143,10 +113,8 @@ class InputRanges:
             touches: x [m], y [m] and force [N] (..., 3).
             angle_deg: of the bend (...) [deg].
         """
-        inputs = np.empty((*touches.shape[:-1], 4))
-        inputs[..., :3] = touches * self.input_scale - 1.0
-        inputs[..., 3] = np.asarray(angle_deg) / _ANGLE_SCALE
-        return inputs
+        angle = np.asarray(angle_deg)[..., None] / _ANGLE_SCALE
+        return np.concatenate([touches * self.input_scale - 1.0, angle], axis=-1)
 
     @property
     def input_scale(self) -> Array:
@@ -217,13 +185,7 @@ class TouchResponse(StoredFields):
 
     @classmethod
     def none(cls, features: int, channels: int, size: tuple[float, float]) -> "TouchResponse":
-        """Response that is zero everywhere, for a method that never saw a touch.
-
-        Args:
-            features: number of features of a specimen.
-            channels: number of measurements.
-            size: length and width of the sensor [m].
-        """
+        """Response of zero for P features and K channels, for a method that never saw a touch."""
         ranges = InputRanges(size, (1.0, 1.0), (0.0, 0.0))
         output, latent = np.zeros((1 + features, channels, 2)), np.zeros((0, channels, 2))
         return cls((np.zeros((1, 4)),), (np.zeros(1),), output, latent, 1.0, ranges, 0.0)

@@ -133,7 +133,8 @@ def fit_response(
 
 def packed_inputs(frames: MirroredFrames, ranges: InputRanges) -> Tensor:
     """Rows (n, columns): inputs and factors of each touch, features, number of the specimen."""
-    inputs = ranges.inputs(frames.touches, frames.angle_deg[:, None])
+    angles = np.broadcast_to(frames.angle_deg[:, None], frames.touches.shape[:2])
+    inputs = ranges.inputs(frames.touches, angles)
     columns = [
         np.nan_to_num(inputs).reshape(len(inputs), -1),
         np.nan_to_num(frames.touches[..., 2] / ranges.middle_force),  # zero where absent
@@ -194,12 +195,10 @@ class SyntheticFrames:
         low, high = self.touch_prior.low, self.touch_prior.high
         touches = rng.uniform(low, high, (count, MOST_TOUCHES, 3))
         mean, deviation = self.touch_prior.force
-        touches[..., 2] = np.clip(
-            rng.uniform(-1.73, 1.73, (count, MOST_TOUCHES)) * deviation + mean, low[2], high[2]
-        )
-        touches[np.arange(MOST_TOUCHES) >= rng.integers(0, MOST_TOUCHES + 1, count)[:, None]] = (
-            np.nan
-        )
+        force = rng.uniform(-1.73, 1.73, (count, MOST_TOUCHES)) * deviation + mean
+        touches[..., 2] = np.clip(force, low[2], high[2])
+        absent = np.arange(MOST_TOUCHES) >= rng.integers(0, MOST_TOUCHES + 1, count)[:, None]
+        touches[absent] = np.nan
         for i in range(MOST_TOUCHES):
             for j in range(i):
                 apart = np.hypot(*(touches[:, i, :2] - touches[:, j, :2]).T)

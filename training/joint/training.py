@@ -134,8 +134,8 @@ def _fit_touches(
     from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 
     rows, images = is_touched(data), len(np.unique(touched.image))
-    x, y, force = (values[rows] for values in (data.touch_x, data.touch_y, data.touch_force))
-    prior = TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
+    touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1)[rows]
+    prior = TouchPrior.fit(touches, spec.outline, float(np.nanmax(data.touch_radius)))
     response, response_losses = _response(run, touched, _ranges(data, spec))
     share = max(len(touched.change) // images / TOUCHED_FRAMES, LEAST_PROPOSALS)
     settings = run.settings.proposals.shortened(min(share, 1.0))

@@ -18,19 +18,20 @@ FORCE = np.array([[4.0, 6.0, NAN], [8.0, NAN, NAN], [4.0, 10.0, 6.0]])
 
 def test_prior_is_estimated_from_touches():
     """Bounds lie 3 mm and 30 % beyond the touches, but on the sensor."""
-    prior = TouchPrior.fit(X, Y, FORCE, SIZE, 0.0075)
+    prior = TouchPrior.fit(np.stack([X, Y, FORCE], axis=-1), SIZE, 0.0075)
     np.testing.assert_allclose(prior.low, [0.0, 0.007, 0.3 * 4.0])
     np.testing.assert_allclose(prior.high, [0.123, 0.053, 1.3 * 10.0])
     assert prior.separation == pytest.approx(np.hypot(0.030, 0.020))
     known = FORCE[np.isfinite(FORCE)]
     mean = known.mean()
     assert prior.force == pytest.approx((mean, np.hypot(known.std(), 0.15 * mean)))
-    np.testing.assert_allclose(prior.mean, [0.0615, 0.030, mean])
+    np.testing.assert_allclose(prior.box[0], [0.0615, 0.030, mean])
 
 
 def test_single_touches_keep_the_indenters_apart():
-    x, y, force = (np.stack([v[:, 0], np.full(3, NAN)], axis=1) for v in (X, Y, FORCE))
-    prior = TouchPrior.fit(x, y, force, SIZE, 0.0075)
+    single = np.stack([X, Y, FORCE], axis=-1)
+    single[:, 1:] = NAN
+    prior = TouchPrior.fit(single, SIZE, 0.0075)
     assert prior.separation == 0.015
 
 
@@ -38,7 +39,7 @@ def test_single_touches_keep_the_indenters_apart():
 def test_changed_prior_pulls_forces(mean):
     """The estimate of an 8 N touch in large noise approaches the prior's mean force."""
     prior = replace(TOUCH_PRIOR, force=(mean, 0.2))
-    assert prior.mean[2] == mean
+    assert prior.box[0, 2] == mean
     one = response().of(())
     true = Unknowns(np.array([[0.060, 0.030, 8.0]]), 0.0)
     change = one(true.touches, 0.0)[0]
