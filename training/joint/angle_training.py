@@ -12,7 +12,13 @@ from torch import Tensor  # noqa: TID253  see above
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.clamps import ClampCurves
 from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
-from eitskin.training.joint.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
+from eitskin.training.joint.networks import (
+    DRIFT,
+    LOG_DEVIATION,
+    UNIT_DEG,
+    AngleNetworks,
+    without_drift,
+)
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import (
     Samples,
@@ -74,6 +80,10 @@ def fit_angles(
     inputs = _Inputs(frames, features, bends, empty, clamps)
     sizes = [inputs.raw.shape[1], *HIDDEN, 2]
     trained, learned = [], []
+
+    def tell(member: int, done: int, total: int) -> None:
+        progress("angles", member * total + done, MEMBERS * total)
+
     for member in range(MEMBERS):
         seen, left = (
             torch.as_tensor(np.flatnonzero(rows)) for rows in (part != member, part == member)
@@ -87,7 +97,7 @@ def fit_angles(
                 len(seen),
                 settings,
                 seed + member,
-                partial(_tell, progress, member),
+                partial(tell, member),
                 Samples(partial(inputs.plain, left), len(left)) if len(left) else None,
             )
         )
@@ -182,18 +192,12 @@ class _Inputs:
         size = float(np.log(DRIFT[1] / DRIFT[0])) * uniform().square()
         common = DRIFT[0] * size.exp()
         change += common * normal(1) * self.drift
-        variance = common.square()
-        told = variance * (change @ self.filter)[:, None]
-        change -= told / (1.0 + variance * (self.drift @ self.filter)) * self.drift
+        variance = common[:, 0].square()
+        values[:, :combinations] = without_drift(change, variance, self.drift, self.filter)
         features = values.shape[1] - combinations - 1
         values[:, combinations:-1] += stays * FEATURE_NOISE * normal(features)
         values[:, -1:] = size
         return values, self.target[own]
-
-
-def _tell(progress: Progress, member: int, done: int, total: int) -> None:
-    """Report the epochs of all networks together."""
-    progress("angles", member * total + done, MEMBERS * total)
 
 
 def groups_of_specimens(frames: MirroredFrames, seed: int) -> Integers:

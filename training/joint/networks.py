@@ -69,21 +69,8 @@ class AngleNetworks(StoredFields):
         """
         held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
         size = np.log(np.clip(drift, *DRIFT) / DRIFT[0])
-        shape = self.without_drift(change / self.unit, np.square(drift))
+        shape = without_drift(change / self.unit, np.square(drift), self.drift, self.filter)
         return np.concatenate([shape, held, np.asarray(size)[..., None]], axis=-1)
-
-    def without_drift(self, change: Array, variance: Array) -> Array:
-        """Change, in units, less the linear estimate of the part common to all measurements.
-
-        Where the change by bending has the second moments C and the common one the variance v,
-        its estimate of least mean square is v d C^-1 c / (1 + v d C^-1 d).
-
-        Args:
-            change: in units (..., K).
-            variance: of the common change (...).
-        """
-        told = variance * (change @ self.filter) / (1.0 + variance * (self.drift @ self.filter))
-        return change - np.asarray(told)[..., None] * self.drift
 
     def members(self, change: Array, features: Array, drift: float) -> tuple[Array, Array]:
         """Means and standard deviations (M,) of one frame [deg]; arguments as of `inputs`."""
@@ -152,13 +139,21 @@ class ProposalNetwork(StoredFields):
         return np.array(found).reshape(-1, 2)
 
 
-def dense_network(layers: Iterable[tuple[Any, Any]], values: NDArray[Any]) -> Any:
-    """Output (..., outputs) of layers with SiLU between them, from their inputs (inputs,).
+def without_drift(change: Any, variance: Any, drift: Any, filter_: Any) -> Any:
+    """Change (..., K) less the linear estimate of the part common to all measurements.
 
-    Args:
-        layers: weights (..., outputs, inputs) and biases (..., outputs) of each; of one network or
-            of several.
-        values: the inputs.
+    Where the change by bending has the second moments C and the common one, of direction d, the
+    variance v (...), its estimate of least mean square is v d C^-1 c / (1 + v d C^-1 d). Arrays of
+    numpy or torch; `drift` is d and `filter_` is C^-1 d (K,).
+    """
+    told = variance * (change @ filter_) / (1.0 + variance * (drift @ filter_))
+    return change - told[..., None] * drift
+
+
+def dense_network(layers: Iterable[tuple[Any, Any]], values: NDArray[Any]) -> Any:
+    """Output (..., outputs) of one or several networks with SiLU between layers, from (inputs,).
+
+    Layers are weights (..., outputs, inputs) and biases (..., outputs).
     """
     for number, (weight, bias) in enumerate(layers):
         hidden = values * expit(values) if number else values

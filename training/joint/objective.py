@@ -105,9 +105,9 @@ class TouchObjective:
     prior: TouchPrior
     reference_bend: Array = field(init=False, repr=False)
     kernels: ModuleType = field(init=False, repr=False)
-    _sensor: tuple[Array, ...] = field(init=False, repr=False)  # as the kernels take it
-    _frame: tuple[Array, Array, Array] = field(init=False, repr=False)
-    _spread: tuple[Any, ...] = field(init=False, repr=False)
+    sensor: tuple[Array, ...] = field(init=False, repr=False)  # as the kernels take it
+    frame: tuple[Array, Array, Array] = field(init=False, repr=False)
+    spread: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Arrange the arrays that the kernels take."""
@@ -121,9 +121,9 @@ class TouchObjective:
         for name, value in {
             "reference_bend": bend,
             "kernels": implementation(KERNELS),
-            "_sensor": (*self.response.stacked, curve.coefficients),
-            "_frame": (self.combined.change + bend, numbers, prior.box),
-            "_spread": (*spread, combinations.forward, combinations.back, response.mismatch),
+            "sensor": (*self.response.stacked, curve.coefficients),
+            "frame": (self.combined.change + bend, numbers, prior.box),
+            "spread": (*spread, combinations.forward, combinations.back, response.mismatch),
         }.items():
             object.__setattr__(self, name, value)
 
@@ -134,7 +134,7 @@ class TouchObjective:
     def linearised(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
         touches = np.ascontiguousarray(unknowns.touches)
-        point = self.kernels.linearise(touches, unknowns.angle_deg, self._sensor, self._frame)
+        point = self.kernels.linearise(touches, unknowns.angle_deg, self.sensor, self.frame)
         return Linearisation(*point)
 
     def covariance(self, at: Linearisation) -> Array:
@@ -143,7 +143,7 @@ class TouchObjective:
         The sum of those of the noise, of the bend curve's change since the reference, of measuring
         one after the other while the sensor bends, and of the touch response.
         """
-        covariance: Array = self.kernels.covariance(tuple(at), self._frame, self._spread)
+        covariance: Array = self.kernels.covariance(tuple(at), self.frame, self.spread)
         return covariance
 
     def whitening(self, at: Linearisation) -> Array:
@@ -160,9 +160,8 @@ class TouchObjective:
     def quadratic(self, at: Linearisation, whitening: Array) -> "MapEstimate":
         """Misfit, gradient and Hessian, in the metric of `whitening`."""
         metric = np.ascontiguousarray(whitening.T)
-        return MapEstimate(
-            self, at, whitening, *self.kernels.quadratic(tuple(at), metric, self._frame)
-        )
+        quadratic = self.kernels.quadratic(tuple(at), metric, self.frame)
+        return MapEstimate(self, at, whitening, *quadratic)
 
     def misfit(self, at: Linearisation, whitening: Array) -> float:
         """Value of the objective, in the metric of `whitening`."""
@@ -170,23 +169,7 @@ class TouchObjective:
 
     def stepped(self, unknowns: Unknowns, step: Array) -> Unknowns:
         """Unknowns after a step (n,) in unit steps, clipped to their bounds."""
-        return Unknowns(*self.kernels.apply_step(*unknowns, step, self._frame))
-
-    def minimised(
-        self, start: Linearisation, whitening: Array, steps: int, tolerance: float, goal: float
-    ) -> "MapEstimate":
-        """Estimate at the end of the iterations of `levenberg_marquardt`."""
-        metric, arrays = np.ascontiguousarray(whitening.T), (self._sensor, self._frame)
-        at, *quadratic = self.kernels.minimise(
-            tuple(start), metric, *arrays, steps, tolerance, goal
-        )
-        return MapEstimate(self, Linearisation(*at), whitening, *quadratic)
-
-    def next_step(self, estimate: "MapEstimate") -> tuple[Array, float]:
-        """The step (n,) that a fit which ends at an estimate would take next, and its promise."""
-        at, radius = estimate.at, RADIUS
-        step, promised = self.kernels.trust_step(estimate.products, at.touches, self._frame, radius)
-        return step, promised
+        return Unknowns(*self.kernels.apply_step(*unknowns, step, self.frame))
 
 
 def whitening_matrix(covariance: Array) -> Array:
@@ -275,10 +258,11 @@ class MapEstimate:
 
         A fit does not evaluate that step. Where it ended for another reason, the estimate itself.
         """
-        step, promised = self.objective.next_step(self)
-        return (
-            self.unknowns if promised > tolerance else self.objective.stepped(self.unknowns, step)
+        objective, at = self.objective, self.unknowns
+        step, promised = objective.kernels.trust_step(
+            self.products, at.touches, objective.frame, RADIUS
         )
+        return at if promised > tolerance else objective.stepped(at, step)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -352,4 +336,6 @@ def levenberg_marquardt(
     at = objective.linearised(start) if isinstance(start, Unknowns) else start
     if whitening is None:
         whitening = objective.whitening(at)
-    return objective.minimised(at, whitening, steps, tolerance, goal)
+    arrays = np.ascontiguousarray(whitening.T), objective.sensor, objective.frame
+    at, *quadratic = objective.kernels.minimise(tuple(at), *arrays, steps, tolerance, goal)
+    return MapEstimate(objective, Linearisation(*at), whitening, *quadratic)

@@ -131,16 +131,25 @@ def _fit_touches(
             "radius": NOMINAL_RADIUS,
         }
         return fields, {}
-    from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
+    from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals, fit_response
 
     rows, images = is_touched(data), len(np.unique(touched.image))
     touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1)[rows]
     prior = TouchPrior.fit(touches, spec.outline, float(np.nanmax(data.touch_radius)))
-    response, response_losses = _response(run, touched, _ranges(data, spec))
+    angle = data.bend_angle_deg
+    force = (float(np.nanmin(data.touch_force)), float(np.nanmax(data.touch_force)))
+    ranges = InputRanges(spec.outline, force, (float(angle.min()), float(angle.max())))
+    frames = touched.combined(run.features.first(), run.combinations)
+    held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
+    seen, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
+    response, response_losses = fit_response(
+        seen, ranges, run.settings.response, run.seed, run.progress
+    )
+    response = replace(response, mismatch=_mismatch(response, checked))
     share = max(len(touched.change) // images / TOUCHED_FRAMES, LEAST_PROPOSALS)
     settings = run.settings.proposals.shortened(min(share, 1.0))
-    frames = SyntheticFrames(response, curves, prior, run.combinations)
-    proposals, losses = fit_proposals(frames, settings, run.seed, run.progress)
+    synthetic = SyntheticFrames(response, curves, prior, run.combinations)
+    proposals, losses = fit_proposals(synthetic, settings, run.seed, run.progress)
     fields = {
         "response": response,
         "proposals": proposals,
@@ -180,8 +189,7 @@ def _fit_networks(
     """Networks of the bend angle, where they tell it better than the bend curves, and losses.
 
     They are told all features, and compared by the likelihood of the angles of specimens that
-    they were trained without; the curves were not fitted without these, and are a little the
-    better for it.
+    they were trained without. The curves were fitted with these, a small advantage.
     """
     if frames.specimens < FEWEST_SPECIMENS:
         return None, LearningCurve()
@@ -207,7 +215,7 @@ def _usable(dataset: Dataset) -> Dataset:
     data = data.select(single) if single.mean() > 0.5 else data
     bent = int(np.sum(data.bend_angle_deg != 0))
     if not bent:
-        data = _with_flat_references(data)
+        data = replace(data, touch_reference=data.untouched)  # the flat reference
     if not np.isfinite(data.touch_force).any():
         data = _with_strengths(data)
     found = {"untouched frames with a reference": int(is_untouched(data).sum())}
@@ -223,11 +231,6 @@ def _usable(dataset: Dataset) -> Dataset:
             f"{counts}; generate more, or train another method with --preset quick"
         )
     return data
-
-
-def _with_flat_references(data: Dataset) -> Dataset:
-    """Frames of a sensor that is never bent: the flat reference where no other is known."""
-    return replace(data, touch_reference=data.untouched)
 
 
 def _with_strengths(data: Dataset) -> Dataset:
@@ -250,44 +253,15 @@ def _with_strengths(data: Dataset) -> Dataset:
 def held_out_touches(dataset: Dataset) -> Dataset | None:
     """Some touched frames of the specimens that the response was learned without, if there are any.
 
-    By the rule of `_response`.
+    By the rule of `_fit_touches`.
     """
     data = _usable(dataset)
     rows = np.flatnonzero(is_touched(data))
     _, specimen = np.unique(data.specimen[rows], return_inverse=True)
-    rows = rows[_is_held_out(specimen)]
+    rows = rows[specimen % HOLD_OUT == HOLD_OUT - 1]
     chosen = np.zeros(len(data), dtype=bool)
     chosen[rows[:: max(1, -(-len(rows) // CHECKED))]] = True
     return data.select(chosen) if len(rows) else None
-
-
-def _is_held_out(specimen: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether the specimens of frames (n,) are held out of the training of the response."""
-    held_out: NDArray[np.bool_] = specimen % HOLD_OUT == HOLD_OUT - 1
-    return held_out
-
-
-def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
-    """Ranges of force and angle that the dataset covers."""
-    force, angle = data.touch_force, data.bend_angle_deg
-    return InputRanges(
-        spec.outline,
-        (float(np.nanmin(force)), float(np.nanmax(force))),
-        (float(angle.min()), float(angle.max())),
-    )
-
-
-def _response(
-    run: TrainingRun, touched: MirroredFrames, ranges: InputRanges
-) -> tuple[TouchResponse, LearningCurve]:
-    """Touch response, from touched frames and their mirror images, and its losses."""
-    from eitskin.training.joint.touch_training import fit_response
-
-    frames = touched.combined(run.features.first(), run.combinations)
-    held_out = _is_held_out(frames.specimen)
-    kept, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
-    response, losses = fit_response(kept, ranges, run.settings.response, run.seed, run.progress)
-    return replace(response, mismatch=_mismatch(response, checked)), losses
 
 
 def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
