@@ -1,8 +1,8 @@
 """Cache of compiled kernels on disk: a file that is damaged counts as missing.
 
-numba unpickles what it keeps and runs it as machine code, so a file cut short by a full disk, or with
-one bit turned, would end the process that loads it. Here every file ends in its checksum. Where
-the cache cannot be used, read or written, kernels are compiled in each process.
+numba unpickles what it keeps and runs it as machine code, so a file cut short by a full disk, or
+with one bit turned, would end the process that loads it. Here every file ends in its checksum.
+Where the cache cannot be used, read or written, kernels are compiled in each process.
 """
 
 import hashlib

@@ -102,10 +102,6 @@ def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
 
     A frame with noise as in training counts beside them, so that few tell little. Their differences
     count without the part that is common to all measurements, which drifts.
-
-    Args:
-        known: frames of the sensor.
-        combinations: of the measurements, with their noise in training.
     """
     seen = known.observations
     alike = np.abs(known.reference_deg - known.angle_deg) <= FLAT_DEG

@@ -59,19 +59,9 @@ def fit_angles(
     curves (`ClampCurves`). Otherwise the curve of a frame's specimen gets a share of that of
     another one (mixup of Zhang et al. 2018, at equal angles), and further noise, with which
     networks overfit less. Every step adds the noise of a frame and of its reference, and a common
-    drift of any size, which the networks are told.
+    drift of any size, which the networks are told beside features (n, Q) of the specimens.
 
-    Args:
-        frames: n frames of all specimens.
-        features: that the networks are told of them (n, Q).
-        curves: distribution of their bend curves.
-        settings: of the training.
-        seed: of weights, order, noise and shares.
-        progress: called after every epoch.
-
-    Returns:
-        the networks.
-        means of their losses; validation is on the specimens that each goes without.
+    Losses are the means of all networks; validation is on the specimens that each goes without.
     """
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)

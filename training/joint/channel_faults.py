@@ -99,14 +99,10 @@ class PossibleFaults:
 
 
 def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
-    """Faults of every measurement and every contact of a sensor.
+    """Faults of every measurement and every contact of a sensor of flat magnitudes (C,) [ohm].
 
     A contact that changes is a resistance in series with every measurement whose current and
     voltage both pass through its electrode.
-
-    Args:
-        protocol: of the measurements.
-        flat: magnitudes of the flat, untouched sensor (C,) [ohm].
     """
     faults = [
         ChannelFault(f"measurement {label} does not fit the others", (i,))
@@ -129,15 +125,9 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
 def fit_with_fault(
     untouched: MapEstimate, found: MapEstimate, possible: PossibleFaults
 ) -> tuple[ChannelFault, MapEstimate] | None:
-    """Explain the frame by one fault and fewer touches; None where that fits worse.
+    """One fault and the estimate without its measurements; None where `found` fits better.
 
-    Args:
-        untouched: estimate of the frame without touches.
-        found: its best estimate.
-        possible: faults that are considered.
-
-    Returns:
-        the fault, and the estimate without its measurements.
+    The fault takes the place of touches, or is beside all of them; `untouched` has none.
     """
     touches = len(found.at.touches)
     for alternative in _alternatives(untouched, found, possible):

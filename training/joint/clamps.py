@@ -55,13 +55,8 @@ class ClampCurves:
         The mean curve of a clamp is that of its specimens and their mirror images, less what their
         features contribute. A thin-plate spline of the clamp's properties goes through them
         (Duchon 1977). Those drawn follow the clamps of the set by a smoothed bootstrap (Silverman
-        and Young 1987), between the least and the largest value of each property.
-
-        Args:
-            frames: of all specimens, with their mirror images.
-            curves: distribution of their bend curves.
-            bends: coefficients of the expected ones (curves, M, K).
-            seed: of the clamps drawn.
+        and Young 1987), between the least and the largest value of each property. `bends` are the
+        coefficients of the curves that are expected of the frames (curves, M, K).
         """
         first = np.unique(frames.specimen, return_index=True)[1]
         known = np.asarray(np.isfinite(frames.clamp[first]).all(axis=1))
@@ -138,11 +133,7 @@ def usual_curves(frames: MirroredFrames, everywhere: BendCurvePrior) -> BendCurv
 
     The search begins with the closest neighbours that are to be found. Then, in turn, the curves of
     the group are learned, and every specimen belongs to the group whose curves are likelier by
-    them than by those of all specimens (classification EM, Celeux and Govaert 1992).
-
-    Args:
-        frames: of all specimens.
-        everywhere: distribution of the curves of all of them.
+    them than by those of all specimens, `everywhere` (classification EM, Celeux and Govaert 1992).
     """
     count = frames.specimens
     if count < 2 * FEWEST_SPECIMENS:

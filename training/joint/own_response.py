@@ -48,17 +48,8 @@ def own_output(
     """Last layer (K, hidden + 1) with which the response is that of a twin.
 
     Ridge regression of what the learned response leaves of simulated single presses, spread evenly
-    over places, forces and bends that it was learned for. The layers before stay as learned.
-
-    Args:
-        learned: response of the sensor by its features.
-        prior: of touches, which bounds the places.
-        radius: of the indenters [m].
-        combinations: of the measurements.
-        twin: that is pressed.
-        bends: whether it is pressed while bent, too.
-
-    Raises the errors of `TwinPresses.changes`.
+    over places, forces and, with `bends`, angles that it was learned for. The layers before stay as
+    learned. The radius of the indenters is in m. Raises the errors of `TwinPresses.changes`.
     """
     response, unit = learned.response, np.sqrt(2.0) * combinations.unit
     ranges = response.ranges
@@ -87,13 +78,10 @@ def own_output(
 def own_response(
     learned: SpecimenResponse, output: Array, latent_output: Array | None = None
 ) -> SpecimenResponse:
-    """Response of a sensor with a last layer of its own.
+    """Response of a sensor with a last layer of its own (K, hidden + 1).
 
-    Args:
-        learned: response of the sensor by its features.
-        output: the last layer (K, hidden + 1).
-        latent_output: its derivatives by the latent variables (Q, K, hidden + 1); those that a twin
-            leaves when omitted.
+    And its derivatives by the latent variables (Q, K, hidden + 1): those that a twin leaves when
+    omitted.
     """
     if latent_output is None:
         latent_output = LATENT_LEFT * learned.response.latent_output
@@ -126,11 +114,6 @@ def _relative_residual(
 
     Each frame has a strength of its own, by least squares, since forces are known less well than
     places, or not at all.
-
-    Args:
-        response: of the sensor.
-        touched: frames with touches at known places.
-        combinations: of the measurements.
     """
     left = size = 0.0
     for row, known in enumerate(touched.touches):
@@ -170,8 +153,7 @@ def response_given(
     Args:
         prior: response before.
         touched: frames with touches at known places.
-        combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
-            frames in both means that are compared, and the time between these [s].
+        combined: as of `adapted_curve`.
         touches: prior of touches, which bounds forces.
         forces: whether known forces count.
     """
@@ -279,9 +261,7 @@ class KnownTouches:
 def _trusted_share(precision: Array, told: list[tuple[Array, Array]]) -> float:
     """Share of the information of touches by which the others tell each of them best.
 
-    Args:
-        precision: of the unknowns before (n, n).
-        told: regressions of the touches by the response before.
+    From the precision of the unknowns (n, n) and regressions by the response before.
     """
     information = [rows @ rows.T for rows, _ in told]
     gradients = [rows @ left for rows, left in told]

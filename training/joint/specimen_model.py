@@ -94,8 +94,7 @@ def estimate_angle(
         curve: of the specimen.
         change: from the flat sensor (K,).
         noise: covariance of the change (K, K), without the curve's uncertainty.
-        start_deg: where the search begins [deg]; at the angle of a grid that fits best in the
-            metric of the noise by default.
+        start_deg: where the search begins [deg]; the best of a grid in the metric of the noise.
     """
     if start_deg is None:
         angles, values = curve.grid(GRID)
@@ -144,11 +143,6 @@ def robust_angle(
     A contact that has changed since the reference was taken shifts the estimate by degrees. Where
     no angle fits the frame, the measurements of the fault that explains most of the residual are
     left out and the angle is estimated again.
-
-    Args:
-        curve: of the specimen.
-        combined: of the change from the flat sensor.
-        possible: faults that are considered.
     """
     faults: tuple[ChannelFault, ...] = ()
     while True:
@@ -221,11 +215,6 @@ def posterior_angle(
     The variance of everything that the frame is weighed by grows with the misfit per degree of
     freedom, where this exceeds one (Birge 1932): a curve that explains no frame well tells less of
     the angle than it says.
-
-    Args:
-        curve: of the specimen.
-        combined: of the change from the flat sensor.
-        likeliest: estimate by that curve.
     """
     freedom = max(combined.count - len(likeliest.left_out) - 1, 1)
     misfit = freedom + likeliest.misfit_sigma * math.sqrt(2.0 * freedom)
@@ -286,12 +275,9 @@ class SpecimenModel:
     _candidates: dict[int, TouchCandidates] = field(default_factory=dict, init=False)
 
     def angle(self, combined: CombinedChange) -> AngleEstimate:
-        """Bend angle of an untouched frame.
+        """Bend angle of an untouched frame by its change from the flat sensor.
 
         The last estimate is kept, because a reference stays the same while a touch lasts.
-
-        Args:
-            combined: of the change from the flat sensor.
         """
         key = combined.change.tobytes() + combined.noise.tobytes()
         if self._last is None or self._last[0] != key:

@@ -160,8 +160,7 @@ def _best_pair(
     """The pair of shapes that lowers the misfit most, each of a strength within limits.
 
     Args:
-        gram: products of the shapes (m, m).
-        projections: products of the shapes with the residual (m,).
+        gram, projections: products of the shapes (m, m), and with the residual (m,).
         apart: whether two places are far enough from each other (m, m).
         free: whether a place is far enough from other touches (m,).
         least, most: strengths.

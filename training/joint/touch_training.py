@@ -97,15 +97,7 @@ def fit_response(
     seed: int,
     progress: Progress,
 ) -> tuple[TouchResponse, LearningCurve]:
-    """Learn a response by weighted least squares; its mismatch stays zero.
-
-    Args:
-        frames: training set.
-        ranges: of the inputs.
-        settings: of the training.
-        seed: of initial weights and order.
-        progress: called after every epoch.
-    """
+    """Learn a response by weighted least squares; its mismatch stays zero."""
     scale = float(np.sqrt(np.mean(frames.change**2)))
     network = seeded_network(lambda: ResponseNetwork(frames), seed)
     inputs, change = packed_inputs(frames, ranges), as_tensor(frames.change / scale)
