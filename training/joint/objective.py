@@ -323,8 +323,8 @@ def levenberg_marquardt(
 
     A step stays within a trust region, which shrinks where it gains much less than promised.
     Iterations end after `steps`, where the next one promises less than `tolerance` of misfit, or
-    where the misfit `goal` is out of reach: where `OPTIMISM` times the promise would leave more. The
-    metric of the residual, `whitening` (K, K), is that of the start by default.
+    where the misfit `goal` is out of reach: where `OPTIMISM` times the promise would leave more.
+    The metric of the residual, `whitening` (K, K), is that of the start by default.
     """
     at = objective.linearised(start) if isinstance(start, Unknowns) else start
     if whitening is None:
