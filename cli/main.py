@@ -12,12 +12,10 @@ from eitskin.cli.commands import (
     board,
     check,
     dataset,
-    evaluate,
     export,
     fits,
     generate,
     import_recording,
-    mesh,
     reconstruct,
     simulate,
     tare,
@@ -72,12 +70,12 @@ def options(
 
 
 app.command("simulate")(simulate.command)
-app.command("mesh")(mesh.command)
+app.command("mesh")(simulate.mesh)
 app.command("reconstruct")(reconstruct.command)
 app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)
-app.command("evaluate")(evaluate.command)
+app.command("evaluate")(train.evaluate)
 app.command("adapt")(adapt.command)
 app.command("tare")(tare.command)
 app.command("setup")(setup.command)

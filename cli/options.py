@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import typer
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from eitskin import geometry, hardware, training
 from eitskin.cli.terminal import Terminal
@@ -285,33 +292,46 @@ class Output:
             self.notes.print(text, style="dim", highlight=False, markup=False)
 
     @contextlib.contextmanager
-    def counting(self, text: str) -> Iterator[Callable[[int, int | None], None]]:
-        """Progress bar, as a function that is told how many are done, and of how many."""
-        with self.progress() as bar:
-            task = bar.add_task(text, total=None, rate="")
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+    def bars(self) -> Iterator[Callable[..., Any]]:
+        """Progress bars on stderr with count and time left; silent when quiet.
 
-    def progress(self) -> Progress:
-        """Progress bar on stderr with count and time left; silent when quiet."""
-        return Progress(
+        The context is a function that is told the name of a bar, how many are done, of how many
+        (None where that is not known), and perhaps a text beside them; it makes a bar for each new
+        name, and returns the speed [1/s].
+        """
+        columns = (
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
-            console=self.notes,
-            disable=self.quiet,
         )
+        with Progress(*columns, console=self.notes, disable=self.quiet) as progress:
+            bars: dict[str, TaskID] = {}
+
+            def show(name: str, done: int, total: int | None, rate: str = "") -> float | None:
+                if name not in bars:
+                    bars[name] = progress.add_task(name, total=total, rate="")
+                progress.update(bars[name], completed=done, total=total, rate=rate)
+                return progress.tasks[bars[name]].speed
+
+            yield show
+
+    @contextlib.contextmanager
+    def counting(self, text: str) -> Iterator[Callable[..., Any]]:
+        """Progress bar, as a function that is told how many are done, and of how many."""
+        with self.bars() as show:
+            yield functools.partial(show, text)
 
 
 def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
     """Progress bar around the items of a benchmark."""
 
     def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:
-        with output.progress() as bar:
-            task = bar.add_task(text, total=len(items), rate="")
-            for item in items:
+        with output.counting(text) as show:
+            for done, item in enumerate(items):
+                show(done, len(items), str(getattr(item, "family", "")))
                 yield item
-                bar.advance(task)
+            show(len(items), len(items))
 
     return watch

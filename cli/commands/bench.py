@@ -367,13 +367,10 @@ def _folder(output: Output, out: Path, name: str) -> Iterator[tuple[Path, "Progr
     Each part is shown by the name before its colon.
     """
     _make(out / name)
-    with output.progress() as bar:
-        tasks: dict[str, Any] = {}
+    with output.bars() as show:
 
-        def show(part: str, done: int, total: int) -> None:
+        def show_part(part: str, done: int, total: int) -> None:
             name, _, rest = part.partition(": ")
-            if name not in tasks:
-                tasks[name] = bar.add_task(name, total=total, rate="")
-            bar.update(tasks[name], completed=done, total=total, rate=rest)
+            show(name, done, total, rest)
 
-        yield out / name, show
+        yield out / name, show_part

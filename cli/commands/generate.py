@@ -3,6 +3,7 @@
 import dataclasses
 import shlex
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,35 +84,26 @@ def make_dataset(
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
     _solve_missing(recipe, workers, output, shard)
     start = time.perf_counter()
-    with output.progress() as bar:
-        task = bar.add_task(recipe.name, total=recipe.frames, rate="")
-        kept: list[int] = []
-        finished = 0
+    with output.bars() as show:
+        counts: list[int] = []
 
-        def show(done: int, total: int) -> None:
-            nonlocal finished
-            finished = done
-            kept.append(done)
-            bar.update(task, completed=done, total=total)
-            speed = bar.tasks[task].speed  # of late; the time left is reckoned from it
-            bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
+        def show_frames(done: int, total: int) -> None:
+            counts.append(done)
+            speed = show(recipe.name, done, total)  # of late; the time left is reckoned from it
+            show(recipe.name, done, total, f"{speed:.0f}/s" if speed else "")
 
-        def show_examined(count: int, total: int) -> None:
-            bar.update(looking, completed=count, total=total, visible=count < total)
-
-        looking = bar.add_task("finished shards", total=None, rate="", visible=False)
         manifest = datasets.generate(
             recipe,
             out,
             workers,
-            progress=show,
+            progress=show_frames,
             resume=resume,
             scheduler=scheduler,
             shard=shard,
-            examined=show_examined,
+            examined=partial(show, "finished shards"),
         )
     seconds = time.perf_counter() - start
-    made = finished - kept[0]
+    finished, made = counts[-1], counts[-1] - counts[0]
     size = sum(path.stat().st_size for path in out.glob("shard-*.h5"))
     data = {
         "out": str(out),

@@ -1,29 +1,36 @@
-"""`eitskin simulate SCENE.toml`: impedances and picture of one scene."""
+"""`eitskin simulate SCENE.toml`: impedances and picture of one scene; `eitskin mesh`: its mesh."""
 
 import dataclasses
 import math
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.table import Column, Table
 
 from eitskin.cli.options import (
     Detail,
     Output,
     SceneFile,
+    SensorFile,
     SensorOptions,
     electrode_pair,
     one_of,
     read_design,
     with_output,
 )
+from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.geometry.meshing.mesh import Mesh
+    from eitskin.geometry.meshing.mesh_design import CellKind
+    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.instrument import Instrument
     from eitskin.simulator.scene.scene import PressedTouch, Scene
     from eitskin.simulator.simulator import Simulator
@@ -79,10 +86,10 @@ def command(
     frame = sim.measure(what, board, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
-    presses = sim.presses(what)
-    data = _as_data(frame, flat, seconds) | {"touches": [_touch_data(one) for one in presses]}
-    shown = [_as_table(frame, flat), *([_touch_table(presses)] if presses else [])]
-    output.result(data, Group(*shown, *_cautions(presses)))
+    data = _as_data(frame, flat, seconds)
+    touches = [_touch_data(press) for press in sim.presses(what)]
+    shown = Group(_as_table(data), *_touch_tables(touches))
+    output.result(data | {"touches": touches}, shown)
     if view is not None:
         draw_scenes(sim, [(_title(scene.stem, what), what)], view, colours, pair)
         output.note(f"picture: {view}")
@@ -162,23 +169,39 @@ def _as_data(frame: "Frame", flat: "Frame", seconds: float) -> dict[str, object]
     }
 
 
-def _as_table(frame: "Frame", flat: "Frame") -> Table:
+def _as_table(data: dict[str, Any]) -> Table:
+    """Table of `_as_data`."""
     figures = ("R, ohm", "X, ohm", "change, ohm", "change, %")
-    table = Table("measurement", *(Column(each, justify="right") for each in figures))
-    for label, Z, before, part in zip(
-        frame.protocol.labels,
-        frame.impedance,
-        flat.impedance,
-        _relative_change(frame, flat),
-        strict=True,
-    ):
-        percent = "" if part is None else f"{100 * part:+.3f}"
-        change = f"{(Z - before).real:+.3f}"
-        table.add_row(label, f"{Z.real:.3f}", f"{Z.imag:.3f}", change, percent)
-    return table
+    headings = [Column(each, justify="right") for each in figures]
+    names = "measurements", "impedance_real_ohm", "impedance_imag_ohm", "change_ohm"
+    columns = [*(data[name] for name in names), data["relative_change"]]
+    return table_of(
+        ("measurement", *headings),
+        (
+            (label, f"{R:.3f}", f"{X:.3f}", f"{change:+.3f}", _percent(part))
+            for label, R, X, change, part in zip(*columns, strict=True)
+        ),
+    )
 
 
-def _touch_data(press: "PressedTouch") -> dict[str, object]:
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:+.3f}"
+
+
+_TOUCH_COLUMNS = (
+    ("force\nN", "force_N", 1.0, ".2f"),
+    ("depth\nmm", "depth_m", 1e3, ".3f"),
+    ("contact\nmm2", "contact_area_m2", 1e6, ".1f"),
+    ("mean\nkPa", "mean_pressure_Pa", 1e-3, ".1f"),
+    ("peak\nkPa", "peak_pressure_Pa", 1e-3, ".1f"),
+    ("gel thinner\nby, %", "thinning", 1e2, ".1f"),
+    ("to edge\nmm", "edge_distance_m", 1e3, ".1f"),
+)
+"""Columns of the table of touches: heading, name in `_touch_data`, factor and form."""
+
+
+def _touch_data(press: "PressedTouch") -> dict[str, Any]:
+    distance = press.neighbour_distance
     return {
         "x_m": press.touch.x,
         "y_m": press.touch.y,
@@ -190,39 +213,25 @@ def _touch_data(press: "PressedTouch") -> dict[str, object]:
         "peak_pressure_Pa": press.peak_pressure,
         "thinning": press.thinning,
         "edge_distance_m": press.edge_distance,
-        "neighbour_distance_m": (
-            press.neighbour_distance if math.isfinite(press.neighbour_distance) else None
-        ),
+        "neighbour_distance_m": distance if math.isfinite(distance) else None,
         "signal_error": press.signal_error,
         "caution": press.caution,
     }
 
 
-def _touch_table(presses: "tuple[PressedTouch, ...]") -> Table:
-    units = ("force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa", "peak\nkPa")
-    figures = (*units, "gel thinner\nby, %", "to edge\nmm")
-    table = Table("touch\nat, mm", *(Column(each, justify="right") for each in figures))
-    for press in presses:
-        table.add_row(
-            f"{1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f}",
-            f"{press.force:.2f}",
-            f"{1e3 * press.depth:.3f}",
-            f"{1e6 * press.contact_area:.1f}",
-            f"{1e-3 * press.mean_pressure:.1f}",
-            f"{1e-3 * press.peak_pressure:.1f}",
-            f"{100 * press.thinning:.1f}",
-            f"{1e3 * press.edge_distance:.1f}",
-        )
-    return table
-
-
-def _cautions(presses: "tuple[PressedTouch, ...]") -> list[str]:
-    return [
-        f"caution: touch at {1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f} mm: "
-        f"{press.caution}"
-        for press in presses
-        if press.caution
-    ]
+def _touch_tables(touches: list[dict[str, Any]]) -> Iterator[RenderableType]:
+    """Table of touches, and their cautions; nothing without touches."""
+    places = [f"{1e3 * each['x_m']:.1f}, {1e3 * each['y_m']:.1f}" for each in touches]
+    headings = (Column(heading, justify="right") for heading, *_ in _TOUCH_COLUMNS)
+    rows = (
+        (place, *(format(factor * each[name], form) for _, name, factor, form in _TOUCH_COLUMNS))
+        for place, each in zip(places, touches, strict=True)
+    )
+    if touches:
+        yield table_of(("touch\nat, mm", *headings), rows)
+    for place, each in zip(places, touches, strict=True):
+        if each["caution"]:
+            yield f"caution: touch at {place} mm: {each['caution']}"
 
 
 def on_support(scene: "Scene", support: str | None) -> "Scene":
@@ -259,3 +268,88 @@ def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) ->
             "solving the scene's touches in 3D, since no tables ship for them or the sensor is "
             "pressed in its bent state: half a minute to some minutes"
         )
+
+
+@with_output
+def mesh(
+    *,
+    sensor: SensorFile = None,
+    resolution: Detail = "standard",
+    cells: Annotated[
+        str | None,
+        typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),
+    ] = None,
+    view: Annotated[Path | None, typer.Option(help="Draw the mesh into this PNG file.")] = None,
+    drive: Annotated[
+        str | None, typer.Option(help="With --view: draw what a current from A to B does, as A,B.")
+    ] = None,
+    output: Output,
+) -> None:
+    """Mesh a sensor: number of cells, their quality, and a picture."""
+    from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
+    from eitskin.simulator.electrical.resolution import discretisation, suited_cells
+    from eitskin.simulator.view.render import require_picture
+
+    design = read_design(sensor)
+    named = cast("Resolution", resolution)
+    suited = suited_cells(named, design)
+    kind = one_of("--cells", cells, CellKind) if cells else suited
+    pair = None if drive is None else electrode_pair(drive, len(design.electrodes))
+    if pair is not None and view is None:
+        raise ConfigurationError("--drive says what to draw; name the picture with --view")
+    if view is not None:
+        require_picture(view)
+    start = time.perf_counter()
+    _, grading = discretisation(named, design, kind)
+    made = mesh_design(design, grading, kind)
+    data = _mesh_data(design, made, kind, time.perf_counter() - start)
+    output.result(
+        data, table_of(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)
+    )
+    if view is not None:
+        from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
+
+        if pair is None:
+            draw_mesh(made, view)
+        else:
+            draw_drive(model_for_pictures(design, kind), pair, view, made)
+        output.note(f"picture: {view}")
+
+
+def _mesh_data(
+    design: "SensorDesign", mesh: "Mesh", kind: "CellKind", seconds: float
+) -> dict[str, Any]:
+    """Numbers of the mesh as plain data."""
+    import numpy as np
+
+    from eitskin.geometry.meshing.mesh import quality
+
+    areas = np.array([patch.area for patch in design.patches()])
+    meshed = np.bincount(mesh.contacts.electrode, mesh.contacts.areas, len(areas))
+    return {
+        "kind": kind,
+        **dataclasses.asdict(quality(mesh)),
+        "electrodes": len(areas),
+        "electrode_area_error": float(np.abs(meshed / areas - 1.0).max()),
+        "seconds": seconds,
+    }
+
+
+def _mesh_rows(data: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Cells of the table of `_mesh_data`."""
+    least, most = data["smallest_angle"], data["largest_angle"]
+    return (
+        ("cells", f"{data['cells']} {data['kind']}"),
+        ("points", f"{data['points']}"),
+        ("volume", f"{1e6 * data['volume']:.4g} cm3"),
+        ("least scaled Jacobian, 1 is best", f"{data['scaled_jacobian']:.3g}"),
+        ("longest to shortest edge, worst", f"{data['aspect_ratio']:.3g}"),
+        ("longest to shortest edge, median", f"{data['median_aspect_ratio']:.3g}"),
+        (
+            "angles between faces",
+            f"{least:.1f} to {most:.1f} deg",
+        ),
+        ("electrodes", f"{data['electrodes']}"),
+        ("largest error of an electrode's area", f"{data['electrode_area_error']:.1e}"),
+        ("time", f"{data['seconds']:.2f} s"),
+    )

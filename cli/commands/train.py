@@ -1,4 +1,4 @@
-"""`eitskin train`: a pipeline from a dataset."""
+"""`eitskin train`, `eitskin evaluate`: a pipeline from a dataset, and its figures."""
 
 import json
 import time
@@ -11,25 +11,16 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from eitskin import datasets
-from eitskin.cli.commands.evaluate import save_position_report, save_report
-from eitskin.cli.options import (
-    TRAINING,
-    MethodCode,
-    Output,
-    Replace,
-    own_method,
-    with_output,
-)
+from eitskin import datasets, training
+from eitskin.cli.options import TRAINING, MethodCode, Output, Replace, own_method, with_output
+from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.training.evaluation.evaluate import Evaluation, Report
+    from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
-    from eitskin.training.method.interface import Method
     from eitskin.training.method.settings import TrainingSettings
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 AUTO = "auto"
 
@@ -94,17 +85,15 @@ def command(
     if alone:
         output.note(f"{alone}: learning touch positions only")
         trained = train_positions(data)
-        found = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
+        summary = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
     else:
         evaluation = train_and_measure(data, choice, output)
         trained, warnings = evaluation.pipeline, data_warnings(data, evaluation)
-        found = _summary(evaluation.report)
+        summary = _summary(evaluation.report)
     seconds = time.perf_counter() - start
     saved = trained.save(out)
-    if report is not None and evaluation is not None:
-        save_report(evaluation, report, output)
-    elif report is not None:
-        save_position_report(trained, data, report, output)
+    if report is not None:
+        _save_report(evaluation or (trained, data), report, output)
     for warning in warnings:
         output.note(f"warning: {warning}")
     frames, missing = trained.trained_on["frames"], trained.targets.missing
@@ -119,7 +108,7 @@ def command(
             "estimates": trained.targets.as_dict(),
             "warnings": list(warnings),
         },
-        f"{saved}: trained on {frames} frames in {seconds:.0f} s; on frames never seen: {found}",
+        f"{saved}: trained on {frames} frames in {seconds:.0f} s; on frames never seen: {summary}",
     )
 
 
@@ -136,16 +125,16 @@ def _positions_alone(data: "datasets.Dataset") -> str:
     return ""
 
 
-def _summary(report: "Report") -> str:
+def _summary(report: "training.Report") -> str:
     """States, position and angle of a report in a line."""
     shares = report.states.accuracy.items()
-    found = [f"{name} {share:.1%}" for name, share in shares if share is not None]
+    shown = [f"{name} {share:.1%}" for name, share in shares if share is not None]
     single = report.touches.get("1")
     if single is not None and single.mean_error_mm is not None:
-        found.append(f"one touch {single.mean_error_mm:.2f} mm off")
+        shown.append(f"one touch {single.mean_error_mm:.2f} mm off")
     if report.bend.rmse_deg is not None:
-        found.append(f"bends {report.bend.rmse_deg:.2f} deg off")
-    return ", ".join(found)
+        shown.append(f"bends {report.bend.rmse_deg:.2f} deg off")
+    return ", ".join(shown)
 
 
 @dataclass(frozen=True)
@@ -160,7 +149,7 @@ class Choice:
     """
 
     settings: "TrainingSettings | None"
-    method: "type[Method] | None"
+    method: "type[training.Method] | None"
     seed: int
     epochs: int | None
 
@@ -177,8 +166,6 @@ def choose(
     seed: int = 0,
 ) -> Choice:
     """Choice by preset, or by the code of an own method; raises ConfigurationError for both."""
-    from eitskin.training.method.settings import TrainingSettings
-
     if method is not None and preset is not None:
         raise ConfigurationError(
             f"expected --preset or --method, got both, {preset} and {method}; leave one out"
@@ -186,7 +173,7 @@ def choose(
     values = read_options(options or ())
     own = own_method(method)
     if own is not None:
-        settings = TrainingSettings(method=own.KIND, seed=seed, options=values)
+        settings = training.TrainingSettings(method=own.KIND, seed=seed, options=values)
     elif preset in (None, AUTO):
         if values:
             raise ConfigurationError(
@@ -194,7 +181,7 @@ def choose(
             )
         return Choice(None, None, seed, epochs)
     else:
-        settings = replace(TrainingSettings.preset(str(preset), seed), options=values)
+        settings = replace(training.TrainingSettings.preset(str(preset), seed), options=values)
     choice = Choice(settings, own, seed, epochs)
     return replace(choice, settings=choice.adjusted(settings))
 
@@ -220,23 +207,16 @@ def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) 
     """Evaluation of a newly trained pipeline on its held-out frames; shows a bar per network."""
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
-    from eitskin.training.pipeline.pipeline import Pipeline
 
     start = time.perf_counter()
-    with output.progress() as bar:
-        tasks: dict[str, Any] = {}
-
-        def show(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total, rate="")
-            bar.update(tasks[stage], completed=done)
-
+    selection = None
+    with output.bars() as show:
         if choice.settings is None:
             selection = Selection.of(data, choice.seed, adjust=choice.adjusted, progress=show)
         else:
-            pipeline = Pipeline.fit(data, choice.settings, show, choice.method)
+            pipeline = training.Pipeline.fit(data, choice.settings, show, choice.method)
     output.detail(f"trained in {time.perf_counter() - start:.0f} s, measuring")
-    if choice.settings is None:
+    if selection is not None:
         output.show(_comparison(selection))
         evaluation = selection.evaluation
     else:
@@ -247,6 +227,8 @@ def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) 
 
 def _comparison(selection: "Selection") -> Group:
     """Table of the candidates on the held-out frames, and the choice."""
+    from eitskin.datasets.store.summary import specimens_in_words
+
     forms = {
         "states": "{:.1%}",
         "error_mm": "{:.2f} mm",
@@ -254,36 +236,103 @@ def _comparison(selection: "Selection") -> Group:
         "false_per_touch": "{:.1%}",
         "angle_rmse_deg": "{:.2f} deg",
     }
-    from eitskin.datasets.store.summary import specimens_in_words
-
-    judged = selection.evaluation.dataset
-    table = Table(
-        *("method", "states", "touch error", "found", "false", "bend error", "loss", "time"),
-        title=f"{len(judged)} held-out frames of {specimens_in_words(judged)}",
-        caption="loss: mean of the relative errors of states, touches and bends; 1 for guesses",
-    )
-    remarks = []
+    judged, rows, remarks = selection.evaluation.dataset, [], []
     for trial in selection.trials:
-        figures = [trial.figures.get(name) for name in forms]
-        shown = [
-            "-" if figure is None else form.format(figure)
-            for form, figure in zip(forms.values(), figures, strict=True)
-        ]
+        figures = [(form, trial.figures.get(name)) for name, form in forms.items()]
+        shown = ["-" if figure is None else form.format(figure) for form, figure in figures]
         loss = f"{trial.loss:.3f}" if trial.losses else "-"
-        table.add_row(trial.preset, *shown, loss, f"{trial.seconds:.0f} s")
+        rows.append((trial.preset, *shown, loss, f"{trial.seconds:.0f} s"))
         if trial.refusal:
             remarks.append(f"{trial.preset} cannot be trained here: {trial.refusal}")
         if trial.stopped:
             remarks.append(f"{trial.preset} was not trained to the end: {trial.stopped}")
+    table = table_of(
+        ("method", "states", "touch error", "found", "false", "bend error", "loss", "time"),
+        rows,
+        title=f"{len(judged)} held-out frames of {specimens_in_words(judged)}",
+        caption="loss: mean of the relative errors of states, touches and bends; 1 for guesses",
+    )
     return Group(table, *remarks, f"chosen: {selection.preset}")
 
 
-def train_positions(data: "datasets.Dataset") -> "Pipeline":
+def train_positions(data: "datasets.Dataset") -> "training.Pipeline":
     """Regression of touch positions from a recording without geometry, with its metrics."""
-    from eitskin.training.evaluation.position_score import PositionScore
-    from eitskin.training.method.settings import POSITIONS, TrainingSettings
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.method.settings import POSITIONS
 
-    learned = Pipeline.fit(data, TrainingSettings(POSITIONS))
-    learned.metrics.update(PositionScore.of(learned, data).as_dict())
+    learned = training.Pipeline.fit(data, training.TrainingSettings(POSITIONS))
+    learned.metrics.update(training.PositionScore.of(learned, data).as_dict())
     return learned
+
+
+@with_output
+def evaluate(
+    pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
+    dataset: Annotated[Path, typer.Argument(help="Dataset to evaluate the pipeline on.")],
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+    ] = None,
+    method: MethodCode = None,
+    output: Output,
+) -> None:
+    """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
+    from eitskin.datasets.store.summary import specimens_in_words
+    from eitskin.training.evaluation.evaluate import Evaluation
+    from eitskin.training.evaluation.report import require_report_folder
+    from eitskin.training.method.settings import POSITIONS
+
+    data = datasets.open_dataset(dataset)
+    trained = training.open_pipeline(pipeline, own_method(method))
+    if out is not None:
+        require_report_folder(out)
+    if trained.settings.method == POSITIONS:
+        score = training.PositionScore.of(trained, data)
+        if out is not None:
+            _save_report((trained, data), out, output)
+        rows = (
+            ("mean error", f"{score.mean_error_mm:.2f} mm"),
+            ("median error", f"{score.median_error_mm:.2f} mm"),
+            ("mean error of always the middle", f"{score.guess_error_mm:.1f} mm"),
+        )
+        table = table_of(("touch position", "here"), rows, title=f"{score.frames} frames")
+        output.result(score.as_dict(), table)
+        return
+    frames = trained.held_out(data)
+    if len(frames) < len(data):
+        held_out = f"{len(frames)} frames never seen, of {specimens_in_words(data.select(frames))}"
+        output.note(f"trained on this dataset: only the {held_out}, count")
+    evaluation = Evaluation.of(trained, data.select(frames))
+    if out is not None:
+        _save_report(evaluation, out, output)
+    output.result(evaluation.report.as_dict(), paper_table(evaluation.report))
+
+
+def _save_report(
+    source: "Evaluation | tuple[training.Pipeline, datasets.Dataset]", folder: Path, output: Output
+) -> None:
+    """Write the report folder of an evaluation, or of touch positions and their frames."""
+    from eitskin.provenance import Provenance
+    from eitskin.training.evaluation.report import write_position_report, write_report
+
+    made = Provenance.now(0)
+    versions = ", ".join(f"{name} {made.packages[name]}" for name in ("eitskin", "numpy", "scipy"))
+    made_with = {
+        "machine": made.machine,
+        "versions": f"Python {made.python}, {versions}",
+        "date": made.date,
+    }
+    if isinstance(source, tuple):
+        written = write_position_report(*source, folder, made_with)
+    else:
+        written = write_report(source, folder, made_with)
+    output.note(f"report: {written}")
+
+
+def paper_table(report: "training.Report") -> Table:
+    """Table of the paper's figures beside those of `report`."""
+    from eitskin.training.evaluation.report import HEADINGS, table_rows
+    from eitskin.training.evaluation.scores import SSIM_DEFINITION
+
+    title = f"{report.frames} frames"
+    return table_of(HEADINGS, table_rows(report), title=title, caption=SSIM_DEFINITION)

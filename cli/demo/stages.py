@@ -13,9 +13,8 @@ import numpy as np
 from rich.console import RenderableType
 
 from eitskin import datasets, hardware, training
-from eitskin.cli.commands.evaluate import paper_table
 from eitskin.cli.commands.generate import make_dataset
-from eitskin.cli.commands.train import choose, train_and_measure, train_positions
+from eitskin.cli.commands.train import choose, paper_table, train_and_measure, train_positions
 from eitskin.cli.demo.pictures import (
     Picture,
     as_pictures,

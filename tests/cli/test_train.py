@@ -8,7 +8,7 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from eitskin.cli.commands import evaluate, train
+from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import ConfigurationError
 
@@ -73,7 +73,7 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
-    evaluate.command(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
+    train.evaluate(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
     said = capsys.readouterr()
     assert "empty picture" in said.out
     assert "structural_similarity" in " ".join(said.out.split())
@@ -91,7 +91,7 @@ def test_a_place_for_no_report_is_refused_before_the_work(trained, tmp_path):
     with pytest.raises(ConfigurationError, match="no report"):
         train.command(data, out=tmp_path / "new.eitmodel", report=data)
     with pytest.raises(ConfigurationError, match="no report"):
-        evaluate.command(model, data, out=data)
+        train.evaluate(model, data, out=data)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -103,6 +103,6 @@ def test_touch_positions_alone_make_a_report(dataset, tmp_path):
     data, model = tmp_path / "data", tmp_path / "skin.eitmodel"
     save_dataset(recording, data)
     train.command(data, out=model, report=tmp_path / "trained", quiet=True)
-    evaluate.command(model, data, out=tmp_path / "evaluated", quiet=True)
+    train.evaluate(model, data, out=tmp_path / "evaluated", quiet=True)
     for folder in ("trained", "evaluated"):
         assert "mm" in (tmp_path / folder / "report.md").read_text()

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from eitskin.cli.commands import evaluate, train
+from eitskin.cli.commands import train
 from eitskin.cli.commands.live import command as live
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
@@ -109,7 +109,7 @@ def test_commands_run_it_live_and_evaluate_it(folder, capsys):
     assert len(lines[-1]["touches"]) == 1
     live.command(model, board=f"replay:{data}", frames=2)
     assert "not estimated" in capsys.readouterr().out
-    evaluate.command(model, data, as_json=True)
+    train.evaluate(model, data, as_json=True)
     assert json.loads(capsys.readouterr().out)["frames"] == 12
 
 

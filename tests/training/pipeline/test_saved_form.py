@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from eitskin.cli.commands import evaluate, train
+from eitskin.cli.commands import train
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import SensorDesign
@@ -204,14 +204,14 @@ def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     trained = json.loads(capsys.readouterr().out)
     assert trained["frames"] == 36
     assert Pipeline.load(out).settings == TrainingSettings.preset("quick", 4).with_epochs(1)
-    evaluate.command(out, data, as_json=True)
+    train.evaluate(out, data, as_json=True)
     said = capsys.readouterr()
     report = json.loads(said.out)
     assert report["frames"] == 12
     assert "12 frames" in said.err
     kept = trained["metrics"]
     assert (report["states"], report["bend"]) == (kept["states"], kept["bend"])
-    evaluate.command(out, data)
+    train.evaluate(out, data)
     table = capsys.readouterr().out
     assert all(figure in table for figure in ("4.8 +- 2.8 mm", "0.94", "> 97 %", "606.6 ms"))
 
