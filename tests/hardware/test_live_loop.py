@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from eitskin.errors import DeviceError, FrameError, UnusableFrameError
+from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.hardware import open_board, run_live
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
@@ -57,19 +57,6 @@ def test_a_pipeline_that_fails_on_a_frame_gives_a_reading_on_one_line(refused):
             assert reading.problem.isprintable()
             assert len(reading.problem) < 300
     assert readings[-1].unusable == len(refused)
-
-
-def test_an_interrupt_and_errors_of_the_port_end_the_loop():
-    with pytest.raises(KeyboardInterrupt):
-        list(run_live(FakeBoard([frame()]), Refusing(KeyboardInterrupt(), {0})))
-
-    class Unplugged(FakeBoard):
-        def frames(self, newest=False):
-            yield from super().frames(newest)
-            raise DeviceError("unplugged")
-
-    with pytest.raises(DeviceError, match="unplugged"):
-        list(run_live(Unplugged([frame()]), FakePipeline()))
 
 
 def test_every_frame_comes_with_its_estimate_latency_and_rate():

@@ -215,11 +215,6 @@ def test_what_was_written_before_an_interrupt_is_kept(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_without_readings_there_is_no_file(tmp_path) -> None:
-    write_all(tmp_path / "run.mcap", [])
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_killed_writer_leaves_its_folder_and_no_file_under_the_name(tmp_path) -> None:
     path = tmp_path / "run.mcap"
     killed = McapWriter(path)

@@ -12,7 +12,6 @@ from eitskin.cli.main import app
 from eitskin.cli.options import Output, named_board
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
-from eitskin.errors import ConfigurationError, FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo
@@ -295,23 +294,6 @@ def test_faults_of_electrodes_in_four_terminal_frames(protocol):
     order = [0, 1, 5, 3, 4, 2, 6, 7]
     assert (FindingKind.MISFIT, ()) in findings(Z[np.ix_(order, order)])
     assert findings(6.0 * Z) == [(FindingKind.FACTOR, ())]
-
-
-@pytest.mark.parametrize(
-    ("reference", "said"),
-    [(np.ones(27), "shape"), (np.zeros(28), "positive"), (np.full(28, np.nan), "positive")],
-)
-def test_expected_values_that_cannot_be(reference, said):
-    with pytest.raises(ConfigurationError, match=said):
-        check_sensor(frames(flat(), count=1), reference)
-
-
-def test_frames_that_do_not_belong_together():
-    with pytest.raises(FrameError, match="at least one"):
-        check_sensor([], expected())
-    other = Frame(np.ones(1), Protocol.pairwise(2))
-    with pytest.raises(FrameError, match="check one board at a time"):
-        check_sensor([*frames(flat(), count=1), other], expected())
 
 
 # ---- the command ----

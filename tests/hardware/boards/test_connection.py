@@ -132,34 +132,6 @@ def test_a_closed_board_does_not_come_back():
 # ---- cables ----
 
 
-def test_a_cable_that_is_put_back_is_found_at_its_new_terminal():
-    with virtual() as board:
-        frames = Connection(board, wait=lambda _: None).frames()
-        assert next(frames).session == 1
-        board.stage.inject("replug")
-        while next(frames).session == 1:
-            pass
-        assert next(frames).session == 2
-    assert board.counts.reconnections == 1
-
-
-def test_an_unplugged_board_stays_away_until_that_is_cleared():
-    with virtual() as board:
-
-        def wait(_):
-            waited.append(1)
-            if len(waited) == 3:
-                board.stage.clear()
-
-        waited = []
-        frames = Connection(board, wait=wait).frames()
-        next(frames)
-        board.stage.inject("unplug_mid_frame")
-        while next(frames).session == 1:
-            pass
-    assert len(waited) >= 3
-
-
 def test_a_link_leads_to_the_board_before_and_after(tmp_path):
     link = tmp_path / "ttyEIT"
     with virtual_terminal(speed="max", simulator=FakeSimulator(), link=link) as terminal:
@@ -265,19 +237,6 @@ def test_the_board_never_waits_for_whoever_sets_a_scene():
         frames = board.frames(newest=True)
         while not board.stage.truth(next(frames).number).bend.angle_deg:
             pass
-
-
-def test_the_scene_changes_while_the_board_runs_and_is_known_for_each_frame():
-    with virtual(snr_db=float("inf")) as board:
-        frames = board.frames(newest=True)
-        flat = next(frames)
-        board.stage.set(Scene(bend=Bend(20.0)))
-        while (frame := next(frames)).impedance[0] == flat.impedance[0]:
-            pass
-        assert board.stage.truth(flat.number) == Scene()
-        assert board.stage.truth(frame.number) == board.stage.scene == Scene(bend=Bend(20.0))
-        assert frame.impedance[0].real == pytest.approx(1.02 * flat.impedance[0].real, rel=1e-6)
-        assert board.stage.truth(2**31) is None
 
 
 def test_an_impossible_scene_is_refused_where_it_is_set_and_the_board_goes_on():

@@ -7,14 +7,12 @@ import types
 import pytest
 import serial.tools.list_ports
 
-from eitskin.errors import ConfigurationError, DeviceError
-from eitskin.hardware import open_board
+from eitskin.errors import DeviceError
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import (
     PortInfo,
     connector,
     find_port,
-    only_usb_port,
     open_port,
     usb_serial_of,
 )
@@ -45,21 +43,6 @@ def test_a_port_is_found_by_its_serial_number():
     assert find_port("205A3D", Bus(BUILT_IN, OTHER, BOARD)) == "/dev/ttyACM0"
 
 
-def test_an_unknown_serial_number_names_the_ports_that_are_there():
-    with pytest.raises(DeviceError, match="serial number '7'") as told:
-        find_port("7", Bus(BUILT_IN, BOARD))
-    assert "/dev/ttyS0 (no USB)" in str(told.value)
-    assert "/dev/ttyACM0 (EIT board, ST, 0483:5740, 205A3D)" in str(told.value)
-    with pytest.raises(DeviceError, match="No serial port"):
-        find_port("7", Bus())
-
-
-def test_devices_of_one_serial_number_must_be_told_apart_by_path():
-    twin = dataclasses.replace(BOARD, device="/dev/ttyACM1")
-    with pytest.raises(DeviceError, match=r"2 ports .*/dev/ttyACM0.*/dev/ttyACM1"):
-        find_port("205A3D", Bus(BOARD, twin))
-
-
 def test_the_serial_number_of_a_path_or_a_link_to_it(tmp_path):
     here = Bus(BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
     (tmp_path / "by-id").symlink_to(tmp_path / "real")
@@ -73,16 +56,6 @@ def test_the_only_usb_port_needs_no_name():
     bus = Bus(BUILT_IN, BOARD)
     bus.connector("", "text:")()
     assert bus.opened == [("/dev/ttyACM0", "text:", 230400)]
-
-
-@pytest.mark.parametrize(
-    ("ports", "said"), [((BUILT_IN,), "there is none"), ((BOARD, OTHER), "there are 2")]
-)
-def test_without_exactly_one_usb_port_it_must_be_named(ports, said):
-    with pytest.raises(ConfigurationError, match="such as serial:") as told:
-        only_usb_port("serial", Bus(*ports))
-    assert said in str(told.value)
-    assert all(each.device in str(told.value) for each in ports)
 
 
 def test_by_serial_number_a_port_is_looked_for_at_every_connection():
@@ -125,17 +98,6 @@ def test_a_port_without_serial_number_is_its_path():
     bus.ports = []
     connect()
     assert bus.opened == [("/dev/ttyS0", "serial:/dev/ttyS0", 230400)]
-
-
-@pytest.mark.parametrize("scheme", ["serial:?", "text:?protocol=pairwise:8&"])
-def test_a_uri_names_a_port_by_serial_number(scheme):
-    with pytest.raises(DeviceError, match="serial number 'A 1'"):
-        open_board(f"{scheme}usb=A%201")
-
-
-def test_path_and_serial_number_contradict():
-    with pytest.raises(ConfigurationError, match="not by both"):
-        Bus(BOARD).connector("/dev/ttyACM0", "serial:/dev/ttyACM0?usb=1", usb="1")
 
 
 def test_the_uri_of_a_port_opens_it_again():

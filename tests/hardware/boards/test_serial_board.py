@@ -2,7 +2,6 @@
 
 import dataclasses
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +13,8 @@ from eitskin.hardware.boards.board import longest_silence
 from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import Ack, Event, pack
 from eitskin.hardware.protocol.packets import MessageType, Packet, encode
-from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
-from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
+from loopback import Loopback, connected, firmware, take, virtual
 
 # ---- what goes wrong on the wire ----
 
@@ -30,16 +28,6 @@ def test_silence_for_three_periods_is_a_stale_stream():
     with pytest.raises(DeviceError, match=r"stale.*0\.890 s"):
         next(frames)
     assert 3 * 0.2968 <= port.now - began < 3 * 0.2968 + 0.1
-
-
-def test_chatter_without_frames_is_stale_too():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
-    port.firmware.frame = lambda: encode(pack(Event(1, 2, "busy"), 0))
-    with pytest.raises(DeviceError, match="stale"):
-        next(frames)
-    assert {event.text for event in board.events} == {"busy"}
 
 
 def test_a_flood_of_events_hides_no_frame_and_fills_no_memory():
@@ -56,17 +44,6 @@ def test_a_firmware_that_tells_of_an_hour_between_frames_is_not_waited_for():
     assert longest_silence(174.0) > 2 * 174.0  # 16,384 channels
     assert longest_silence(0.3) == pytest.approx(0.9)
     assert longest_silence(float("nan")) == longest_silence(-0.0) == float("inf")
-
-
-def test_a_restarted_board_is_a_new_session():
-    board, port = connected(firmware())
-    frames = board.frames()
-    before = [next(frames) for _ in range(3)]
-    port.waiting += port.firmware.boot()
-    after = [next(frames) for _ in range(2)]
-    assert after[0].session == before[0].session + 1
-    assert [frame.number for frame in after] == [0, 1]
-    assert board.lost == 0
 
 
 def test_a_restart_with_another_table_is_an_error():
@@ -194,16 +171,6 @@ def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
 # ---- cables ----
 
 
-def test_unplugging_is_one_device_error():
-    numbers = []
-    with virtual(faults="unplug@4") as board:
-        with pytest.raises(DeviceError, match="went away"):
-            numbers += [frame.number for frame in board.frames()]
-        with pytest.raises(DeviceError, match="went away"):
-            next(board.frames())
-    assert numbers == list(range(len(numbers)))
-
-
 @pytest.mark.parametrize("error", [serial.SerialException("gone"), OSError(5, "gone"), TypeError()])
 @pytest.mark.parametrize("method", ["read", "in_waiting"])
 def test_each_way_a_port_dies_is_the_same_error(error, method, monkeypatch):
@@ -239,16 +206,3 @@ def test_closing_while_another_thread_reads_ends_its_reading():
     thread.join(10.0)
     assert not thread.is_alive()
     assert len(failures) == 1
-
-
-def open_files():
-    return len(list(Path("/dev/fd").iterdir()))
-
-
-def test_no_file_stays_open():
-    before = open_files()
-    for _ in range(3):
-        with virtual(faults="unplug@2") as board, pytest.raises(DeviceError):
-            take(board, 5)
-        virtual_terminal(simulator=FakeSimulator()).close()
-    assert open_files() == before

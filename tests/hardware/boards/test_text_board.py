@@ -7,10 +7,10 @@ import os
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.errors import DeviceError
 from eitskin.hardware import open_board
 from eitskin.hardware.boards.port import open_port
-from eitskin.hardware.boards.text_board import TextBoard, open_text
+from eitskin.hardware.boards.text_board import TextBoard
 from eitskin.simulator import Status
 
 from printed_lines import LINE, PERIOD, PROTOCOL, printed
@@ -128,7 +128,7 @@ def test_a_slow_reader_gets_whole_frames_and_the_newest():
 @pytest.mark.parametrize("mark", ["", "go"])
 def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
     monkeypatch.setattr("eitskin.hardware.boards.text_board.CHUNK", 400)
-    for away in np.linspace(0.5, 12.0, 60) * PERIOD:
+    for away in np.linspace(0.5, 12.0, 20) * PERIOD:
         port = Printer(stream(range(40), mark=mark), room=399)
         frames = board_on(port, mark=mark).frames()
         next(frames)
@@ -145,17 +145,6 @@ def test_with_marks_the_newest_overtakes_the_others():
     port.now += 4.0 * PERIOD
     assert abs(next(frames).impedance[0]) == pytest.approx(5000.0)
     assert (board.counts.skipped, board.lost) == (3, 0)
-
-
-def test_silence_after_frames_is_stale_within_a_second():
-    port = Printer(stream(range(6)))
-    frames = board_on(port).frames()
-    for _ in range(4):
-        next(frames)
-    began = port.now
-    with pytest.raises(DeviceError, match="stale"):
-        next(frames)
-    assert 1.0 <= port.now - began < 1.1
 
 
 @pytest.mark.parametrize(
@@ -202,20 +191,6 @@ def test_a_port_that_goes_away_is_one_error_and_closing_lets_go():
         next(board.frames())
     with pytest.raises(DeviceError, match="closed"):
         board.reconnect()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({}, "protocol=pairwise:8"),
-        ({"protocol": "ring"}, "a protocol: pairwise"),
-        ({"protocol": "pairwise:8", "pause": 0.0}, "must be positive"),
-        ({"protocol": "pairwise:8", "frequency": -1.0}, "must be positive"),
-    ],
-)
-def test_what_cannot_be_opened_is_told(options, said):
-    with pytest.raises(ConfigurationError, match=said):
-        open_text("/dev/nowhere", "text:/dev/nowhere", **options)
 
 
 def test_a_uri_opens_it(monkeypatch):

@@ -61,14 +61,6 @@ def test_a_frequency_holds_for_the_lines_that_follow():
     assert [line.frequency for line in rest] == [12.0, 12.0]
 
 
-def test_lines_end_as_they_like():
-    for end in ("\n", "\r", "\r\n", "\n\r"):
-        decoder = LineDecoder()
-        text = end.join(line.strip() for line in printed([1, 2, 3])) + end
-        assert [round(line.impedance.real) for line in decoder.feed(text.encode())] == [1, 2, 3]
-        assert not decoder.drops
-
-
 def test_what_is_no_measurement_is_dropped_and_counted():
     decoder = LineDecoder()
     junk = ["hello", "RzMag: 12 Ohm ,", "zMag: 1 Ohm , RzPhase: 2", "RzMag: 1 2 Ohm , RzPhase: 3"]
@@ -153,12 +145,6 @@ def test_a_line_lost_or_added_costs_its_frame_and_shifts_none(count):
     assert (finder.lost, finder.drops[FrameDrop.INCOMPLETE]) == (1, count)
 
 
-def test_two_frames_without_a_pause_between_are_two_lost():
-    finder = FrameFinder(6, marked=False)
-    assert groups(fed(finder, [6, 6, 6, 12, 6])) == [{2}, {4}]
-    assert finder.lost == 2
-
-
 @pytest.mark.parametrize("size", [1, 3, 28])
 def test_frames_of_any_size_are_found(size):
     finder = FrameFinder(size, marked=False)
@@ -208,10 +194,3 @@ def test_marks_need_no_pause():
     assert [each.number for each in found] == [0, 2]
     assert finder.lost == 2
     assert finder.drops == {FrameDrop.FIRST: 3, FrameDrop.INCOMPLETE: 5}
-
-
-def test_an_endless_frame_does_not_fill_the_memory():
-    finder = FrameFinder(6, marked=True)
-    with little_memory():
-        for _ in range(1000):
-            finder.feed(0.0, [Measurement(1 + 0j)] * 10)

@@ -6,7 +6,6 @@ import subprocess
 import numpy as np
 import pytest
 
-from eitskin.hardware import open_board
 from eitskin.hardware.protocol.frame_parts import PER_PACKET, FramePart
 from eitskin.hardware.protocol.messages import (
     Ack,
@@ -21,8 +20,6 @@ from eitskin.hardware.protocol.messages import (
     unpack,
 )
 from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
-from eitskin.hardware.virtual.memory_line import MemoryLine
-from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
 from eitskin.simulator import Protocol
 
 from compiled_firmware import CompiledFirmware, ask, config, fuzzer, messages
@@ -58,17 +55,6 @@ def test_928_measurements_of_32_electrodes_come_whole():
     assert not frame.status.any()
     assert host.counts.dropped == {}
     assert not port.firmware.afe.complaints
-
-
-def test_they_come_through_a_pseudo_terminal_too():
-    found = board(PAIRWISE, np.linspace(400.0, 800.0, len(PAIRWISE)))
-    with (
-        PseudoTerminal(MemoryLine(found)) as terminal,
-        open_board(f"serial:{terminal.path}") as host,
-    ):
-        frames = take(host, 3)
-    assert [frame.number for frame in frames] == [0, 1, 2]
-    assert frames[2].impedance.real == pytest.approx(np.linspace(400.0, 800.0, 120), rel=1e-4)
 
 
 def test_parts_name_the_packet_before_them_and_say_when_they_were_measured():

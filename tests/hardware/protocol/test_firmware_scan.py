@@ -9,28 +9,23 @@ from eitskin.hardware.protocol.messages import (
     AckStatus,
     Calibrate,
     Event,
-    GetTable,
     Info,
     Start,
     Stop,
-    Table,
     pack,
 )
 from eitskin.hardware.protocol.packets import MessageType, encode
-from eitskin.simulator import Protocol, Status
+from eitskin.simulator import Status
 from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
 
 from compiled_firmware import (
-    CompiledFirmware,
     ask,
     booted,
     compiled_board,
-    config,
     frames,
     messages,
 )
 from loopback import FLAT, PROTOCOL
-from simulated_afe import SimulatedAfe
 
 ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
 
@@ -132,16 +127,6 @@ def test_calibration_takes_out_what_the_part_is_off():
     assert (np.abs(frame.impedance - FLAT) <= 1.3 * quantisation(FLAT)).all()
 
 
-def test_a_drift_is_taken_out_by_calibrating_again():
-    board = booted()
-    board.afe.rtia_factor = 1.05
-    (off,) = frames(board, 1)
-    assert np.allclose(off.impedance, FLAT / 1.05, rtol=1e-4)
-    assert ask(board, Calibrate()) == [Ack(1, MessageType.CALIBRATE)]
-    (good,) = frames(board, 1)
-    assert (np.abs(good.impedance - FLAT) <= 1.1 * quantisation(FLAT)).all()
-
-
 @pytest.mark.parametrize("period_us", [296_800, 294_000])  # the second is always late
 def test_calibrating_while_it_streams_waits_for_the_frame_to_end(period_us):
     board = booted(period_us=period_us)
@@ -165,21 +150,6 @@ def test_without_its_resistor_it_says_that_it_is_uncalibrated(rcal):
     (frame,) = frames(board, 1)
     assert (frame.status == Status.UNCALIBRATED).all()
     assert np.allclose(frame.impedance, FLAT, rtol=1e-4)  # by the nominal resistor
-
-
-def test_four_electrodes_may_differ():
-    protocol = Protocol.adjacent(8)
-    drives = {row[:2] for row in protocol.table}
-    values = np.linspace(-30.0, 40.0, len(protocol)) + 3j
-    transfer = dict(zip(protocol.table, values, strict=True))
-    transfer |= {drive + drive: 500.0 for drive in drives}
-    afe = SimulatedAfe(transfer.__getitem__)
-    board = CompiledFirmware(afe, config(protocol.table, period_us=500_000))
-    board.boot()
-    assert ask(board, GetTable()) == [Table.of(protocol)]
-    (frame,) = frames(board, 1)
-    assert np.abs(frame.impedance - values).max() < 0.02
-    assert not afe.complaints
 
 
 # ---- what it says of a measurement ----
@@ -237,13 +207,6 @@ def test_a_transform_that_never_ends_is_a_timeout_of_that_row_alone():
     assert frame.status[5] == Status.DFT_TIMEOUT
     assert np.isnan(frame.impedance[5])
     assert np.allclose(frame.impedance[good], FLAT[good], rtol=1e-4)
-
-
-def test_timeouts_of_several_frames_do_not_add_up():
-    board = booted()
-    board.afe.stuck = set(PROTOCOL.table[:14])
-    for frame in frames(board, 3):  # and no event
-        assert np.count_nonzero(frame.status) == 14
 
 
 def test_a_part_that_lost_its_registers_is_set_up_again():

@@ -102,16 +102,6 @@ def test_an_unplugged_board_stays_away_until_its_faults_are_cleared():
     board.close()
 
 
-def test_a_held_port_is_refused_as_a_real_one_is():
-    held = line("port_in_use")
-    held.start()
-    with pytest.raises(DeviceError, match="another program"):
-        held.connect("virtual:")
-    held.firmware.stage.clear()
-    with SerialBoard(lambda: held.connect("virtual:"), "virtual:") as board:
-        next(board.frames())
-
-
 def test_delays_pass_by_the_clock_and_an_idle_line_makes_its_reader_wait():
     clock = Clock()
     delayed = line("stall@1:7", clock)

@@ -1,0 +1,143 @@
+"""Refusals of hardware: what was asked, the error, and the words that name the key or remedy."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError, DataError, DeviceError, FrameError
+from eitskin.geometry import SensorDesign
+from eitskin.hardware import Script, Step, open_board
+from eitskin.hardware.boards.port import PortInfo, connector, find_port
+from eitskin.hardware.boards.text_board import open_text
+from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
+from eitskin.hardware.diagnosis.sensor_check import check_sensor
+from eitskin.hardware.protocol.frame_parts import MOST_MEASUREMENTS
+from eitskin.hardware.protocol.messages import Table
+from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet, encode
+from eitskin.hardware.streams import UdpOutlet, address_of
+from eitskin.hardware.virtual.fault_table import read_faults
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Frame, Protocol, Scene
+
+from loopback import PROTOCOL, FakeSimulator
+
+BUILT_IN = PortInfo("/dev/ttyS0")
+BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
+TWIN = dataclasses.replace(BOARD, device="/dev/ttyACM1")
+FRAME = Frame(np.ones(28), PROTOCOL)
+TABLE = Protocol(((0, 1, 2, 3),) * (MOST_MEASUREMENTS + 1), 4)
+
+URIS = {
+    "ttyACM0": "expected a board as serial:PORT",
+    "virtuel:": "did you mean 'virtual:'",
+    "serial:": "needs a port, such as serial:/dev/ttyACM0",
+    "serial:/dev/ttyACM0?usb=1": "not by both",
+    "replay:": "needs a dataset's folder",
+    "replay:x?speed=fast": "speed must be one of real, max",
+    "virtual:?sped=max": "no option 'sped'; it has speed",
+    "virtual:?seed=one": "option seed must be a number",
+    "virtual:?simulator=x": "cannot be said in a URI",
+    "virtual:scene.toml": r"write virtual:\?scene=scene.toml",
+    "virtual:?speed=fast": "speed must be one of real, max",
+    "virtual:?resolution=best": "resolution must be one of coarse, fast, standard, fine",
+    "virtual:?faults=gremlins": "name among bit_flip",
+    "virtual:?scene=missing.toml": "missing.toml",
+    "virtual:?protocol=adjacent:16": "for 16 electrodes, the sensor has 8",
+    "virtual:?instrument=ad": "'ad5940', got 'ad'",
+}
+CONFIGURATION = {
+    "option before opening": (lambda: open_board("replay:nowhere", sped="max"), "'sped'.*speed"),
+    "several USB ports": (
+        lambda: connector("", "text:", ports=lambda: (BOARD, TWIN)),
+        "such as text:.*there are 2.*ttyACM0.*ttyACM1",
+    ),
+    "text without protocol": (lambda: open_text("/dev/no", "text:"), "protocol=pairwise:8"),
+    "protocol": (lambda: open_text("/dev/no", "text:", "ring"), "a protocol: pairwise"),
+    "pause": (lambda: open_text("/dev/no", "text:", "pairwise:8", pause=0.0), "positive"),
+    "frequency": (lambda: open_text("/dev/no", "text:", "pairwise:8", frequency=-1), "positive"),
+    "sensor twice": (
+        lambda: virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference()),
+        "give the simulator or those",
+    ),
+    "protocol twice": (
+        lambda: virtual_terminal(simulator=FakeSimulator(), protocol="adjacent"),
+        "give the simulator or those",
+    ),
+    "script": (lambda: Script(()), "one step"),
+    "step": (lambda: Step(Scene(), 0), "one frame"),
+    "payload": (lambda: encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1))), r"1009 bytes.*1010"),
+    "table": (lambda: Table.of(TABLE), "at most 65535 measurements of 255 electrodes"),
+    "host": (lambda: UdpOutlet("no host", 1), "cannot find"),
+    "expected shape": (lambda: check_sensor([FRAME], np.ones(27)), "shape"),
+    "expected zero": (lambda: check_sensor([FRAME], np.zeros(28)), "positive"),
+    "expected NaN": (lambda: check_sensor([FRAME], np.full(28, np.nan)), "positive"),
+}
+OTHERS = {
+    "no such USB device": (
+        lambda: find_port("7", lambda: (BUILT_IN, BOARD)),
+        DeviceError,
+        r"number '7'.*/dev/ttyS0 \(no USB\).*ttyACM0 \(EIT board, ST, 0483:5740, 205A3D\)",
+    ),
+    "no port": (lambda: find_port("7", tuple), DeviceError, "No serial port"),
+    "two devices of a number": (
+        lambda: find_port("205A3D", lambda: (BOARD, TWIN)),
+        DeviceError,
+        r"2 ports .*/dev/ttyACM0.*/dev/ttyACM1",
+    ),
+    "missing port": (lambda: open_board("serial:/dev/no"), DeviceError, "cable"),
+    "USB number": (lambda: open_board("serial:?usb=A%201"), DeviceError, "serial number 'A 1'"),
+    "USB number of text": (
+        lambda: open_board("text:?protocol=pairwise:8&usb=A%201"),
+        DeviceError,
+        "serial number 'A 1'",
+    ),
+    "readings": (lambda: check_readings(np.ones((3, 27)), PROTOCOL), DataError, "28 channels"),
+    "no frames": (lambda: check_frames([]), FrameError, "one protocol"),
+    "no frame": (lambda: check_sensor([], np.ones(28)), FrameError, "at least one"),
+    "two boards": (
+        lambda: check_sensor([FRAME, Frame(np.ones(1), Protocol.pairwise(2))], np.ones(28)),
+        FrameError,
+        "one board at a time",
+    ),
+}
+REFUSALS = [
+    *(
+        (uri, lambda uri=uri: open_board(uri), ConfigurationError, said)
+        for uri, said in URIS.items()
+    ),
+    *((name, call, ConfigurationError, said) for name, (call, said) in CONFIGURATION.items()),
+    *((name, *row) for name, row in OTHERS.items()),
+    *(
+        (text, partial(read_faults, text), ConfigurationError, "among bit_flip")
+        for text in ("gremlins", "bit_flip@x", "bit_flip@1:2:3", "bit_flip@-1")
+    ),
+    *(
+        (
+            f"period {period}",
+            partial(virtual_terminal, simulator=FakeSimulator(), period=period),
+            ConfigurationError,
+            r"period.*1e-06 to 3600 s",
+        )
+        for period in (float("nan"), -1.0, 0.0, 5e-324, 1e9)
+    ),
+    *(
+        (
+            f"address {text}",
+            partial(address_of, "--udp", text),
+            ConfigurationError,
+            "--udp must be PORT or HOST:PORT",
+        )
+        for text in ("", "robot", "robot:x", "70000", "-1")
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"), [row[1:] for row in REFUSALS], ids=[row[0] for row in REFUSALS]
+)
+def test_what_cannot_be_is_refused_with_what_to_write(call, error, said, monkeypatch):
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    with pytest.raises(error, match=said):
+        call()
