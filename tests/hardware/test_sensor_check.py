@@ -104,15 +104,6 @@ def test_each_fault_is_named_at_each_place_and_nothing_else_is(name):
         assert case.alone(result), (case.electrodes, case.channels, result)
 
 
-@pytest.mark.parametrize("ohm", [120.0, 500.0, 5000.0])
-def test_a_bad_contact_is_told_in_ohm(ohm):
-    (finding,) = check(flat(2) + ohm * at(3)).findings
-    said = float(finding.message.split(", ")[1].split()[0])
-    assert said == pytest.approx(ohm, rel=0.02, abs=30.0)
-    assert finding.channels == tuple(np.flatnonzero(at(3)))
-    assert "electrode 3 has a bad contact" in finding.message
-
-
 def test_the_ohms_are_those_of_the_right_scale():
     given = [
         dataclasses.replace(each, impedance=5.0 * each.impedance)
@@ -237,11 +228,6 @@ def test_several_faults_are_named_together():
         (FindingKind.SWAPPED, (0, 3)),
         (FindingKind.BAD_CONTACT, (5,)),
     }
-
-
-def test_two_exchanges_are_named_together():
-    ill = exchanged(exchanged(flat(4), 0, 1), 5, 7)
-    assert set(found(check(ill))) == {(FindingKind.SWAPPED, (0, 1)), (FindingKind.SWAPPED, (5, 7))}
 
 
 def test_half_of_the_electrodes_may_be_open():

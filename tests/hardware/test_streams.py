@@ -119,18 +119,6 @@ def test_an_address_is_of_this_machine_unless_it_says_so(text, address):
 # WebSocket
 
 
-def test_clients_get_the_newest_and_no_old_reading(served):
-    with connect(served.url) as one, connect(served.url) as other:
-        served.send("1")
-        assert (one.recv(20.0), other.recv(20.0)) == ("1", "1")
-        for number in range(2, 500):
-            served.send(str(number))
-        got = [int(one.recv(20.0))]
-        while got[-1] != 499:
-            got.append(int(one.recv(20.0)))
-        assert got == sorted(set(got))
-
-
 def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
     with connect(served.url, max_queue=1) as late, connect(served.url) as lively:
         for number in range(200):

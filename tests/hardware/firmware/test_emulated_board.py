@@ -10,13 +10,10 @@ from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
-    Calibrate,
-    Event,
     GetTable,
     Hello,
     Info,
     Start,
-    Stop,
     Table,
     pack,
     unpack,
@@ -98,37 +95,7 @@ def test_garbage_is_dropped_and_wrong_requests_are_told_so(running):
     assert board.ask(Hello(), Info) == info
 
 
-def test_a_transform_that_never_ends_is_a_timeout_of_its_row_alone(running):
-    board, info = running
-    board.chip.afe.stuck = {PROTOCOL.table[5]}
-    board.ask(Start(1), Ack)
-    frame, _ = board.wait_for(FrameData)
-    board.chip.afe.stuck = set()
-    assert np.isnan(frame.impedance[5])
-    assert frame.status[5] == Status.DFT_TIMEOUT
-    assert np.count_nonzero(np.isnan(frame.impedance)) == 1
-    assert frame.duration < info.period
-    assert no_complaints(board)
-
-
 # ---- a board of its own each ----
-
-
-def test_a_part_that_is_not_there_is_said_and_start_refused():
-    afe = SimulatedAfe(sensor())
-    afe.present = False
-    with EmulatedBoard(afe) as board:
-        event, _ = board.wait_for(Event)
-        assert (event.level, event.code) == (2, 1)
-        assert board.ask(Start(1), Ack) == Ack(1, MessageType.START, AckStatus.FAILED)
-        assert board.ask(Calibrate(), Ack) == Ack(2, MessageType.CALIBRATE, AckStatus.FAILED)
-        assert board.ask(Stop(), Ack) == Ack(3, MessageType.STOP)
-        afe.present = True
-        looked_for = board.chip.now + 1.1e6  # us: it looks for the part each second
-        while board.chip.now < looked_for:
-            time.sleep(0.01)
-        assert board.ask(Calibrate(), Ack) == Ack(4, MessageType.CALIBRATE)
-        assert no_complaints(board)
 
 
 def test_the_watchdog_ends_a_hang_and_the_boot_is_counted():

@@ -9,9 +9,7 @@ from eitskin.hardware.protocol.messages import (
     AckStatus,
     Calibrate,
     Event,
-    Info,
     Start,
-    Stop,
     pack,
 )
 from eitskin.hardware.protocol.packets import MessageType, encode
@@ -166,7 +164,6 @@ def one_bad(value, row=3):
 
 
 STRAY = 1.0 / (2j * np.pi * 40e3 * 100e-12)  # ohm of the capacitance of an open pair
-LARGEST = 200.0 * 0.607 / 0.9 * CODES  # ohm that one code of current shows
 
 
 @pytest.mark.parametrize(
@@ -218,20 +215,6 @@ def test_a_part_that_lost_its_registers_is_set_up_again():
     assert (event.level, event.text) == (1, "a frame of DFT timeouts: resetting the AD5940")
     assert (np.abs(good.impedance - FLAT) <= quantisation(FLAT)).all()
     assert (good.number, board.streaming) == (1, True)
-
-
-def test_a_part_that_is_not_there_is_said_and_start_refused():
-    board = compiled_board()
-    board.afe.present = False
-    info, event = messages(board.boot())
-    assert isinstance(info, Info)
-    assert event == ABSENCE
-    assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
-    assert ask(board, Calibrate()) == [Ack(1, MessageType.CALIBRATE, AckStatus.FAILED)]
-    assert ask(board, Stop()) == [Ack(1, MessageType.STOP)]
-    assert not board.streaming
-    assert messages(board.poll(200)) == []  # said once
-    assert board.afe.now > 5e6
 
 
 def test_a_part_that_goes_away_ends_the_stream_and_is_calibrated_when_it_is_back():

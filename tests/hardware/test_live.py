@@ -1,0 +1,284 @@
+"""The live loop: every frame with its estimate, or with the reason why there is none."""
+
+import dataclasses
+import itertools
+import math
+import re
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.errors import DeviceError, FrameError, UnusableFrameError
+from eitskin.hardware import Counts, LiveReadings, open_board, run_live
+from eitskin.hardware.live import DRIFT, AcquisitionClock
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Frame, Protocol
+
+from live_fakes import FakeBoard, FakePipeline, FakeSimulator, frame
+
+
+class Refusing(FakePipeline):
+    """Pipeline that raises an error for frames of given numbers."""
+
+    def __init__(self, error, refused):
+        super().__init__()
+        self.error, self.refused = error, refused
+
+    def process(self, frame):
+        if frame.number in self.refused:
+            raise self.error
+        return super().process(frame)
+
+
+def test_damaged_frames_are_counted_and_come_with_the_reason():
+    error = UnusableFrameError("all channels are open; check the cable")
+    refused = {1, 2, *range(5, 39)}
+    board = FakeBoard([frame(number) for number in range(40)])
+    readings = list(run_live(board, Refusing(error, refused), newest=False))
+    assert not board.newest
+    assert [reading.unusable for reading in readings[:6]] == [0, 1, 2, 2, 2, 3]
+    for reading in readings:
+        damaged = reading.frame.number in refused
+        assert (reading.estimate is None) == damaged == ("check the cable" in reading.problem)
+
+
+def test_another_sensor_ends_the_loop_unless_it_was_the_right_one_before():
+    error, board = FrameError("another sensor"), FakeBoard([frame(number) for number in range(4)])
+    with pytest.raises(FrameError, match="another sensor"):
+        list(run_live(board, Refusing(error, {0})))
+    readings = run_live(board, Refusing(error, {2, 3}))
+    assert [reading.problem for reading in readings] == ["", "", *["another sensor"] * 2]
+
+
+@pytest.mark.parametrize("refused", [{0}, {2}, set(range(4))])
+def test_a_pipeline_that_fails_on_a_frame_gives_a_reading_on_one_line(refused):
+    error = np.linalg.LinAlgError("the matrix\nis singular \x1b[31m" + 1000 * "!")
+    board = FakeBoard([frame(number) for number in range(4)])
+    readings = list(run_live(board, Refusing(error, refused)))
+    assert {reading.frame.number for reading in readings if reading.estimate is None} == refused
+    for reading in readings:
+        if reading.problem:
+            assert "LinAlgError: the matrix is singular" in reading.problem
+            assert reading.problem.isprintable()
+            assert len(reading.problem) < 300
+    assert readings[-1].unusable == len(refused)
+
+
+def test_every_frame_comes_with_its_estimate_latency_and_rate():
+    ticks = itertools.count(0.0, 0.25)
+    board, pipeline = FakeBoard([frame(0), frame(1), frame(2)]), FakePipeline()
+    readings = list(run_live(board, pipeline, clock=lambda: next(ticks)))
+    assert [reading.frame.number for reading in readings] == pipeline.seen == [0, 1, 2]
+    assert all(reading.estimate is pipeline.estimate for reading in readings)
+    assert [reading.latency for reading in readings] == [0.25] * 3
+    assert np.isnan(readings[0].rate)
+    assert readings[2].rate == pytest.approx(2.0)
+    assert board.newest
+
+
+def test_a_slow_pipeline_sees_new_frames_and_the_rest_is_counted():
+    # The board fills the terminal's queue while the pipeline works; what is then waiting goes.
+    terminal = virtual_terminal(speed="max", simulator=FakeSimulator())
+    with terminal, open_board(f"serial:{terminal.path}") as board:
+        numbers = []
+        for reading in run_live(board, FakePipeline()):
+            numbers.append(reading.frame.number)
+            if board.counts.skipped:
+                break
+        assert board.counts.skipped + len(numbers) == numbers[-1] + 1
+        assert board.lost == 0
+
+
+# ---- live readings ----
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+
+
+class Cable:
+    """Board whose frames the test hands out one by one; None unplugs it until it reconnects."""
+
+    counts, uri = Counts(), "cable:"
+
+    def __init__(self, *steps):
+        self.steps, self.closed, self.reconnected = list(steps), threading.Event(), 0
+        self.info = type("Info", (), {"period": 1e6})
+
+    def frames(self, newest=False):
+        assert newest
+        while self.steps:
+            step = self.steps.pop(0)
+            if step is None:
+                raise DeviceError("the cable is out")
+            yield step
+        self.closed.wait()  # silent, until it is closed
+        raise DeviceError("closed")
+
+    def reconnect(self):
+        self.reconnected += 1
+
+    def close(self):
+        self.closed.set()
+
+
+class Slow(FakePipeline):
+    """Pipeline that waits for permission before each frame but the first."""
+
+    def __init__(self):
+        super().__init__()
+        self.may = threading.Semaphore(1)
+
+    def process(self, frame):
+        self.may.acquire()
+        return super().process(frame)
+
+
+def test_the_lines_of_the_page_move_something(monkeypatch):
+    (lines,) = re.findall(r"```python\n(.*?LiveReadings.*?)```", PAGE.read_text(), re.DOTALL)
+    assert len([line for line in lines.splitlines() if line]) <= 10
+    monkeypatch.setattr("eitskin.training.open_pipeline", lambda _: FakePipeline(), raising=False)
+    monkeypatch.setattr(
+        "eitskin.hardware.virtual.virtual_board.Simulator", lambda *_, **__: FakeSimulator()
+    )
+    moved, names = [], {}
+
+    class Arm:
+        def move_away_from(self, x, y):
+            moved.append((x, y))
+            if len(moved) == 3:
+                names["readings"].close()
+
+    names["arm"] = Arm()
+    exec(lines.replace('"serial:"', '"virtual:?speed=max"'), names)  # noqa: S102
+    assert moved == [(0.05, 0.02)] * 3
+
+
+def test_a_slow_reader_gets_the_newest_reading_and_no_queue():
+    pipeline = Slow()
+    with LiveReadings(Cable(*(frame(number) for number in range(6))), pipeline) as readings:
+        each = iter(readings)
+        assert next(each).frame.number == 0
+        pipeline.may.release(5)
+        last = [next(each).frame.number]
+        while last[-1] != 5:
+            last.append(next(each).frame.number)
+        assert last == sorted(set(last))
+        assert readings.newest.frame.number == 5
+
+
+def test_a_stale_reading_is_never_given_as_the_newest():
+    with LiveReadings(Cable(frame(0)), FakePipeline()) as readings:
+        assert next(iter(readings)).frame.number == 0
+        assert readings.newest.frame.number == 0
+        readings._arrived -= 4e6  # more than three periods
+        assert readings.newest is None
+    assert readings.newest is None
+
+
+def test_a_board_that_goes_away_is_connected_to_again():
+    board = Cable(frame(0), None, None, frame(1))
+    with LiveReadings(board, FakePipeline()) as readings:
+        for reading in readings:
+            if reading.frame.number == 1:
+                break
+        assert (board.reconnected, readings.problem) == (2, "")
+
+
+def test_a_function_is_called_with_readings_and_its_error_ends_the_session():
+    called, ended = [], threading.Event()
+
+    def function(reading):
+        called.append(reading.frame.number)
+        ended.set()
+        raise ValueError("the gripper is stuck")
+
+    readings = LiveReadings(Cable(frame(0)), FakePipeline())
+    readings.call(function)
+    assert ended.wait(20.0)
+    with pytest.raises(ValueError, match="stuck"):
+        readings.close()
+    readings.close()
+    assert called == [0]
+
+
+def test_an_error_of_the_session_is_raised_where_it_is_read():
+    class Refusing(FakePipeline):
+        def process(self, frame):  # noqa: ARG002
+            raise FrameError("another sensor")
+
+    with (
+        pytest.raises(FrameError, match="another sensor"),
+        LiveReadings(Cable(frame(0)), Refusing()) as readings,
+    ):
+        list(readings)
+    assert readings.problem == "another sensor"
+
+
+def test_closing_ends_every_thread_and_iteration(monkeypatch):
+    monkeypatch.setattr(
+        "eitskin.hardware.virtual.virtual_board.Simulator", lambda *_, **__: FakeSimulator()
+    )
+    before, seen = threading.active_count(), threading.Event()
+    readings = LiveReadings(open_board("virtual:?speed=max"), FakePipeline())
+    readings.call(lambda _: seen.set())
+    others = [threading.Thread(target=list, args=(readings,)) for _ in range(2)]
+    for each in others:
+        each.start()
+    assert seen.wait(20.0)
+    readings.close()
+    for each in others:
+        each.join(20.0)
+    assert threading.active_count() == before
+
+
+# ---- acquisition clock ----
+
+
+PROTOCOL = Protocol.pairwise(8)
+PERIOD, DURATION = 0.3, 0.28
+
+
+def timed(number, **changes):
+    known = {"time": PERIOD * number, "number": number, "duration": DURATION} | changes
+    return Frame(np.full(28, 600.0), PROTOCOL, **known)
+
+
+def arrivals(count, drift=0.0, offset=1000.0, shortest=0.002):
+    """When each measurement began and when its frame came, by the host's clock."""
+    late = np.random.default_rng(0).exponential(0.004, count)
+    late[0] = 0.0
+    begun = offset + (1.0 + drift) * PERIOD * np.arange(count)
+    return begun, begun + DURATION * (1.0 + drift) + shortest + late
+
+
+def test_begin_is_known_but_for_the_shortest_time_on_the_line():
+    clock = AcquisitionClock()
+    begun, came = arrivals(200)
+    found = [clock.begun(timed(k), at) for k, at in enumerate(came)]
+    assert found == pytest.approx(begun + 0.002, abs=1e-9 + 200 * PERIOD * DRIFT)
+    assert found[0] == pytest.approx(begun[0] + 0.002, abs=1e-9)
+
+
+@pytest.mark.parametrize("drift", [-5e-5, 5e-5])
+def test_clocks_that_drift_apart_are_followed_for_hours(drift):
+    clock = AcquisitionClock()
+    begun, came = arrivals(20_000, drift)
+    one = timed(0)
+    found = [
+        clock.begun(dataclasses.replace(one, time=PERIOD * k), at) for k, at in enumerate(came)
+    ]
+    assert np.abs(found - begun - 0.002).max() < 0.003  # 100 minutes apart by 0.3 s
+
+
+def test_another_session_has_another_clock():
+    clock = AcquisitionClock()
+    assert clock.begun(timed(0, time=100.0), 5.0) == pytest.approx(5.0 - DURATION)
+    assert clock.begun(timed(0, time=7000.0, session=2), 6.0) == pytest.approx(6.0 - DURATION)
+    # A board that counts its time anew without saying so.
+    assert clock.begun(timed(0, time=1.0, session=2), 9.0) == pytest.approx(9.0 - DURATION)
+
+
+def test_without_a_duration_nothing_is_known():
+    assert math.isnan(AcquisitionClock().begun(timed(0, duration=math.nan), 5.0))
