@@ -144,7 +144,7 @@ def test_a_recording_replays_to_identical_lines(tmp_path):
 # ---- hostile sessions ----
 
 
-SESSIONS, FRAMES = 20, 10
+SESSIONS, HOSTILE_FRAMES = 20, 10
 ODD_NUMBERS = (0, 5_000_000, 2**31, 2**32 - 1)
 ODD_TIMES = (math.nan, math.inf, -math.inf, -1e308, 1e308, 4294.967295, 0.0)
 ODD_VALUES = (math.nan, math.inf, -math.inf, 0.0, 1e-300, 1e300, -1.0, 500.0)
@@ -178,7 +178,7 @@ def damaged(good, rng):
 def hostile_frames(pipeline, seed):
     """Frames of a session, most of them damaged after the first."""
     rng, layout = np.random.default_rng(seed), pipeline.layout
-    for number in range(FRAMES):
+    for number in range(HOSTILE_FRAMES):
         impedance = layout.reference * (1 + 2e-4 * rng.standard_normal(len(layout.reference)))
         good = Frame(impedance, layout.protocol, 0.3 * number, number, frequency=layout.frequency)
         yield damaged(good, rng) if number and rng.random() < 0.7 else good
@@ -187,7 +187,7 @@ def hostile_frames(pipeline, seed):
 def survived(pipeline, seed):
     pipeline.reset()
     readings = list(run_live(FakeBoard(list(hostile_frames(pipeline, seed))), pipeline))
-    assert len(readings) == FRAMES
+    assert len(readings) == HOSTILE_FRAMES
     for reading in readings:
         assert (reading.estimate is None) == bool(reading.problem)
         assert reading_record(reading, FakeBoard.counts)["version"]
