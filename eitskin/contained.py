@@ -2,8 +2,8 @@
 
 HDF5, SciPy and the readers of other formats are large, and damage can end the process, keep it
 busy for ever or fill its memory. A reader is a function of a module that yields `Answer`s; it is
-called in a child with limits on processor time and memory, and its answers come back as JSON and
-plain arrays, of which nothing is executed. A child that has answered is used again.
+called in a child with limits on processor time and memory, and its answers come back as plain
+data and arrays, of which nothing is executed. A child that has answered is used again.
 
 The child has the rights of its user: it contains accidents and malformed files, not an attacker
 who gains control of a reader.
@@ -11,8 +11,6 @@ who gains control of a reader.
 
 import contextlib
 import importlib
-import io
-import json
 import os
 import signal
 import struct
@@ -24,17 +22,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, ClassVar, Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import parse_json, printable
-
-HEAD: Final = struct.Struct("<QI")
-"""Begin of a message: size of its JSON text [bytes], and number of its arrays."""
+from eitskin.files import printable
 
 SIZE: Final = struct.Struct("<Q")
-"""Begin of an array: its size [bytes]."""
+"""Begin of a message: its size [bytes]."""
+
+_Message = tuple[Any, dict[str, tuple[str, tuple[int, ...], bytearray]]]
 
 _CHILD: Final = "from eitskin.contained import answer_tasks; answer_tasks()"
 _ERRORS: Final = {
@@ -46,7 +44,7 @@ _ERRORS: Final = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """Part of what a reader found: data as JSON takes them, and arrays by name."""
+    """Part of what a reader found: plain data, and arrays by name."""
 
     data: Any = None
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -72,7 +70,7 @@ def contained(
 
     Args:
         reader: "module:function" of a function of `argument` and `content` that yields `Answer`s.
-        argument: as JSON takes it.
+        argument: plain data.
         content: bytes for the reader.
         limits: of the child.
 
@@ -96,30 +94,20 @@ def contained(
 
 
 def write_message(stream: IO[bytes], data: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write JSON data and arrays, none of which is an object, to a stream."""
-    text = json.dumps([data, list(arrays)]).encode()
-    buffers = [io.BytesIO() for _ in arrays]
-    for buffer, array in zip(buffers, arrays.values(), strict=True):
-        np.lib.format.write_array(buffer, np.asarray(array), allow_pickle=False)
-    stream.write(HEAD.pack(len(text), len(arrays)) + text)
-    for buffer in buffers:
-        stream.write(SIZE.pack(buffer.tell()))
-        stream.write(buffer.getbuffer())
+    """Write plain data and arrays, none of which is an object, to a stream."""
+    if any(array.dtype.hasobject for array in arrays.values()):
+        raise ValueError("expected arrays of plain numbers or text, got objects")
+    packed = {name: (a.dtype.str, a.shape, a.tobytes()) for name, a in arrays.items()}
+    content = msgspec.msgpack.encode((data, packed))
+    stream.write(SIZE.pack(len(content)) + content)
     stream.flush()
 
 
 def read_message(stream: IO[bytes]) -> Answer:
     """Read what `write_message` wrote; raises EOFError where the stream ends."""
-    size, count = HEAD.unpack(_exactly(stream, HEAD.size))
-    data, names = parse_json(_exactly(stream, size))
-    if len(names) != count:
-        raise ValueError("expected a name for each array")
-    arrays = {}
-    for name in names:
-        (length,) = SIZE.unpack(_exactly(stream, SIZE.size))
-        buffer = io.BytesIO(_exactly(stream, length))
-        arrays[name] = np.lib.format.read_array(buffer, allow_pickle=False)
-    return Answer(data, arrays)
+    (size,) = SIZE.unpack(_exactly(stream, SIZE.size))
+    data, packed = msgspec.msgpack.decode(_exactly(stream, size), type=_Message)
+    return Answer(data, {n: np.frombuffer(c, d).reshape(s) for n, (d, s, c) in packed.items()})
 
 
 def _exactly(stream: IO[bytes], size: int) -> bytes:

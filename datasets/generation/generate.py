@@ -72,7 +72,15 @@ def generate(
             reach of the presses, or the scheduler cannot be used.
         PartialError: where files cannot be written or workers died; resume after the repair.
     """
-    _check_options(workers, scheduler, shard)
+    if workers < 1:
+        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    if shard is not None and scheduler:
+        raise ConfigurationError(
+            "expected a scheduler, which makes all shards, or the number of one shard, got both; "
+            "leave one out"
+        )
+    if scheduler:
+        check_scheduler(scheduler)
     prepare(recipe, workers=workers, specimens=needed_specimens(recipe, shard))
     folder = Path(out)
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
@@ -103,7 +111,10 @@ def generate(
             if shard is None:
                 remove_leftovers(folder)  # of workers killed while writing
     if shard is not None:
-        kept = _all_finished(recipe, folder)
+        shards = range(recipe.shards)
+        if not all((folder / shard_name(number)).is_file() for number in shards):
+            return None
+        kept = _finished(recipe, folder, shards)
     if len(kept) < recipe.shards:
         return None
     manifest = Manifest.of_shards("simulated", kept.values(), recipe.to_toml(), recipe.seed)
@@ -148,27 +159,11 @@ def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
     return specimen_numbers(recipe, recipe.shard_range(shard))
 
 
-def smallest_size(recipe: Recipe, frames: int) -> int:
-    """Lower bound of the size of `frames` frames on the disk [bytes]."""
-    electrodes = len(recipe.sensor.electrodes)
-    return frames * electrodes * (electrodes - 1) // 2 * _LEAST_BYTES_PER_CHANNEL
-
-
-def _check_options(workers: int, scheduler: str | None, shard: int | None) -> None:
-    if workers < 1:
-        raise ConfigurationError(f"workers must be at least 1, got {workers}")
-    if shard is not None and scheduler:
-        raise ConfigurationError(
-            "expected a scheduler, which makes all shards, or the number of one shard, got both; "
-            "leave one out"
-        )
-    if scheduler:
-        check_scheduler(scheduler)
-
-
 def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
     """Raise ConfigurationError for a disk that is certainly too full, before hours of work."""
-    needed, free = smallest_size(recipe, _frames(recipe, missing)), free_bytes(folder)
+    electrodes = len(recipe.sensor.electrodes)
+    channels = _frames(recipe, missing) * electrodes * (electrodes - 1) // 2
+    needed, free = channels * _LEAST_BYTES_PER_CHANNEL, free_bytes(folder)
     if needed > free:
         raise ConfigurationError(
             f"the disk of {folder} has no room: expected at least {needed / 1e6:.2g} MB, got "
@@ -233,13 +228,6 @@ def _finished(
             if examined:
                 examined(count, len(wanted))
     return found
-
-
-def _all_finished(recipe: Recipe, folder: Path) -> Entries:
-    """Entries of all shards; of none, and no file is read, where a shard is absent."""
-    shards = range(recipe.shards)
-    there = all((folder / shard_name(shard)).is_file() for shard in shards)
-    return _finished(recipe, folder, shards) if there else {}
 
 
 def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None:

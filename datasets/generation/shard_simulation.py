@@ -1,8 +1,8 @@
 """Simulation of one shard: a function of the recipe and the shard's number alone."""
 
-import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,7 +30,7 @@ from eitskin.simulator.deformation.touches import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.scene.scene import Scene, Touch
+from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
 Impedance = NDArray[np.complex128]
@@ -55,29 +55,33 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     numbers = sorted({each.specimen for each in samples})
     boards = {n: _board(recipe, protocol, n, solved[n, Scene()]) for n in numbers}
 
-    def clean(each: Sample, changed: Callable[[Scene], Scene]) -> Impedance:
-        impedance = solved[each.specimen, changed(each.scene)]
-        if offsets.any() and each.after is not None:
-            moved = solved[each.specimen, changed(each.after)] - impedance
-            impedance = impedance + offsets / each.period * moved
+    def clean(each: Sample, scene: Scene, after: Scene | None) -> Impedance:
+        impedance = solved[each.specimen, scene]
+        if offsets.any() and after is not None:
+            impedance = impedance + offsets / each.period * (
+                solved[each.specimen, after] - impedance
+            )
         return impedance
 
     def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
         """Frame, and mean of its untouched reference frames, with the status of both."""
         count = recipe.reference_frames
-        untouched = clean(each, without_touches)
-        free = np.broadcast_to(untouched, (count, *untouched.shape))
-        both = np.concatenate([clean(each, _unchanged)[None], free])
+        session, _ = boards[each.specimen]
+        touched = clean(each, each.scene, each.after)
+        later = None if each.after is None else without_touches(each.after)
+        untouched = clean(each, without_touches(each.scene), later)
         rng = generator(recipe, Stream.NOISE, each.index)
         times = np.full(1 + count, each.session_time)
-        measured, status = boards[each.specimen].session.measure(both, times, rng)
+        measured, status = session.measure(np.stack([touched] + count * [untouched]), times, rng)
         return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
 
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
-    touches = [touch_columns(_held_touches(each.scene)) for each in samples]
+    held = ([touch for touch in each.scene.touches if not touch.released] for each in samples)
+    touches = [touch_columns(each) for each in held]
+    clamps = [_clamp(each.scene, specimen(recipe, each.specimen)) for each in samples]
     return Dataset.from_arrays(
         impedance[:, 0],
-        np.array([board.reference for board in boards.values()]),
+        np.array([reference for _, reference in boards.values()]),
         specimen_number=np.array(numbers),
         touch_reference=impedance[:, 1],
         status=status[:, 0],
@@ -85,7 +89,7 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         state=np.array([each.state for each in samples]),
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
-        **_clamps(recipe, samples),
+        **dict(zip(CLAMP_FIELDS, np.array(clamps).T, strict=True)),
         time=np.array([each.time for each in samples]),
         episode=np.array([each.episode for each in samples]),
         number=np.array([each.index for each in samples]),
@@ -98,13 +102,8 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     )
 
 
-def _clamps(recipe: Recipe, samples: Sequence[Sample]) -> dict[str, NDArray[np.float64]]:
-    """Columns (n,) of what the bends of clamped sensors depend on; NaN for other fixtures."""
-    rows = [_clamp(each.scene, specimen(recipe, each.specimen)) for each in samples]
-    return dict(zip(CLAMP_FIELDS, np.array(rows).T, strict=True))
-
-
 def _clamp(scene: Scene, made: Specimen) -> tuple[float, float, float, float]:
+    """Values of `CLAMP_FIELDS`, on which the bends of clamped sensors depend; else NaN."""
     if not isinstance(made.fixture, Clamp):
         return (np.nan,) * 4
     clamp = on_support(made.fixture, scene.support or made.design.support)
@@ -115,42 +114,26 @@ def _clamp(scene: Scene, made: Specimen) -> tuple[float, float, float, float]:
 
 def without_touches(scene: Scene) -> Scene:
     """Scene without touches, held or released."""
-    return dataclasses.replace(scene, touches=())
+    return replace(scene, touches=())
 
 
-def _unchanged(scene: Scene) -> Scene:
-    return scene
+def _board(
+    recipe: Recipe, protocol: Protocol, number: int, flat: Impedance
+) -> tuple[Session, Impedance]:
+    """Session of the board of specimen `number`, and what it reads of the flat sensor [ohm].
 
-
-def _held_touches(scene: Scene) -> tuple[Touch, ...]:
-    return tuple(touch for touch in scene.touches if not touch.released)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Board:
-    """Board of one specimen in its session.
-
-    Attributes:
-        session: of the instrument.
-        reference: flat, untouched sensor at the session's start, noise-free [ohm].
+    The reading, at the session's start, is free of noise; `flat` are the impedances [ohm].
     """
-
-    session: Session
-    reference: Impedance
-
-
-def _board(recipe: Recipe, protocol: Protocol, number: int, flat: Impedance) -> _Board:
-    """Board of specimen `number`, whose flat and untouched impedances are `flat` [ohm]."""
     own = instrument(recipe, number)
     full_scale = float(np.abs(flat[0]).max())
 
     def session(terms: Instrument) -> Session:
         return terms.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
 
-    still = session(dataclasses.replace(own, snr_db=0.0, floor=0.0))
+    still = session(replace(own, snr_db=0.0, floor=0.0))
     rng = generator(recipe, Stream.SESSION, number)  # not used: all noise is switched off
     (reference,), _ = still.measure(flat[None], np.zeros(1), rng)
-    return _Board(session(own), reference)
+    return session(own), reference
 
 
 def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
@@ -169,22 +152,18 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
         made, board = specimen(recipe, number), instrument(recipe, number)
         solved[number, Scene()] = flat_impedance(made, recipe, board)
         scenes = [scene for scene in distinct if scene != Scene()]
-        for tabulated, alike in _by_touch_model(made.design, scenes).items():
+        tables = [
+            is_tabulable(replace(made.design, support=scene.support or made.design.support))
+            for scene in scenes
+        ]
+        for tabulated in dict.fromkeys(tables):
+            alike = list(itertools.compress(scenes, (each == tabulated for each in tables)))
             simulator = _simulator(
                 made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
             found = simulator.measure_all(alike, instrument=board)
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
-
-
-def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool, list[Scene]]:
-    """Scenes grouped by whether presses on their support are tabulated."""
-    groups: dict[bool, list[Scene]] = {}
-    for scene in scenes:
-        supported = dataclasses.replace(design, support=scene.support or design.support)
-        groups.setdefault(is_tabulable(supported), []).append(scene)
-    return groups
 
 
 # Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the

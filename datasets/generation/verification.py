@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
@@ -60,24 +61,24 @@ def verify(
     """
     folder = Path(folder)
     damage: list[DamagedFile] = []
-    manifest = None
+    manifest, entries = None, dict[str, ShardEntry | None]()
     try:
         manifest = read_manifest(folder)
-        origin = (manifest.source, manifest.seed, manifest.recipe_sha256)
-        shards = [_Shard(folder, entry.name, entry, origin) for entry in manifest.shards]
+        entries = {entry.name: entry for entry in manifest.shards}
         damage.extend(_around(folder, manifest))
     except DataError as error:
         damage.append(DamagedFile(MANIFEST, str(error)))
-        shards = [_Shard(folder, path.name) for path in sorted(folder.glob(SHARDS))]
+        entries = {path.name: None for path in sorted(folder.glob(SHARDS))}
     sound = frames = 0
     first: Dataset | None = None
     references = SpecimenReferences()
     if watch:
-        watch(0, len(shards))
-    workers = worthwhile(workers, (folder / shard.name for shard in shards))
-    for number, (shard, found) in enumerate(run_tasks(_check, shards, workers), 1):
+        watch(0, len(entries))
+    workers = worthwhile(workers, (folder / name for name in entries))
+    task, items = partial(_check, folder, manifest), list(entries.items())
+    for number, ((name, _), found) in enumerate(run_tasks(task, items, workers), 1):
         if isinstance(found, str):
-            damage.append(DamagedFile(shard.name, found))
+            damage.append(DamagedFile(name, found))
         else:
             count, shared = found
             first = shared if first is None else first
@@ -86,39 +87,28 @@ def verify(
                 references.add(shared.specimen_number, shared.reference)
                 sound, frames = sound + 1, frames + count
             except DataError as error:
-                damage.append(DamagedFile(shard.name, str(error)))
+                damage.append(DamagedFile(name, str(error)))
         if watch:
-            watch(number, len(shards))
+            watch(number, len(entries))
     if manifest and not damage:
         note_known(manifest)
     return Verdict(sound, frames, tuple(damage))
 
 
-@dataclass(frozen=True, slots=True)
-class _Shard:
-    """Shard to be checked, with its entry in the manifest and the manifest's origin, if any."""
-
-    folder: Path
-    name: str
-    entry: ShardEntry | None = None
-    origin: tuple[str, int, str] | None = None
-
-
-def _check(shard: _Shard) -> tuple[int, Dataset] | str:
+def _check(
+    folder: Path, manifest: Manifest | None, shard: tuple[str, ShardEntry | None]
+) -> tuple[int, Dataset] | str:
     """Frames and shared data of a shard that is sound by itself; the problem of a damaged one."""
+    name, entry = shard
     try:
-        if shard.entry is None:
-            data = read_shard(shard.folder / shard.name)
-        else:
-            data = read_entry(shard.folder, shard.entry)
-            recipe = hashlib.sha256(data.recipe.encode()).hexdigest()
-            if (data.source, data.seed, recipe) != shard.origin:
-                return (
-                    f"{shard.folder / shard.name} was made from another recipe or seed than "
-                    f"{MANIFEST} says; {_REPAIR}"
-                )
+        data = read_entry(folder, entry) if entry else read_shard(folder / name)
     except DataError as error:
         return str(error)
+    origin = (data.source, data.seed, hashlib.sha256(data.recipe.encode()).hexdigest())
+    if manifest and origin != (manifest.source, manifest.seed, manifest.recipe_sha256):
+        return (
+            f"{folder / name} was made from another recipe or seed than {MANIFEST} says; {_REPAIR}"
+        )
     return len(data), data.select([])
 
 

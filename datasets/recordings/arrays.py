@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
-from eitskin.datasets.store.stored_arrays import require_stored
+from eitskin.datasets.store.shard_reader import require_stored
 from eitskin.errors import DataError
 
 _MATLAB_NUMBERS: Final = {"double", "single", "logical"} | {

@@ -52,7 +52,7 @@ def test_answers_come_back_as_they_were():
 def test_texts_and_no_objects_come_back():
     (text,) = answers("[Answer(0, {'t': np.array(['a', 'bc'])})]")
     assert text.arrays["t"].tolist() == ["a", "bc"]
-    with pytest.raises(DataError, match="allow_pickle"):
+    with pytest.raises(DataError, match="objects"):
         answers("[Answer(0, {'t': np.array([{}], dtype=object)})]")
 
 
