@@ -95,6 +95,7 @@ def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     with (
+        _one_interrupt(),
         one_thread_per_process(),
         ProcessPoolExecutor(workers, context, _end_with_parent) as pool,
     ):
@@ -111,15 +112,30 @@ def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]
         try:
             yield submit, BrokenProcessPool
         except BaseException:
-            # A second Ctrl-C would separate the pool from its workers.
-            main = threading.current_thread() is threading.main_thread()
-            before = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
             for process in set(multiprocessing.active_children()) - others:
                 process.kill()
             pool.shutdown(wait=True, cancel_futures=True)
-            if before is not None:
-                signal.signal(signal.SIGINT, before)
             raise
+
+
+@contextmanager
+def _one_interrupt() -> Iterator[None]:
+    """Let Ctrl-C be raised once; a second one would separate the pool from its workers."""
+
+    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    # Only the main thread may set a signal handler, and only the main thread is interrupted.
+    before = signal.getsignal(signal.SIGINT)
+    ours = threading.current_thread() is threading.main_thread() and callable(before)
+    if ours:
+        signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

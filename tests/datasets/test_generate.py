@@ -159,8 +159,8 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     (folder / shard_name(2)).write_bytes(sound[:4096] + bytes(4096) + sound[8192:])
     (folder / shard_name(3)).unlink()
     opened = []
-    reader = shard_reader._opened
-    monkeypatch.setattr(shard_reader, "_opened", lambda i: opened.append(i) or reader(i))
+    reader = shard_reader._read
+    monkeypatch.setattr(shard_reader, "_read", lambda i, n: opened.append(i) or reader(i, n))
     seen, reports = [], []
     generate(
         RECIPE,
