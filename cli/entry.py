@@ -7,10 +7,12 @@ import errno
 import os
 import sys
 
+EXIT_INPUT = 2  # as of `ConfigurationError`
 EXIT_UNEXPECTED = 70  # EX_SOFTWARE of sysexits.h
 EXIT_INTERRUPTED = 130
 EXIT_PARTIAL = 5  # as of `PartialError`
 _FULL = (errno.ENOSPC, errno.EDQUOT)  # of a disk; who writes files names them in other errors
+_PATHS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS)
 _QUIET = "ignore::RuntimeWarning"
 _PACKAGES = ("h5py", "msgspec", "numpy", "safetensors", "scikit-fem", "scipy", "torch")
 _LONGEST_LINE = 300  # characters; the message of an exception may quote a file
@@ -33,6 +35,12 @@ def run() -> None:
         if isinstance(error, OSError) and error.errno in _FULL:
             sys.stderr.write(f"eitskin: cannot write the output: {error.strerror}; make room\n")
             sys.exit(EXIT_PARTIAL)
+        if isinstance(error, OSError) and error.errno in _PATHS and error.filename is not None:
+            from eitskin.files import quoted
+
+            text = f"cannot use {quoted(error.filename)}: {error.strerror}; name another path"
+            sys.stderr.write(f"eitskin: {text}\n")
+            sys.exit(EXIT_INPUT)
         sys.stderr.write(describe_failure(error))
         sys.exit(EXIT_UNEXPECTED)
 

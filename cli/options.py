@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import inspect
 import json
+import math
 import re
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.simulator import Simulator
 
-Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
+Seed = Annotated[
+    int, typer.Option(min=0, help="Seed of everything random; same seed, same result.")
+]
 
 BoardOption = Annotated[
     str | None,
@@ -246,6 +249,17 @@ def _was_interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
+def _finite(data: Any) -> Any:
+    """Data with None for every number that JSON has not."""
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if isinstance(data, Mapping):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [_finite(value) for value in data]
+    return data
+
+
 @dataclass
 class Output:
     """Output of a command: the result on stdout, everything else on stderr."""
@@ -265,7 +279,7 @@ class Output:
     def result(self, data: Mapping[str, Any], shown: RenderableType) -> None:
         """Print the result: `data` with --json, else `shown`."""
         if self.as_json:
-            self.console.print_json(json.dumps(data, allow_nan=False), ensure_ascii=True)
+            self.console.print_json(json.dumps(_finite(data), allow_nan=False), ensure_ascii=True)
         elif isinstance(shown, str):  # without line breaks, which would cut a path
             self.console.print(shown, soft_wrap=True, markup=False)
         else:

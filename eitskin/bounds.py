@@ -20,6 +20,8 @@ LEAST_READING, LARGEST_READING = 1e-12, 1e12
 
 MOST_ELECTRODES, MOST_POINTS = 1024, 4096
 
+MAX_SEED = 2**63 - 1
+
 
 def require_positive(name: str, value: float, unit: str) -> None:
     """Raise ConfigurationError unless `value` is above zero, and within `LEAST` and `MOST`."""
@@ -52,6 +54,12 @@ def require_count(name: str, value: int, least: int, most: int) -> None:
     """Raise ConfigurationError unless `value` is from `least` to `most`."""
     if not least <= value <= most:
         raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")
+
+
+def require_seed(value: int) -> None:
+    """Raise ConfigurationError unless `value` may seed random numbers."""
+    if not 0 <= value <= MAX_SEED:
+        raise ConfigurationError(f"seed must be from 0 to 2^63 - 1, got {value}")
 
 
 def drawn(rng: "np.random.Generator", limits: tuple[float, float], size: int | None = None) -> Any:

@@ -23,6 +23,7 @@ from eitskin.closeable import Closeable
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.files import quoted
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Connection, Counts
 from eitskin.hardware.live import Estimate, Reading
@@ -391,4 +392,13 @@ def address_of(option: str, text: str) -> tuple[str, int]:
         raise ConfigurationError(
             f"{option} must be PORT or HOST:PORT, such as 5005 or 192.168.1.7:5005, got '{text}'"
         )
-    return host.strip("[]") or LOOPBACK, int(port)
+    host = host.strip("[]") or LOOPBACK
+    try:
+        name = host.encode("idna").decode()
+    except UnicodeError:
+        name = " "
+    if not re.fullmatch(r"[!-~]+", name):
+        raise ConfigurationError(
+            f"{option}: expected a name or number of a machine before the port, got {quoted(host)}"
+        )
+    return host, int(port)

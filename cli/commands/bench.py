@@ -1,10 +1,9 @@
 """The command group `eitskin bench`: errors and run times, written and shown alike."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
@@ -322,8 +321,7 @@ def _present(
         paths.append(leaderboard)
     files = [str(path) for path in paths]
     tables = [FigureTable(each.headings, each.rows, each.names) for each in found.tables]
-    rows = [{key: _finite(value) for key, value in row.items()} for row in found.rows]
-    data = msgspec.to_builtins(found.results) | {"rows": rows, "files": files}
+    data = msgspec.to_builtins(found.results) | {"rows": found.rows, "files": files}
     output.result(data, tables[0])
     for each in tables[1:]:
         output.show(each)
@@ -332,11 +330,6 @@ def _present(
     output.note("written: " + ", ".join(files))
     if found.failed:
         raise typer.Exit(1)
-
-
-def _finite(value: Any) -> Any:
-    """Value, None for a number that JSON has not."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _require_whole(leaderboard: Path | None, quick: bool, seed: int = 0) -> None:

@@ -1,7 +1,6 @@
 """`eitskin simulate SCENE.toml`: impedances and picture of one scene; `eitskin mesh`: its mesh."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -201,7 +200,6 @@ _TOUCH_COLUMNS = (
 
 
 def _touch_data(press: "PressedTouch") -> dict[str, Any]:
-    distance = press.neighbour_distance
     return {
         "x_m": press.touch.x,
         "y_m": press.touch.y,
@@ -213,7 +211,7 @@ def _touch_data(press: "PressedTouch") -> dict[str, Any]:
         "peak_pressure_Pa": press.peak_pressure,
         "thinning": press.thinning,
         "edge_distance_m": press.edge_distance,
-        "neighbour_distance_m": distance if math.isfinite(distance) else None,
+        "neighbour_distance_m": press.neighbour_distance,
         "signal_error": press.signal_error,
         "caution": press.caution,
     }

@@ -124,6 +124,8 @@ class ScriptedEpisode:
     @property
     def frames(self) -> int:
         """Number of frames of one episode; one beyond all bounds has more than any recipe may."""
+        if not self.period > 0.0:
+            return int(_ENDLESS)
         passed = self.repeats * self.keyframes[-1].time / self.period
         return max(1, math.ceil(min(passed, _ENDLESS) - 1e-9))
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import require_seed
 from eitskin.config import toml_table
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import (
@@ -262,6 +263,7 @@ class Dataset:
             raise ConfigurationError(
                 f"fractions must be positive and sum to one, got {tuple(fractions)}"
             )
+        require_seed(seed)
         rng = np.random.default_rng(seed)
         specimens = rng.permutation(np.unique(self.specimen))
         parts = _deal(specimens, shares)

@@ -9,6 +9,7 @@ import numpy as np
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.files import quoted
 from eitskin.hardware.ros2.messages import build_message
 
 DISCOVERY_TOPIC = "ros_discovery_info"
@@ -19,6 +20,7 @@ both, so that a domain can hold only one kind."""
 
 
 LARGEST_DOMAIN = 232  # ports of UDP above 65535 would follow
+MAX_NAME = 160  # characters of a namespace; names of topics in DDS have at most 255
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -39,10 +41,11 @@ def require_name(name: str) -> str:
     Raises ConfigurationError for a name that ROS 2 does not allow.
     """
     bare = name.strip("/")
-    if not _NAME.fullmatch(bare) or "__" in bare:
+    if not _NAME.fullmatch(bare) or "__" in bare or len(bare) > MAX_NAME:
         raise ConfigurationError(
             "expected a ROS 2 namespace of letters, digits and single underscores, in parts that "
-            f"begin with no digit, such as left_hand/skin, got '{name}'"
+            f"begin with no digit, of at most {MAX_NAME} characters, such as left_hand/skin, got "
+            f"{quoted(name)}"
         )
     return bare
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import require_seed
 from eitskin.config import read_toml, toml_table
 from eitskin.errors import ConfigurationError
 from eitskin.files import read_text
@@ -126,6 +127,7 @@ class SimulatedSensor:
         """
         self.protocol = simulator.protocol
         self.solve = lru_cache(maxsize=1024)(simulator.impedance_matrix)
+        require_seed(seed)
         self._seed = seed
         self._period = len(self.protocol) * MEASUREMENT_TIME if period is None else period
         self._instrument = instrument or Instrument.ideal()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
+from eitskin.bounds import require_seed
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.fit_parameters import (
@@ -150,6 +151,7 @@ def fit_meter(
         protocol,
         measured,
     )
+    require_seed(seed)
     coordinates = problem.minimum(np.random.default_rng(seed), starts)
     meter = problem.meter(coordinates)
     scale = problem.scale(problem.unscaled(coordinates))

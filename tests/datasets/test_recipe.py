@@ -241,7 +241,7 @@ def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
 
 
 def test_an_episode_without_end_is_refused():
-    for changes in ({"period": 1e-308}, {"repeats": 2**62}):
+    for changes in ({"period": 1e-308}, {"period": 0.0}, {"repeats": 2**62}):
         episode = ScriptedEpisode((Keyframe(0.0), Keyframe(1e300)), **changes)
         with pytest.raises(ConfigurationError, match="frames"):
             Recipe("one", episodes=(episode,))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import require_seed
 from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
@@ -170,6 +171,7 @@ class TrainingSettings:
             raise ConfigurationError(
                 f"method must be one of {', '.join(METHODS)}, got '{self.method}'"
             )
+        require_seed(self.seed)
         if self.options and self.method in ("joint", "paper"):
             raise ConfigurationError(
                 f"the method '{self.method}' has no options, got {', '.join(self.options)}; its "
