@@ -1,5 +1,6 @@
 """Bends and dents: F is the derivative of the map, volumes are kept, limits are met."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
+from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import (
@@ -17,6 +19,7 @@ from eitskin.geometry.deformation.kinematics import (
     area_ratio,
     pulled_back_entries,
 )
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Touch
 from eitskin.simulator.deformation.touches import sketched_dents
 
@@ -133,18 +136,6 @@ def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
         assert length == pytest.approx(bend.stretch * 0.040, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_impossible_angles_name_the_last_possible_one() -> None:
-    with pytest.raises(ConfigurationError, match=r"-\d+"):
-        HINGE.flexure(DESIGN, Bend(-85.0))
-    with pytest.raises(ConfigurationError, match="last possible angle") as error:
-        HINGE.flexure(DESIGN, Bend(300.0))
-    limit = float(str(error.value).split("direction is ")[1].split(" deg")[0])
-    HINGE.flexure(DESIGN, Bend(limit))
-    with pytest.raises(ConfigurationError):
-        HINGE.flexure(DESIGN, Bend(limit + 0.2))
-
-
 def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
     rng = np.random.default_rng(5)
     F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
@@ -158,28 +149,6 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
     assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: Bend(math.nan), r"angle_deg.*finite.*got nan"),
-        (lambda: Hinge(span=0.0), r"span.*got 0"),
-        (lambda: Hinge(offset=math.inf), r"offset.*inf"),
-        (lambda: Hinge(give=-0.001), r"give.*-0.001"),
-        (lambda: Hinge(transition=0.021), r"transition.*0\.02 m"),
-        (lambda: Hinge(contraction=1.1), r"contraction.*0 to 1"),
-        (lambda: FreeArc(-0.1), r"arc length.*got -0.1"),
-        (lambda: FreeArc(0.2).flexure(DESIGN, Bend(9.0)), "length"),
-        (lambda: FreeArc(0.15).flexure(DESIGN, Bend(361.0)), r"360\.0 deg"),
-        # The straight ends of a shorter arc would cross.
-        (lambda: FreeArc(0.06).flexure(DESIGN, Bend(350.0)), "last possible angle"),
-        (lambda: Displaced(lambda x: -2.0 * x).gradient(points()), "inside out"),
-    ],
-)
-def test_fixtures_and_fits_that_cannot_be_are_refused(make, says) -> None:
-    with pytest.raises(ConfigurationError, match=says):
-        make()
-
-
 def test_deformations_inside_out_are_refused() -> None:
     shrunk = Displaced(
         lambda x: -0.5 * x, lambda x: np.broadcast_to(-0.5 * np.eye(3), (*x.shape, 3))
@@ -189,3 +158,49 @@ def test_deformations_inside_out_are_refused() -> None:
     F[2, 0, 0] *= -1.0
     with pytest.raises(ConfigurationError, match="at 1 of 4 points"):
         pulled_back_entries(F)
+
+
+# The map from a nominal sensor to a specimen
+
+
+def specimen() -> SensorDesign:
+    """Reference sensor with electrodes moved along their sides, and a thicker layer."""
+    moves = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(DESIGN.electrodes)).tolist()
+    moved = [
+        dataclasses.replace(e, **({"x": e.x + by} if e.y in (0.0, 0.06) else {"y": e.y + by}))
+        for e, by in zip(DESIGN.electrodes, moves, strict=True)
+    ]
+    return dataclasses.replace(
+        DESIGN, electrodes=tuple(moved), thickness=0.0052, encapsulated_thickness=0.01248
+    )
+
+
+def test_electrodes_and_sides_come_to_lie_on_those_of_the_specimen() -> None:
+    shift = electrode_shift(DESIGN, specimen())
+    for one, other in zip(DESIGN.electrodes, specimen().electrodes, strict=True):
+        along = np.array([1.0, 0.0, 0.0] if one.y in (0.0, 0.06) else [0.0, 1.0, 0.0])
+        for way in (-0.5, 0.0, 0.5):
+            at = np.array([one.x, one.y, 0.005]) + way * one.width * along
+            expected = np.array([other.x, other.y, 0.0052]) + way * one.width * along
+            assert shift.positions(at) == pytest.approx(expected, abs=1e-12)
+    x = points()
+    assert shift.gradient(x) == pytest.approx(derivative(shift, x), abs=1e-6)
+    for axis, end in ((0, 0.0), (0, 0.15), (1, 0.0), (1, 0.06)):
+        edge = x.copy()
+        edge[:, axis] = end
+        assert shift.positions(edge)[:, axis] == pytest.approx(end, abs=1e-15)
+    assert shift.mapped(x)[0] is shift.mapped(x)[0]  # all scenes share the points
+
+
+def test_only_sensors_that_differ_by_side_electrodes_and_thickness_are_mapped() -> None:
+    first, *others = DESIGN.electrodes
+    for change in (
+        {"outline": (larger := Rectangle(0.16, 0.06)), "electrodes": uniform(larger, 8)},
+        {"electrodes": tuple(others)},
+        {"electrodes": DESIGN.electrodes[::-1]},
+        {"electrodes": (Electrode(0.05, 0.03, on="top"), *others)},
+        {"electrodes": (dataclasses.replace(first, width=0.006), *others)},
+    ):
+        assert electrode_shift(DESIGN, dataclasses.replace(DESIGN, **change)) is None
+    same = electrode_shift(DESIGN, DESIGN)
+    assert same.gradient(np.full((1, 3), 0.002)) == pytest.approx(np.eye(3)[None])

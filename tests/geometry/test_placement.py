@@ -1,4 +1,4 @@
-"""Where electrodes touch their body, and electrodes that do not fit it or each other."""
+"""Where electrodes touch their body, which of them may be neighbours, and their edges."""
 
 import math
 
@@ -41,9 +41,8 @@ def side_of(outline, count=3000):
     return s, z, np.column_stack([outline.at(s), z]), normals
 
 
-@pytest.mark.parametrize("outline", [SLAB, TRIANGLE, FORK, Disc(0.02), Disc(0.005)])
-@pytest.mark.parametrize("count", [2, 5])
-@pytest.mark.parametrize("height", [None, 0.001])
+@pytest.mark.parametrize("outline", [SLAB, TRIANGLE, FORK, Disc(0.02)])
+@pytest.mark.parametrize(("count", "height"), [(2, None), (5, 0.001)])
 def test_a_side_patch_is_its_arc_times_its_height(outline, count, height):
     pitch = outline.perimeter / count
     z = None if height is None else 0.0012
@@ -58,11 +57,8 @@ def test_a_side_patch_is_its_arc_times_its_height(outline, count, height):
         assert expected.sum() > 50
         assert np.array_equal(within(patch, points, normals), expected)
         assert patch.area == pytest.approx(0.7 * pitch * (height or THICKNESS))
-        assert patch.sheet is None
         lids = points * [1, 1, 0]
         assert not within(patch, lids, np.tile([0.0, 0.0, -1.0], (len(s), 1))).any()
-        for region in patch.regions:
-            assert np.linalg.norm(region.planes[:, :3], axis=1) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("on", ["top", "bottom"])
@@ -93,19 +89,19 @@ def test_a_sheet_inside_has_corners_and_no_regions():
     assert patch.sheet == pytest.approx(np.column_stack([expected, np.full(4, 0.001)]))
 
 
-@pytest.fixture
-def ball(tmp_path):
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
     import trimesh
 
-    trimesh.creation.icosphere(subdivisions=5, radius=0.05).export(tmp_path / "ball.stl")
-    return Surface(tmp_path / "ball.stl")
+    path = tmp_path_factory.mktemp("ball") / "ball.stl"
+    trimesh.creation.icosphere(subdivisions=5, radius=0.05).export(path)
+    return Surface(path)
 
 
-def on_ball(ball, *pads, **options):
-    return SensorDesign(ball, 0.1, pads, encapsulated_thickness=0.1, **options)
+def on_ball(ball, *pads):
+    return SensorDesign(ball, 0.1, pads, encapsulated_thickness=0.1)
 
 
-@pytest.mark.slow
 def test_a_pad_on_a_surface_covers_what_lies_under_it(ball):
     """A disc of radius a over a sphere of radius R covers a cap of 2 pi R (R - sqrt(R2 - a2))."""
     R, a = 0.05, 0.02
@@ -119,8 +115,6 @@ def test_a_pad_on_a_surface_covers_what_lies_under_it(ball):
     # The 32 sides and the facets of the sphere make up for the rest.
     assert first.area == pytest.approx(cap, rel=2e-3)
     assert 1.0 < second.area / (0.01 * 0.02) < 1.05
-    (region,) = first.regions
-    assert region.normal == pytest.approx([1, 0, 0], abs=1e-3)
     assert within(first, np.array([[R, 0, 0], [R * 0.95, 0, 0.015]]), np.eye(3)[[0, 0]]).all()
     assert not within(first, np.array([[-R, 0, 0], [R * 0.9, 0, 0.021]]), -np.eye(3)[[0, 0]]).any()
 
@@ -132,91 +126,8 @@ def test_width_on_a_surface_is_horizontal_as_on_the_side_and_along_x_on_top(ball
     for patch in design.patches():
         (region,) = patch.regions
         room = region.planes[:, 3] - region.planes[:, :3] @ (0.05 * region.normal)
-        wide = np.abs(region.planes[np.abs(room - 0.005) < 1e-4, :3]).max(axis=0)
-        extents.append(wide)
+        extents.append(np.abs(region.planes[np.abs(room - 0.005) < 1e-4, :3]).max(axis=0))
     assert np.array(extents) == pytest.approx(np.eye(3)[[1, 0, 0]], abs=2e-2)
-
-
-# Edges
-
-
-def test_edges_have_both_ends_however_wide_the_spacing():
-    round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
-    pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
-    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=1.0)
-    corners = [(x, y, THICKNESS) for x in (0.025, 0.035) for y in (0.015, 0.035)]
-    corners += [(x, y, z) for x, y in ((0, 0.007), (0, 0), (0.003, 0)) for z in (0.001, 0.003)]
-    assert {tuple(p) for p in (edges + 0.0).round(9).tolist()} == set(corners)
-
-
-def test_edges_run_around_what_lies_within_a_face(ball):
-    part = Electrode(0.03, 0.0, height=0.002, z=0.002)
-    standing = Electrode(0.06, 0.0, height=0.002, z=0.001)
-    pad = Electrode(0.03, 0.025, 0.01, on="top", shape="round")
-    edges = SensorDesign(SLAB, THICKNESS, (part, standing, pad)).edges(spacing=2e-4)
-    x, y, z = edges.T
-    upright = y == 0.0
-    for at, heights in ((0.03, [0.001, 0.003]), (0.06, [0.002])):
-        under = upright & (np.abs(x - at) < 0.002)
-        assert np.unique(z[under].round(9)) == pytest.approx(heights)
-        assert np.diff(np.sort(x[under & np.isclose(z, heights[0])])).max() <= 2e-4 * 1.001
-    assert z[~upright] == pytest.approx(THICKNESS)
-    assert np.hypot(x - 0.03, y - 0.025)[~upright] == pytest.approx(0.005, rel=0.005)
-    cap = on_ball(ball, *(Electrode(x, 0, 0.01, z=0.0, on="surface") for x in (-0.05, 0.05)))
-    assert np.linalg.norm(cap.edges(), axis=1) == pytest.approx(0.05, rel=0.02)
-
-
-# Refusals
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"width": 5.0e3}, r"electrode width.*1 um and 10 m"),
-        ({"width": 0.0}, r"electrode width.*positive"),
-        ({"height": -1.0}, r"electrode height.*positive"),
-        ({"x": float("nan")}, "electrode position must be within 10 m"),
-        ({"y": -1e308}, "electrode position must be within 10 m"),
-        ({"z": float("inf"), "on": "inside"}, "electrode position must be within 10 m"),
-        ({"on": "rim"}, r"electrode on.*'side', 'top', .*'rim'"),
-        ({"shape": "oval"}, r"electrode shape.*'rectangle', 'round'.*'oval'"),
-        ({"shape": "round"}, r"side.*rectangle"),
-        ({"z": 0.001}, r"height.*leave out z"),
-        ({"on": "top", "z": 0.001}, r"height.*top"),
-        ({"on": "inside"}, r'"inside".*height z'),
-        ({"on": "surface"}, r'"surface".*height z'),
-        ({"contact_impedance": 0.0}, "positive real part"),
-        ({"contact_impedance": -1e-3 + 1e-3j}, "positive real part"),
-        ({"contact_impedance": complex(1e-3, math.inf)}, "positive real part"),
-        ({"contact_impedance": float("nan")}, "positive real part"),
-        ({"contact_impedance": 1e-11}, r"1e-10 and 1e[+]06.*1e-11"),
-        ({"contact_impedance": 1 + 2e6j}, "in magnitude, got 2e[+]06"),
-    ],
-)
-def test_electrodes_that_cannot_be_are_refused(changes, message):
-    with pytest.raises(ConfigurationError, match=message):
-        Electrode(**{"x": 0.01, "y": 0.0, **changes})
-
-
-FAR = Electrode(0.1, 0.025)
-
-
-@pytest.mark.parametrize(
-    ("electrode", "message"),
-    [
-        (Electrode(0.06, 0.0, z=0.0, on="surface"), r"0.01 m off the surface.*\(0.05, "),
-        (Electrode(0.05, 0.0, 0.096, z=0.0, on="surface"), "% of its pad"),
-        (Electrode(0.05, 0.0), r'"side".*Surface'),
-        (Electrode(0.05, 0.0, on="top"), r'"top".*Surface'),
-    ],
-)
-def test_electrodes_off_a_surface_and_other_heights_are_refused(ball, electrode, message):
-    other = Electrode(-0.05, 0.0, z=0.0, on="surface")
-    with pytest.raises(ConfigurationError, match=message):
-        on_ball(ball, electrode, other)
-    pads = (Electrode(0.05, 0.0, z=0.0, on="surface"), other)
-    with pytest.raises(ConfigurationError, match=r"height.*0\.1000?0*1?5?.*0.09"):
-        SensorDesign(ball, 0.09, pads, encapsulated_thickness=0.1)
 
 
 def test_pads_on_a_surface_are_kept_apart(ball):
@@ -230,47 +141,31 @@ def test_pads_on_a_surface_are_kept_apart(ball):
         on_ball(ball, first, overlaps)
 
 
-def part(x, z, height=0.001):
-    return Electrode(x, 0.0, height=height, z=z)
+def test_edges_have_both_ends_however_wide_the_spacing():
+    round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
+    pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
+    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=1.0)
+    corners = [(x, y, THICKNESS) for x in (0.025, 0.035) for y in (0.015, 0.035)]
+    corners += [(x, y, z) for x, y in ((0, 0.007), (0, 0), (0.003, 0)) for z in (0.001, 0.003)]
+    assert {tuple(p) for p in (edges + 0.0).round(9).tolist()} == set(corners)
 
 
-PADS = [Electrode(x, 0.02, on="top") for x in (0.02, 0.023)]
-SHEETS = [Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)]
+def test_edges_run_around_what_lies_within_a_face():
+    part = Electrode(0.03, 0.0, height=0.002, z=0.002)
+    standing = Electrode(0.06, 0.0, height=0.002, z=0.001)
+    pad = Electrode(0.03, 0.025, 0.01, on="top", shape="round")
+    x, y, z = SensorDesign(SLAB, THICKNESS, (part, standing, pad)).edges(spacing=2e-4).T
+    upright = y == 0.0
+    for at, heights in ((0.03, [0.001, 0.003]), (0.06, [0.002])):
+        under = upright & (np.abs(x - at) < 0.002)
+        assert np.unique(z[under].round(9)) == pytest.approx(heights)
+        assert np.diff(np.sort(x[under & np.isclose(z, heights[0])])).max() <= 2e-4 * 1.001
+    assert z[~upright] == pytest.approx(THICKNESS)
+    assert np.hypot(x - 0.03, y - 0.025)[~upright] == pytest.approx(0.005, rel=0.005)
 
 
-@pytest.mark.parametrize(
-    ("electrodes", "message"),
-    [
-        ((Electrode(0.02, 0.01), FAR), r"electrode 0.*\(0.02, 0.01\) m .*0.01 m"),
-        ((Electrode(0.02, 0.0, 0.4), FAR), r"0.4 m .*0.3 m"),
-        (
-            (Electrode(0.02, 0.0, height=0.005), FAR),
-            "from z = -0.0005 to 0.0045 m, beyond .* 0.004",
-        ),
-        ((part(0.02, 0.0035, 0.002), FAR), "from z = 0.0025 to 0.0045 m, beyond"),
-        ((Electrode(0.02, 0.01, z=0.004, on="inside"), FAR), r"above 0 .*below 0.004 m.*0.004"),
-        ((Electrode(0.02, 0.01, z=0.0, on="inside"), FAR), 'on = "top" or "bottom"'),
-        ((Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
-        ((Electrode(0.3, 0.01, on="bottom"), FAR), "0.2025 m beyond"),
-        ((Electrode(0.0, 0.0, z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
-        ((Electrode(0.02, 0.0), Electrode(0.022, 0.0)), r"0 and 1 .*3 mm"),
-        ((FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
-        ((Electrode(0.001, 0.0), Electrode(0.0, 0.002)), r"0 and 1 .*2 mm"),
-        ((part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
-        (PADS, r"overlap.*2 mm"),
-        (SHEETS, r"overlap.*1 mm"),
-        ((Electrode(0.02, 0.0),), r"electrodes.*2 to 1024.*1"),
-        ((), "from 2 to 1024, got 0"),
-    ],
-)
-def test_electrodes_off_their_body_overlapping_or_missing_are_refused(electrodes, message):
-    with pytest.raises(ConfigurationError, match=message):
-        SensorDesign(SLAB, THICKNESS, tuple(electrodes))
-
-
-def test_pads_over_the_gap_of_a_fork_are_refused():
-    with pytest.raises(ConfigurationError, match="m beyond"):
-        SensorDesign(FORK, THICKNESS, (Electrode(0.0035, 0.03, 0.0065, on="top"), FAR))
+def part(x, z):
+    return Electrode(x, 0.0, height=0.001, z=z)
 
 
 @pytest.mark.parametrize(
@@ -282,8 +177,6 @@ def test_pads_over_the_gap_of_a_fork_are_refused():
         (Electrode(0.02, 0.02, on="top"), Electrode(0.02, 0.02, on="bottom")),
         (Electrode(0.02, 0.0025, on="top"), Electrode(0.02, 0.0)),
         [Electrode(0.02, 0.02, z=z, on="inside") for z in (0.001, 0.002)],
-        [Electrode(0.02, y, on="top", shape="round") for y in (0.02, 0.02502)],
-        [Electrode(0.02 + d, 0.02 + d, on="top", shape="round") for d in (0, 0.0036)],
     ],
 )
 def test_electrodes_may_touch_or_lie_over_each_other(electrodes):
@@ -293,8 +186,7 @@ def test_electrodes_may_touch_or_lie_over_each_other(electrodes):
 SIZES = st.floats(0.004, 0.02)
 
 
-@pytest.mark.slow
-@settings(max_examples=60, derandomize=True, deadline=None, database=None)
+@settings(max_examples=40, derandomize=True, deadline=None, database=None)
 @given(st.lists(SIZES, min_size=4, max_size=4), st.floats(0, 6.3), st.floats(0.0, 0.02))
 def test_pads_overlap_where_a_place_is_in_both(sizes, turn, apart):
     """Ellipses, as polygons, against many places tried one by one."""
@@ -302,7 +194,7 @@ def test_pads_overlap_where_a_place_is_in_both(sizes, turn, apart):
     first = Electrode(0.05, 0.025, sizes[0], height=sizes[1], on="top", shape="round")
     second = Electrode(x, y, sizes[2], height=sizes[3], on="top", shape="round")
     assume(0.01 < y < 0.04)
-    places = np.random.default_rng(0).uniform(-1, 1, size=(4000, 2)) * [0.01, 0.01]
+    places = np.random.default_rng(0).uniform(-0.01, 0.01, size=(4000, 2))
     common = [
         np.hypot((places[:, 0] + 0.05 - e.x) / e.width, (places[:, 1] + 0.025 - e.y) / e.height)
         for e in (first, second)
