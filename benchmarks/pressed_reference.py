@@ -300,7 +300,7 @@ def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[flo
     for part in (np.arange(1, _STEPS + 1) / _STEPS) ** 1.5:
         found = press.to_force(part * force)
     pressure = press.contact.nominal_pressure(press.unknowns).ravel()
-    r = press.contact.points[..., 0].ravel()
+    r = press.contact.face.points[..., 0].ravel()
     order = np.argsort(r)
     last = np.flatnonzero(pressure[order] > 0.0)[-1]
     radius = 1e3 * float(r[order][last : last + 2].mean())

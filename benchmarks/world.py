@@ -25,8 +25,8 @@ from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Su
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.deformation.dents import Dents, PlacedDent
+from eitskin.simulator.deformation.finite_stack import solved_presses
 from eitskin.simulator.deformation.press_table import press_table
-from eitskin.simulator.deformation.solved_press import solved_presses
 from eitskin.simulator.deformation.touches import (
     PressedSensor,
     TouchModel,

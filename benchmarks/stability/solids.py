@@ -215,7 +215,7 @@ def _pressed_stack(
     bent, frame, normal = None, None, np.array([0.0, 0.0, 1.0])
     if angle:
         bent = bend_table.equilibrium(design, Clamp(), mechanics, Bend(angle))
-        frame = ContactFrame.at(bent, *_PLACE, stack.levels[-1] - stack.levels[stack.gel])
+        frame = ContactFrame.at(bent, *_PLACE, stack)
         normal = frame.normal
     solved = FiniteStack(body, bent=bent)
     found = solved.correction([DentField(*_PLACE, punch, dent, frame)])

@@ -3,14 +3,11 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy.sparse import block_array, csc_array, eye_array, kron
-from skfem.models.poisson import mass
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Clamp
@@ -19,24 +16,17 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.box_fields import CornerField, QuadraticField
+from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.load_stepping import (
-    ForceTerm,
-    LinearSprings,
-    Load,
-    SolidError,
-    follow,
-    newton,
-)
+from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
+from eitskin.simulator.mechanics.turning_plates import TurningPlates, plate_rotation, turned
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
 _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
-_NEIGHBOURS = 4  # solved angles that give the first guess of another
-_TOLERANCE = 5e-4  # of Newton's last correction; errors of its square are far below the mesh's
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +85,10 @@ class BentStack(Deformation):
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions, and gradients that jump between cells of the mesh, slightly."""
         place, sides, solved = self._quarter(points)
-        turned = _turned(place, self._half_angle, self.offset)
-        moved = np.where(solved[..., None], place + self.displacement(place), turned)
+        beyond = turned(place, self._half_angle, np.array([0.0, 0.0, -self.offset]))
+        moved = np.where(solved[..., None], place + self.displacement(place), beyond)
         F = np.eye(3) + self.displacement.derivative(place)
-        F = np.where(solved[..., None, None], F, _rotation(self._half_angle))
+        F = np.where(solved[..., None, None], F, plate_rotation(self._half_angle))
         return self.centre + sides * moved, sides[..., :, None] * F * sides[..., None, :]
 
     def mean_stress(self, points: Points) -> Array:
@@ -177,14 +167,7 @@ class ClampedStack:
         self.solid = self._meshed()
         x, y, z = self.half_sizes.tolist()
         self._centre = (x, y, z)
-        self._held, self._fixed = self._supports()
-        self._terms: tuple[ForceTerm, ...] = (self.solid,)
-        self._bond = self._bonded()
-        if self._bond:
-            self._terms = (self.solid, self._bond)
-        self._eliminate = self.solid.elimination(self._fixed)
-        # Without strain, Newton's relative tolerance has no scale: flat is not solved.
-        self._solved = {0.0: np.zeros(self.solid.unknowns)}
+        self._plates = self._supported()
 
     def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
         """Equilibria at angles [deg], each from the nearest ones solved before.
@@ -192,37 +175,7 @@ class ClampedStack:
         Raises SolidError, naming the angle reached, where no stable equilibrium is found.
         """
         for angle in angles_deg:
-            if angle not in self._solved:
-                self._solved[angle] = self._equilibrium(angle)
-            yield self._result(angle, self._solved[angle])
-
-    def _equilibrium(self, angle: float) -> Array:
-        """Equilibrium from the polynomial through solved neighbours, or by load stepping."""
-        near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
-        if len(near) > 1:
-            weights = (
-                math.prod((angle - other) / (one - other) for other in near if other != one)
-                for one in near
-            )
-            guess = sum(w * self._solved[one] for w, one in zip(weights, near, strict=True))
-            load = self._between(0.0, angle, 1.0)
-            if self.solid.admissible(np.asarray(guess)):
-                try:
-                    return newton(self._terms, np.asarray(guess), load, self._eliminate, _TOLERANCE)
-                except SolidError:
-                    pass  # load stepping may find a way where the polynomial does not
-        return self._followed(self._solved[near[0]], near[0], angle)
-
-    def _followed(self, x: Array, before: float, angle: float) -> Array:
-        try:
-            path = partial(self._between, before, angle)
-            return follow(self._terms, x, path, factorise=self._eliminate)[0]
-        except SolidError as error:
-            reached = before + error.reached * (angle - before)
-            raise SolidError(
-                f"the clamped stack was bent to {reached:.1f} deg of {angle:g} deg: {error}",
-                error.reached,
-            ) from error
+            yield self._result(angle, self._plates.equilibrium(angle))
 
     def _meshed(self) -> Solid:
         mesh = skfem.MeshHex.init_tensor(*self.lines)
@@ -239,55 +192,36 @@ class ClampedStack:
         held: NDArray[np.bool_] = face & (x[0] > 0.5 * self._clamp.span - _SAME)
         return held
 
-    def _supports(self) -> tuple[Indices, Indices]:
-        """Nodes that move with the plate, and numbers of all prescribed unknowns."""
-        X = self.solid.nodes
+    def _supported(self) -> TurningPlates:
+        """Plate of the quarter; where it is compliant, the bond has traction = gap / compliance."""
+        solid, compliance = self.solid, self._clamp.compliance
+        X = solid.nodes
         end = X[:, 0] > self.lines[0][-1] - _SAME if self._truncated else np.zeros(len(X), bool)
         plate = self._on_plate(X.T)
-        prescribed = np.flatnonzero(end if self._clamp.compliance else plate | end)
+        prescribed = np.flatnonzero(end if compliance else plate | end)
         moved = (3 * prescribed[:, None] + np.arange(3)).ravel()
         mirrored = [3 * np.flatnonzero(X[:, axis] < _SAME) + axis for axis in (0, 1)]
-        return np.flatnonzero(plate | end), np.unique(np.concatenate([moved, *mirrored]))
-
-    def _bonded(self) -> LinearSprings | None:
-        """Springs between faces and plates, traction = gap / compliance; None for a rigid bond."""
-        if not self._clamp.compliance:
-            return None
-        solid = self.solid
-        facets = solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
-        faces = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=4)
-        scalar = csc_array(skfem.asm(mass, faces)) / self._clamp.compliance
-        rest = csc_array((solid.multipliers, solid.multipliers))
-        springs = kron(scalar, eye_array(solid.dim))
-        return LinearSprings(csc_array(block_array([[springs, None], [None, rest]])))
-
-    def _moved(self, angle_deg: float) -> Array:
-        """Displacements (unknowns,) of the plates, at the nodes that they hold."""
-        X, moved = self.solid.nodes[self._held], np.zeros(self.solid.unknowns)
-        turned = _turned(X, 0.5 * math.radians(angle_deg), self._clamp.offset)
-        self.solid.displacement(moved)[self._held] = turned - X
-        return moved
-
-    def _between(self, before: float, after: float, t: float) -> Load:
-        """Load at the fraction t between two angles [deg]."""
-        moved = self._moved(before + t * (after - before))
-        forces = self._bond.forces(moved) if self._bond else np.zeros_like(moved)
-        return Load(self._fixed, moved[self._fixed], forces)
+        fixed = np.unique(np.concatenate([moved, *mirrored]))
+        bond = None
+        if compliance:
+            facets = solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
+            springs = np.eye(3) / compliance
+            bond = LinearSprings(Face(solid, facets, 4).stiffness(springs, solid.unknowns))
+        held, axis = np.flatnonzero(plate | end), np.array([0.0, 0.0, -self._clamp.offset])
+        return TurningPlates(solid, {1.0: held}, axis, fixed, bond)
 
     def _result(self, angle_deg: float, x: Array) -> BentStack:
-        solid, held, offset = self.solid, self._held, self._clamp.offset
-        u, moved = solid.displacement(x), self._moved(angle_deg)
-        f = solid.displacement(solid.forces(x))[held]
-        arm = solid.nodes[held] + solid.displacement(moved)[held] + np.array([0.0, 0.0, offset])
-        moment = float(np.sum(arm[:, 2] * f[:, 0] - arm[:, 0] * f[:, 2]))
+        solid = self.solid
         order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
         shape = tuple(2 * len(line) - 1 for line in self.lines)
-        values = QuadraticField(self.lines, u[order].reshape(*shape, 3))
-        energy = solid.energy(x) + (self._bond.energy(moved - x) if self._bond else 0.0)
-        # A plate holds two of the four quarters.
-        pressure = CornerField.of(solid.mesh, self.lines, solid.cell_mean_stress(x))
         return BentStack(
-            angle_deg, values, pressure, self._centre, offset, 4.0 * energy, 2.0 * moment
+            angle_deg,
+            QuadraticField(self.lines, solid.displacement(x)[order].reshape(*shape, 3)),
+            CornerField.of(solid.mesh, self.lines, solid.cell_mean_stress(x)),
+            self._centre,
+            self._clamp.offset,
+            4.0 * self._plates.energy(angle_deg),  # of four quarters
+            4.0 * self._plates.moment(angle_deg),
         )
 
 
@@ -341,16 +275,3 @@ def _heights(gel: float, stack: float, grading: Grading, faces: Literal["both", 
     free = np.linspace(0.0, around, layers + 1)
     above = held if faces == "both" else free
     return np.concatenate([held[:-1] - stack, even, (stack - above[:-1])[::-1]])
-
-
-def _rotation(angle: float) -> Array:
-    """Rotation of the plate at x > 0 by an angle [rad], downwards for positive angles."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-
-
-def _turned(points: Array, angle: float, offset: float) -> Array:
-    """Points rotated about the axis of the plates by an angle [rad]."""
-    axis = np.array([0.0, 0.0, -offset])
-    turned: Array = (points - axis) @ _rotation(angle).T + axis
-    return turned

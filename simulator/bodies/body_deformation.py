@@ -3,18 +3,19 @@
 import hashlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, fields, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.bodies.clamped_body import BentBody, ClampedBody
+from eitskin.simulator.bodies.clamped_body import ClampedBody
 from eitskin.simulator.bodies.pressed_body import (
     MOST_TOUCHES,
     BodyPress,
@@ -29,17 +30,8 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import PressedTouch, Touch, neighbour_distance
 
 # Version of the solutions: raise it whenever bodies are meshed or solved in another way.
-_VERSION = 1
+_VERSION = 2
 _MAX_KEPT = 16  # solutions in memory, each of some megabytes
-
-
-@dataclass(frozen=True, slots=True)
-class BodyTouch:
-    """Touch of a body without history: position, indenter, and force [N] or depth [m]."""
-
-    touch: Touch
-    force: float | None
-    depth: float | None
 
 
 def bent_by(
@@ -61,30 +53,30 @@ def bent_by(
         )
     span, offset, angle = fixture.span, fixture.offset, bend.angle_deg
 
-    def solve() -> BentBody:
-        (bent,) = _clamped(design, span, offset, mechanics).equilibria([angle])
-        return bent
+    def solve() -> Arrays:
+        return _field_arrays(_clamped(design, span, offset, mechanics).bent(angle))
 
     field, _ = _loaded(_problem("bend", design, mechanics, [span, offset, angle], solve))
     return field
 
 
 def pressed_body(
-    design: SensorDesign, touches: tuple[BodyTouch, ...], mechanics: Mechanics
+    design: SensorDesign, touches: tuple[Touch, ...], mechanics: Mechanics
 ) -> PressedBody:
-    """Body under touches; the first time takes a minute or more.
+    """Body under touches without history; the first time takes a minute or more.
 
     Raises SolidError, with the fraction of the load that was carried, where no stable equilibrium
     is found.
     """
 
-    def solve() -> PressedBody:
-        press = BodyPress(design, [each.touch for each in touches], mechanics)
-        return press.equilibrium([t.force for t in touches], [t.depth for t in touches])
+    def solve() -> Arrays:
+        solved = BodyPress(design, touches, mechanics).equilibrium()
+        numbers = {f.name: getattr(solved, f.name) for f in fields(solved) if f.name != "field"}
+        return numbers | _field_arrays(solved.field)
 
     described = [
-        [each.touch.x, each.touch.y, each.force, each.depth, indenter_samples(each.touch.indenter)]
-        for each in touches
+        [t.x, t.y, t.force if t.depth is None else None, t.depth, indenter_samples(t.indenter)]
+        for t in touches
     ]
     field, numbers = _loaded(_problem("press", design, mechanics, described, solve))
     return PressedBody(field=field, **numbers)
@@ -100,7 +92,7 @@ def _problem(
     design: SensorDesign,
     mechanics: Mechanics,
     loads: Sequence[Any],
-    solve: Callable[[], BentBody | PressedBody],
+    solve: Callable[[], Arrays],
 ) -> Problem:
     """Solution of a body under loads."""
     points, faces = surface_of(design).triangles()
@@ -113,22 +105,19 @@ def _problem(
         "loads": loads,
     }
 
-    def arrays(_: object) -> Arrays:
-        solved = solve()
-        numbers = {f.name: getattr(solved, f.name) for f in fields(solved) if f.name != "field"}
-        of_field = {f"field {f.name}": getattr(solved.field, f.name) for f in fields(solved.field)}
-        return {name: np.asarray(value) for name, value in (numbers | of_field).items()}
+    return Problem("body", described, lambda _: solve())
 
-    return Problem("body", described, arrays)
+
+def _field_arrays(field: TetrahedralField) -> Arrays:
+    return {f"field {f.name}": getattr(field, f.name) for f in fields(field)}
 
 
 @lru_cache(maxsize=_MAX_KEPT)
-def _loaded(problem: Problem) -> tuple[TetrahedralField, dict[str, Any]]:
+def _loaded(problem: Problem) -> tuple[TetrahedralField, Arrays]:
     """Field and numbers of a solution."""
     arrays = load_or_solve(problem)
     field = {f.name: arrays.pop(f"field {f.name}") for f in fields(TetrahedralField)}
-    numbers = {name: a if a.ndim else float(a) for name, a in arrays.items()}
-    return TetrahedralField(**field), numbers
+    return TetrahedralField(**field), arrays
 
 
 def pressed_by(
@@ -139,8 +128,8 @@ def pressed_by(
     A body that creeps under a force has the shape of an elastic one under a greater force, as the
     slabs of `viscoelasticity` have; a fading dent is that of a smaller one.
     """
-    felt = [one for one in _loads(touches, design, mechanics) if one.force is None or one.force > 0]
-    return pressed_body(design, tuple(felt), mechanics) if felt else None
+    felt = tuple(one for one in _elastic(touches, design, mechanics) if one is not None)
+    return pressed_body(design, felt, mechanics) if felt else None
 
 
 def pressed_body_touches(
@@ -148,7 +137,7 @@ def pressed_body_touches(
 ) -> tuple[PressedTouch, ...]:
     """Depth, contact and pressure of each touch on a body."""
     solved = pressed_by(touches, design, mechanics)
-    felt = [one.force is None or one.force > 0 for one in _loads(touches, design, mechanics)]
+    felt = [one is not None for one in _elastic(touches, design, mechanics)]
     rows = iter(range(sum(felt)))
     return tuple(
         _result(touch, touches, mechanics, solved, next(rows) if there else None)
@@ -166,32 +155,29 @@ def require_pressable(surface: Surface, touches: tuple[Touch, ...]) -> None:
         require_above(surface, touch)
 
 
-def _loads(
+def _elastic(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
-) -> list[BodyTouch]:
-    """Elastic force, or depth, of each touch; forces of 0 where a dent has faded."""
+) -> list[Touch | None]:
+    """Touches without history that leave the dents of the given ones; None for faded dents."""
     prony = mechanics.gel_relaxation
-    plain = [replace(Touch(t.x, t.y), indenter=t.indenter) for t in touches]
-    loads = []
-    for touch, place in zip(touches, plain, strict=True):
-        force: float | None = touch.force if touch.depth is None else None
-        if touch.depth is None and touch.held is not None:
-            force = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
-        loads.append(BodyTouch(place, force, touch.depth))
-    if not any(t.depth is not None and t.released for t in touches):
-        return loads
-    # A depth that was released leaves the dent of a force, which follows from the first moment.
-    first = [
-        BodyTouch(place, None if t.depth is not None else t.force, t.depth)
-        for place, t in zip(plain, touches, strict=True)
-    ]
-    forces = pressed_body(design, tuple(first), mechanics).forces
-    for k, touch in enumerate(touches):
+    first = [replace(touch, held=None, released=0.0) for touch in touches]
+    pushed: NDArray[np.float64] | None = None  # forces at the first moment
+    found: list[Touch | None] = []
+    for k, (touch, one) in enumerate(zip(touches, first, strict=True)):
+        force = touch.force
         if touch.depth is not None and touch.released:
-            held = touch.held or 0.0
-            left = relaxation.elastic_force_at_depth(prony, float(forces[k]), held, touch.released)
-            loads[k] = BodyTouch(plain[k], left, None)
-    return loads
+            # A depth that was released leaves the dent of a force, after the first moment's.
+            if pushed is None:
+                pushed = pressed_body(design, tuple(first), mechanics).forces
+            lasted = touch.held or 0.0, touch.released
+            force = relaxation.elastic_force_at_depth(prony, float(pushed[k]), *lasted)
+        elif touch.depth is None and touch.held is not None:
+            force = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
+        if touch.depth is not None and not touch.released:
+            found.append(one)
+        else:
+            found.append(replace(one, depth=None, force=force) if force > 0.0 else None)
+    return found
 
 
 def _result(

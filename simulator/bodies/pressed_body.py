@@ -1,8 +1,9 @@
 """Presses on a body of any shape on a rigid base."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from eitskin.simulator.bodies.tetrahedral_solid import (
     surface_of,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.scene import Touch
 
@@ -35,7 +36,7 @@ _CONTACT_STIFFNESS = 500.0
 _FIRST_RADIUS, _FIRST_POINTS = 0.4, 12  # of the contact at the start, in radii of the indenter
 _SHALLOW = 0.02  # depth of the first presses, over the radius of the indenter
 _STARTS = 4  # attempts at the first presses, each half as deep
-_FIRST_STEP, _SMALLEST_STEP = 0.15, 0.005
+_FIRST_STEP, _REMEDY = 0.15, "Press it less, or with a larger indenter"
 _NEAR = 2.0  # radii of an indenter within which the body may touch it
 _UPWARD = 0.05  # least upward part of the normals of faces that an indenter may touch
 # Boundary within these parts of the body's height from its lowest point rests on the base: where
@@ -56,9 +57,6 @@ class PressedBody:
         contact_areas: on the deformed face [m2].
         peak_pressures: on the deformed face, at the quadrature points [Pa].
         thinnings: 1 - height over undeformed height of the body on each axis.
-        energy: strain energy and penalty energy of the contacts [J].
-        base_force: vertical force of the base on the body [N].
-        volume_ratio: deformed over undeformed volume.
     """
 
     field: TetrahedralField
@@ -67,9 +65,6 @@ class PressedBody:
     contact_areas: Array
     peak_pressures: Array
     thinnings: Array
-    energy: float
-    base_force: float
-    volume_ratio: float
 
 
 class BodyPress:
@@ -81,7 +76,7 @@ class BodyPress:
 
     Attributes:
         body: the meshed body.
-        touches: the indenters, by their positions; their loads are given to `equilibrium`.
+        touches: the indenters, with a force or a depth each, held and releases left out.
     """
 
     def __init__(
@@ -123,10 +118,8 @@ class BodyPress:
         self._fixed: Indices = np.sort((3 * base[:, None] + np.arange(3)).ravel())
         self._contacts = [self._contact(number) for number in range(len(self.touches))]
 
-    def equilibrium(
-        self, forces: Sequence[float | None], depths: Sequence[float | None]
-    ) -> PressedBody:
-        """Equilibrium under a force [N] or at a depth [m] of each indenter, by load stepping.
+    def equilibrium(self) -> PressedBody:
+        """Equilibrium under the force [N] or at the depth [m] of each touch, by load stepping.
 
         Loads rise together from shallow presses, which are solved by their depths: without contact
         nothing holds an indenter under a force.
@@ -134,91 +127,50 @@ class BodyPress:
         Raises SolidError, with the fraction of the load that was carried, where no stable
         equilibrium is found.
         """
-        unknowns = self.body.solid.unknowns
-        x, shallow = self._started(depths)
+        deep = np.array([np.nan if t.depth is None else t.depth for t in self.touches])
+        held, final = np.isfinite(deep), np.array([t.force for t in self.touches])
+        x, shallow = self._started(deep)
         contacts = [contact.advanced(x) for contact in self._contacts]
         carried = np.array([contact.force(x) for contact in contacts])
-        held = np.array([depth is not None for depth in depths])
-        final = np.where(held, 0.0, [force or 0.0 for force in forces])
-        deep = np.where(held, [depth or 0.0 for depth in depths], 0.0)
 
-        def load(t: float) -> Load:
-            dead = np.zeros_like(x)
-            dead[unknowns:] = np.where(held, 0.0, carried + t * (final - carried))
-            given = (shallow + t * (deep - shallow))[held]
-            return Load(self._all_fixed(held), self._fixed_values(given), dead)
+        def path(t: float) -> Load:
+            forces = np.where(held, 0.0, carried + t * (final - carried))
+            return self._load(held, shallow + t * (deep - shallow), forces)
 
-        return self._result(*self._load_stepped(x, contacts, load))
+        terms = self.body.solid, *contacts
+        x, (_, *balanced) = follow(terms, x, path, _FIRST_STEP, remedy=_REMEDY)
+        return self._result(x, [cast("PenaltyContact", contact) for contact in balanced])
 
-    def _started(self, depths: Sequence[float | None]) -> tuple[Array, Array]:
-        """Unknowns of shallow presses, and their depths (touches,) [m].
+    def _started(self, deep: Array) -> tuple[Array, Array]:
+        """Unknowns of shallow presses, and their depths (touches,) [m]; `deep` are those wanted.
 
         They are made shallower, down to mere contact, where cells turn inside out.
         """
-        unknowns = self.body.solid.unknowns
-        every = np.ones(len(self.touches), dtype=bool)
-        terms: list[ForceTerm] = [self.body.solid, *self._contacts]
+        terms = self.body.solid, *self._contacts
+        radii = np.array([touch.indenter.rims[1] for touch in self.touches])
+        touching = np.array(
+            [
+                contact.depth_touching(_FIRST_RADIUS * radius, _FIRST_POINTS)
+                for contact, radius in zip(self._contacts, radii, strict=True)
+            ]
+        )
         failed = SolidError("no shallow press was tried", 0.0)
         for part in 0.5 ** np.arange(_STARTS):
-            shallow = np.array(
-                [
-                    min(self._shallow(k, float(part)), 0.5 * (np.inf if depth is None else depth))
-                    for k, depth in enumerate(depths)
-                ]
-            )
-            x = np.zeros(unknowns + len(self.touches))
-            x[unknowns:] = shallow
-            start = Load(self._all_fixed(every), self._fixed_values(shallow), np.zeros_like(x))
-            factorise = self.body.solid.elimination(start.fixed, len(self.touches))
+            shallow = np.fmin(touching + part * _SHALLOW * radii, 0.5 * deep)
+            start = np.append(np.zeros(self.body.solid.unknowns), shallow)
+            load = self._load(np.ones(len(shallow), dtype=bool), shallow, 0.0 * shallow)
             try:
-                return newton(terms, x, start, factorise), shallow
+                return newton(terms, start, load), shallow
             except SolidError as error:
                 failed = error
         raise failed
 
-    def _shallow(self, number: int, part: float) -> float:
-        """Depth of a shallow press, `part` of the usual one beyond contact of some points [m]."""
-        radius = self.touches[number].indenter.rims[1]
-        touching = self._contacts[number].depth_touching(_FIRST_RADIUS * radius, _FIRST_POINTS)
-        return touching + part * _SHALLOW * radius
-
-    def _load_stepped(
-        self, x: Array, contacts: list[PenaltyContact], load: Callable[[float], Load]
-    ) -> tuple[Array, list[PenaltyContact]]:
-        """Load stepping from load(0), at x, to load(1), with adaptive steps.
-
-        Returns the unknowns and the contacts that they balance.
-        """
-        eliminate = self.body.solid.elimination(load(0.0).fixed, len(self.touches))
-        reached, step, before, balanced = 0.0, _FIRST_STEP, (0.0, x), contacts
-        while reached < 1.0:
-            target = min(1.0, reached + step)
-            slope = (x - before[1]) / (reached - before[0]) if reached else 0.0 * x
-            guess = x + (target - reached) * slope
-            start = guess if self.body.solid.admissible(guess) else x
-            try:
-                terms: list[ForceTerm] = [self.body.solid, *contacts]
-                moved = newton(terms, start, load(target), eliminate)
-            except SolidError as error:
-                step = 0.5 * (target - reached)
-                if step < _SMALLEST_STEP:
-                    raise SolidError(
-                        f"the body carries {reached:.0%} of these presses only; beyond, {error}. "
-                        "Press it less, or with a larger indenter",
-                        reached=reached,
-                    ) from None
-                continue
-            before, x, reached, step = (reached, x), moved, target, 2.0 * step
-            balanced, contacts = contacts, [contact.advanced(x) for contact in contacts]
-        return x, balanced
-
-    def _all_fixed(self, held: Flags) -> Indices:
-        """Numbers of the unknowns at the base, then of the depths that are held."""
-        depths = self.body.solid.unknowns + np.flatnonzero(held)
-        return np.concatenate([self._fixed, depths])
-
-    def _fixed_values(self, depths: Array) -> Array:
-        return np.concatenate([np.zeros(len(self._fixed)), depths])
+    def _load(self, held: Flags, depths: Array, forces: Array) -> Load:
+        """Load of touches (touches,) that are held at depths [m], and of forces [N] on others."""
+        unknowns = self.body.solid.unknowns
+        fixed = np.append(self._fixed, unknowns + np.flatnonzero(held))
+        values = np.append(np.zeros(len(self._fixed)), depths[held])
+        return Load(fixed, values, np.append(np.zeros(unknowns), forces))
 
     def _first_contact(self, touch: Touch) -> float:
         """Height of the indenter's lowest point at first contact [m]."""
@@ -281,8 +233,6 @@ class BodyPress:
         field = self.body.field(x)
         thinnings = np.array([self._thinning(field, touch) for touch in self.touches])
         areas, peaks = np.array([contact.area_and_peak(x) for contact in contacts]).T
-        J = solid.volume_ratio(x) * solid.weights
-        upward = self._fixed[self._fixed % 3 == 2]
         return PressedBody(
             field=field,
             forces=np.array([contact.force(x) for contact in contacts]),
@@ -290,9 +240,6 @@ class BodyPress:
             contact_areas=areas,
             peak_pressures=peaks,
             thinnings=thinnings,
-            energy=solid.energy(x) + sum(contact.energy(x) for contact in contacts),
-            base_force=float(solid.forces(x)[upward].sum()),
-            volume_ratio=float(J.sum() / solid.weights.sum()),
         )
 
     def _thinning(self, field: TetrahedralField, touch: Touch) -> float:

@@ -7,13 +7,12 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import skfem
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.sparse import coo_array
 
 from eitskin.simulator.mechanics.box_fields import shape_functions
-from eitskin.simulator.mechanics.layer_stack import Indentation
+from eitskin.simulator.mechanics.face import Face
+from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
 from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter
@@ -69,8 +68,9 @@ class ContactFrame:
     stretches: Array
 
     @classmethod
-    def at(cls, bent: BentState, x: float, y: float, top: float) -> "ContactFrame":
-        """Frame of the top, at height `top` over the gel's lower face [m], under (x, y) [m]."""
+    def at(cls, bent: BentState, x: float, y: float, stack: Stack) -> "ContactFrame":
+        """Frame of the top of a bent stack under (x, y) [m]."""
+        top = stack.levels[-1] - stack.levels[stack.gel]
         beside = _BESIDE * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
         touched = np.array([x, y, top])
         around = np.concatenate([touched[:2] + beside, np.full((4, 1), top)], axis=1)
@@ -237,13 +237,11 @@ class DentField:
 def held_contact(
     solid: Solid,
     facets: Indices,
-    indenter: Indenter,
-    centre: Array,
+    dent: DentField,
     radius: float,
     stiffness: float,
     numbers: tuple[int, int],
     given: Callable[[Array], Array] | None = None,
-    frame: ContactFrame | None = None,
 ) -> LinearSprings:
     """Springs that hold the displacement c of a contact area at -d n - g.
 
@@ -251,57 +249,32 @@ def held_contact(
     and by the curvature of a bend. The indenter neither tilts nor moves sideways, and sinks by a
     further d under a force unchanged. A smooth indenter holds c along its normal only. The unknown
     d [m] follows those of the solid. The springs are integrated over a circle on a face that is
-    level before any bend.
+    level before any bend, and bent to the dent's frame.
 
     Args:
         solid: the body.
         facets: boundary facets of its mesh that the contact may reach.
-        indenter: gives the normal, and whether it is rough.
-        centre: of the contact, (2,) [m].
+        dent: of the indenter.
         radius: of the undeformed contact [m].
         stiffness: of the springs [Pa/m].
         numbers: of the contact, among those of the solid, and of all of these.
         given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
-        frame: of the bent face, on which the contact is a circle; of a level one when omitted.
     """
     number, contacts = numbers
-    size = solid.unknowns + contacts
-    basis = skfem.FacetBasis(
-        solid.mesh, solid.basis.elem, facets=facets, quadrature=_composite_rule()
+    size, frame = solid.unknowns + contacts, dent.frame
+    turn, stretches = (
+        (np.eye(3), np.ones(2)) if frame is None else (frame.rotation, frame.stretches)
     )
-    away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
-    turn = np.eye(3)
-    if frame is not None:
-        away, turn = away * frame.stretches[:, None, None], frame.rotation
-    r = np.linalg.norm(away, axis=0)
-    weights = np.asarray(basis.dx) * (r < radius)
-    functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
-    values = np.stack([*functions, np.ones_like(r)], axis=-1)
-    held = turn @ _held(indenter, away, r) @ turn.T
-    shares = values * (stiffness * weights)[..., None]
-    # A rough indenter holds all directions alike, with a ninth of the work.
-    K = (
-        np.einsum("fqa,fqb,ij->faibj", shares, values, held, optimize=True)
-        if held.ndim == 2
-        else np.einsum("fqa,fqij,fqb->faibj", shares, held, values, optimize=True)
-    )
-    dofs = basis.element_dofs.T.astype(np.int64)
-    unknowns = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
-    unknowns = np.hstack([unknowns, np.full((len(dofs), 1), solid.unknowns + number)])
-    # The last of the vectors that are added up is d n.
-    sink = np.eye(3 * values.shape[-1])[:, : unknowns.shape[1]]
-    sink[-3:, -1] = turn[:, 2]
-    K = sink.T @ K.reshape(len(dofs), len(sink), len(sink)) @ sink
-    rows = np.broadcast_to(unknowns[:, :, None], K.shape).ravel()
-    columns = np.broadcast_to(unknowns[:, None, :], K.shape).ravel()
-    springs = coo_array((K.ravel(), (rows, columns)), shape=(size, size)).tocsc()
+    face = Face(solid, facets, _composite_rule(), solid.unknowns + number, turn[:, 2])
+    away = (face.points[..., :2] - np.array([dent.x, dent.y])) * stretches
+    r = np.linalg.norm(away, axis=-1)
+    face.weights *= r < radius
+    held = stiffness * (turn @ _held(dent.indenter, away, r) @ turn.T)
     at_rest = np.zeros(size)
     if given is not None:
-        points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-        g = given(points.reshape(-1, 3)).reshape(points.shape)
-        pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
-        np.add.at(at_rest, unknowns.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel())
-    return LinearSprings(springs, at_rest)
+        g = given(face.points.reshape(-1, 3)).reshape(face.points.shape)
+        at_rest = face.forces((held @ g[..., None])[..., 0], size)
+    return LinearSprings(face.stiffness(held, size), at_rest)
 
 
 def _composite_rule() -> tuple[Array, Array]:
@@ -317,7 +290,8 @@ def _held(indenter: Indenter, away: Array, r: Array) -> Array:
     if indenter.rough:
         return np.eye(3)
     slope = indenter.profile(r)[1]
-    normal = np.stack([*(-slope * away / np.maximum(r, 1e-12)), np.ones_like(r)], axis=-1)
+    sideways = -(slope / np.maximum(r, 1e-12))[..., None] * away
+    normal = np.concatenate([sideways, np.ones_like(r)[..., None]], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     projections: Array = normal[..., :, None] * normal[..., None, :]
     return projections

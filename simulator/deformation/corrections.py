@@ -18,6 +18,7 @@ from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation import indentation_tables as tables
 from eitskin.simulator.deformation import pair_tables
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame
+from eitskin.simulator.deformation.finite_stack import require_on_stack
 from eitskin.simulator.deformation.indentation_tables import Indentations
 from eitskin.simulator.deformation.outline_sides import SideFade, sides_of
 from eitskin.simulator.deformation.press_table import indenter_samples
@@ -248,12 +249,7 @@ class Corrections:
         """
         self.check_depth(depth)
         outline = self.design.outline
-        least = float(self._first.nodes("distance_to_side")[0])
-        if float(outline.nearest(np.array([x, y]))[1]) < least - _SAME:
-            raise ConfigurationError(
-                f"a touch must keep {1e3 * least:.1f} mm from the edge of the gel, so that "
-                f"its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
-            )
+        require_on_stack(outline, x, y, float(self._first.nodes("distance_to_side")[0]))
         if isinstance(outline, Disc):
             return self._on_disc(outline, x, y, depth)
         parts = [self._on_strip(x, y, depth)] if self.strip else []

@@ -19,6 +19,7 @@ bent top.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 import skfem
@@ -27,18 +28,25 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.deformation.contact import BentState, DentField, held_contact
-from eitskin.simulator.deformation.stack_mesh import StackMesh
+from eitskin.geometry.design.outline import PlaneOutline
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField, held_contact
+from eitskin.simulator.deformation.stack_mesh import Contact, StackMesh, stack_mesh
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.box_fields import QuadraticField
+from eitskin.simulator.mechanics.face import Face
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import (
-    ForceTerm,
     LinearSprings,
     Load,
     SolidError,
+    follow,
     newton,
 )
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 from eitskin.simulator.mechanics.mixed_solid import Solid, StrainState
+from eitskin.simulator.scene.scene import AnyIndenter, Touch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -54,9 +62,11 @@ _TOLERANCE = 1e-2  # of the last correction; the error is its square
 # Corrections over the depth of the dents, below which they need no digits: far from all sides of a
 # thin stack there are none.
 _NEGLIGIBLE = 1e-4
-_SMALLEST_STEP = 1.0 / 64.0
+_FIRST_STEP, _REMEDY = 0.25, "Press it less, or farther from its edge"
 # Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
 _MOST_UNKNOWNS = 250_000
+_CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
+_MAX_SCENES = 64  # in memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,10 +89,24 @@ class Correction:
 
     def in_gel(self, points: Array) -> Array:
         """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
-        over_base = points + np.array([0.0, 0.0, self.bottom])
+        over_base = self._over_base(points)
         return np.concatenate(
             [self.displacement(over_base), self.mean_stress(over_base)[..., None]], axis=-1
         )
+
+    def values(self, columns: Array) -> Array:
+        """c [m] and q [Pa], (4, h, n), at columns of points (n, h, 3) [m]."""
+        return np.ascontiguousarray(self.in_gel(columns).transpose(2, 1, 0))
+
+    def moved(self, columns: Array) -> Array:
+        """c and its derivatives by x, y, z, (12, h, n), at columns of points (n, h, 3) [m]."""
+        points = self._over_base(columns)
+        slopes = self.displacement.derivative(points).reshape(*columns.shape[:2], 9)
+        moved: Array = np.concatenate([self.displacement(points), slopes], axis=-1)
+        return moved.transpose(2, 1, 0)
+
+    def _over_base(self, points: Array) -> Array:
+        return np.asarray(points + np.array([0.0, 0.0, self.bottom]))
 
 
 class DentedSolid(Solid):
@@ -175,10 +199,7 @@ class FiniteStack:
         base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
         self._fixed = _unknowns(held)
         self._loose = _unknowns(np.setdiff1d(base, held))
-        self._eliminate = self.solid.elimination(self._fixed, presses)
-        self._contacts: list[LinearSprings] = []
-        self._load, self._bend = np.zeros(self._size), np.zeros(self.solid.unknowns)
-        self._scale = 0.0
+        self._bend = np.zeros(self.solid.unknowns)
 
     def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
         """Correction of dents in equilibrium, found from none or from the unknowns `start`.
@@ -187,18 +208,32 @@ class FiniteStack:
         stable equilibrium is found, with the fraction of the missing forces that were applied.
         """
         dents = list(dents)
-        self._contacts = [
-            self._held(dents[k], dents[:k] + dents[k + 1 :], k) for k in range(len(dents))
-        ]
-        self._load = np.append(self._dented(dents), np.zeros(len(dents)))
-        self._scale = _NEGLIGIBLE * max(dent.press.depth for dent in dents)
-        x = np.zeros(self._size) if start is None else start
+        contacts = [self._held(dents[k], dents[:k] + dents[k + 1 :], k) for k in range(len(dents))]
+        terms = self.solid, *contacts
+        forces = np.append(self._dented(dents), np.zeros(len(dents)))
+        scale = _NEGLIGIBLE * max(dent.press.depth for dent in dents)
+        solve = partial(newton, tolerance=_TOLERANCE, scale=scale, chords=True)
+        none = np.zeros(self._size)
+        x = none if start is None else start
         try:
             if self.solid.admissible(x):
-                return self._result(self._equilibrium(x, self._load))
+                return self._result(solve(terms, x, self._load(forces)))
         except SolidError:
             pass
-        return self._result(self._stepped())
+        if not self.solid.admissible(none):
+            raise SolidError(
+                "the dents of these presses turn the stack inside out where they overlap; press "
+                "farther apart, or less"
+            )
+        own = self.solid.forces(none)  # in which the dents are an equilibrium
+
+        def path(t: float) -> Load:
+            return self._load(own + t * (forces - own))
+
+        return self._result(follow(terms, none, path, _FIRST_STEP, solve, _REMEDY)[0])
+
+    def _load(self, forces: Array) -> Load:
+        return Load(self._fixed, np.zeros(len(self._fixed)), forces)
 
     def reaction(self, found: Correction) -> Array:
         """Force of the support against the presses of the last correction [N], (3,).
@@ -208,39 +243,6 @@ class FiniteStack:
         forces = self.solid.forces(found.unknowns)[: self.solid.unknowns] - self._bend
         held = self.body.held(self.solid.nodes)
         return np.asarray(self.solid.displacement(forces)[held].sum(axis=0))
-
-    def _equilibrium(self, x: Array, load: Array) -> Array:
-        terms: list[ForceTerm] = [self.solid, *self._contacts]
-        held = Load(self._fixed, np.zeros(len(self._fixed)), load)
-        return newton(terms, x, held, self._eliminate, _TOLERANCE, self._scale, chords=True)
-
-    def _stepped(self) -> Array:
-        """Equilibrium by load stepping from the dents, which are one under forces of their own."""
-        x = np.zeros(self._size)
-        if not self.solid.admissible(x):
-            raise SolidError(
-                "the dents of these presses turn the stack inside out where they overlap; press "
-                "farther apart, or less"
-            )
-        own = self.solid.forces(x)
-        reached, step = 0.0, 0.25
-        while reached < 1.0:
-            target = min(1.0, reached + step)
-            guess = x * target / reached if reached else x
-            guess = guess if self.solid.admissible(guess) else x
-            try:
-                x = self._equilibrium(guess, own + target * (self._load - own))
-            except SolidError as error:
-                step *= 0.5
-                if step < _SMALLEST_STEP:
-                    raise SolidError(
-                        f"the finite stack bears {reached:.0%} of these presses only; beyond, "
-                        f"{error}. Press it less, or farther from its edge",
-                        reached,
-                    ) from None
-                continue
-            reached, step = target, 2.0 * step
-        return x
 
     def _dented(self, dents: Sequence[DentField]) -> Array:
         """Forces (unknowns,) in equilibrium with the dents; sets the state of the solid."""
@@ -271,23 +273,16 @@ class FiniteStack:
 
     def _tractions(self, dent: DentField) -> Array:
         """Nodal forces (unknowns,) of a dent's tractions on the sides."""
-        facets = self.body.sides()
-        basis = skfem.FacetBasis(self.body.mesh, self.solid.basis.elem, facets=facets, intorder=6)
-        X = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-        normals = np.moveaxis(np.asarray(basis.normals), 0, -1)
-        _, G, p = dent.level(X.reshape(-1, 3))
-        laws = self.body.law_of_layer_at(X[..., 2]).ravel()
+        sides = Face(self.solid, self.body.sides(), 6)
+        _, G, p = dent.level(sides.points.reshape(-1, 3))
+        laws = self.body.law_of_layer_at(sides.points[..., 2]).ravel()
         P = np.empty_like(G)
         for k in range(len(self.body.laws)):
             here = laws == k
             P[here] = self.solid.stress_and_dilation(k, G[here], p[here])[0]
-        traction = np.einsum("fqij,fqj->fqi", dent.nominal(P).reshape(*X.shape, 3), normals)
-        traction *= np.asarray(basis.dx)[..., None]
-        forces = np.zeros((len(self.solid.nodes), 3))
-        for a, (function,) in enumerate(basis.basis):
-            parts = np.sum(traction * np.asarray(function)[..., None], axis=1)
-            np.add.at(forces, basis.element_dofs[a], parts)
-        return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
+        stress = dent.nominal(P).reshape(*sides.points.shape, 3)
+        traction = np.einsum("fqij,fqj->fqi", stress, sides.normals)
+        return sides.forces(traction, self.solid.unknowns)
 
     def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> LinearSprings:
         frame = dent.frame
@@ -314,17 +309,9 @@ class FiniteStack:
         # A contact may be smaller than a cell, as those of balls are.
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
-        return held_contact(
-            self.solid,
-            top[near],
-            dent.indenter,
-            centre,
-            held,
-            stiffness,
-            (number, self._size - self.solid.unknowns),
-            given if others or frame is not None else None,
-            frame,
-        )
+        numbers = number, self._size - self.solid.unknowns
+        moves = given if others or frame is not None else None
+        return held_contact(self.solid, top[near], dent, held, stiffness, numbers, moves)
 
     def _in_design(self, points: Array) -> Array:
         """Points (n, 3) with their heights over the gel's lower face [m]."""
@@ -382,3 +369,47 @@ def _of_gel(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInte
     inside = tuple(slice(found[0], found[-1] + 1) for found in axes)
     grid = [line[part] for line, part in zip(lines, inside, strict=True)]
     return RegularGridInterpolator(grid, values[inside], bounds_error=False, fill_value=None)
+
+
+@lru_cache(maxsize=_MAX_SCENES)
+def solved_presses(
+    design: SensorDesign,
+    mechanics: Mechanics,
+    presses: tuple[Touch, ...],
+    bent: BentState | None = None,
+) -> Correction:
+    """Correction of presses on a design, flat or bent, solved in 3D; seconds to some minutes.
+
+    The depths of the presses are those in the unbounded stack.
+
+    Raises ConfigurationError for a press that overhangs the stack, SolidError where presses are not
+    carried.
+    """
+    if isinstance(design.outline, Surface):
+        raise ConfigurationError("presses on a body from a surface file are solved on tetrahedra")
+    stack, contacts, dents = mechanics.stack(design), [], []
+    for x, y, depth, indenter in ((t.x, t.y, t.depth, t.indenter) for t in presses):
+        if depth is None:
+            raise ConfigurationError("presses are solved to depths, got one without")
+        require_on_stack(design.outline, x, y, indenter.rims[1] - mechanics.margin)
+        frame = None if bent is None else ContactFrame.at(bent, x, y, stack)
+        along, across = (1.0, 1.0) if frame is None else frame.stretches.tolist()
+        contacts.append(Contact(x, y, indenter.rims[1], (along, across)))
+        dents.append(DentField(x, y, indenter, _dent(stack, indenter, depth), frame))
+    body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
+    return FiniteStack(body, len(presses), bent).correction(dents)
+
+
+def require_on_stack(outline: PlaneOutline | Surface, x: float, y: float, least: float) -> None:
+    """Raise ConfigurationError for a press nearer to the edge of the gel than `least` [m]."""
+    if float(outline.nearest(np.array([x, y]))[1]) < least - _LEVEL:
+        raise ConfigurationError(
+            f"a touch must keep {1e3 * max(least, 0.0):.1f} mm from the edge of the gel, so that "
+            f"its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
+        )
+
+
+@lru_cache(maxsize=_MAX_SCENES)
+def _dent(stack: Stack, indenter: AnyIndenter, depth: float) -> Indentation:
+    """Axisymmetric press to a depth [m] on an unbounded stack."""
+    return AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1]).to_depth(depth)

@@ -14,7 +14,7 @@ from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.deformation.contact import BentState
+from eitskin.simulator.deformation.contact import BentState, ContactFrame
 from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
@@ -23,15 +23,10 @@ from eitskin.simulator.deformation.corrections import (
 )
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
 from eitskin.simulator.deformation.field import Field, resampled_sum
+from eitskin.simulator.deformation.finite_stack import solved_presses
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
 from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
-from eitskin.simulator.deformation.solved_press import (
-    Press,
-    SolvedField,
-    contact_frame,
-    solved_presses,
-)
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
@@ -129,7 +124,7 @@ def bent_dents(
     solved = _solve_dents(touches, sensor, bent)
     stack = sensor.mechanics.stack(sensor.design)
     placed = tuple(
-        (contact_frame(touch.x, touch.y, stack, bent), dent)
+        (ContactFrame.at(bent, touch.x, touch.y, stack), dent)
         for touch, dent, _ in solved.dented
         if dent is not None
     )
@@ -169,11 +164,13 @@ def _corrections(
     if not acting:
         return [], extra
     if resolve_touch_model(tuple(touch for _, touch, _ in acting), sensor) == "solved":
-        presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in acting)
+        presses = tuple(
+            Touch(t.x, t.y, indenter=t.indenter, depth=dent.depth) for _, t, dent in acting
+        )
         solved = solved_presses(design, mechanics, presses, bent)
         for (k, *_), below in zip(acting, solved.sunk.tolist(), strict=True):
             extra[k] = below
-        return [SolvedField(solved)], extra
+        return [solved], extra
     fields: list[Field] = []
     for k, touch, dent in acting:
         table = corrections(design, mechanics, touch.indenter, grid)

@@ -38,6 +38,47 @@ class SolidError(ConfigurationError):
         self.reached = reached
 
 
+class Factorised(Protocol):
+    """Factorised symmetric matrix."""
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues of the matrix."""
+        ...
+
+    def solve(self, right: Array) -> Array:
+        """Solution (n,) for a right-hand side (n,)."""
+        ...
+
+
+class SparseLU:
+    """Symmetric matrix (n, n) factorised by SuperLU."""
+
+    def __init__(self, matrix: csc_array) -> None:
+        """Factorise with diagonal pivots, whose signs give the inertia.
+
+        The next Newton iteration, which starts from the true forces, corrects the loss of accuracy.
+        """
+        self._lu = splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues of the matrix."""
+        return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
+
+    def solve(self, right: Array) -> Array:
+        """Solution (n,) for a right-hand side (n,)."""
+        return np.asarray(self._lu.solve(right))
+
+
+Factorise = Callable[[csc_array], Factorised]
+
+
 class ForceTerm(ABC):
     """Term of the equilibrium that exerts forces on the unknowns: a solid, a contact, springs."""
 
@@ -47,6 +88,13 @@ class ForceTerm(ABC):
     def multipliers(self) -> int:
         """Number of unknowns that are Lagrange multipliers, such as pressures."""
         return 0
+
+    def elimination(self, fixed: Indices, size: int) -> Factorise:  # noqa: ARG002
+        """Way to factorise stiffnesses of all but the fixed ones of `size` unknowns.
+
+        The first term of an equilibrium is asked, which is the solid.
+        """
+        return SparseLU
 
     @abstractmethod
     def forces(self, x: Array) -> Array:
@@ -105,63 +153,20 @@ class Load:
     forces: Array
 
 
-class Factorised(Protocol):
-    """Factorised symmetric matrix."""
-
-    @property
-    def negative(self) -> int:
-        """Number of negative eigenvalues of the matrix."""
-        ...
-
-    def solve(self, right: Array) -> Array:
-        """Solution (n,) for a right-hand side (n,)."""
-        ...
-
-
-class SparseLU:
-    """Symmetric matrix (n, n) factorised by SuperLU."""
-
-    def __init__(self, matrix: csc_array) -> None:
-        """Factorise with diagonal pivots, whose signs give the inertia.
-
-        The next Newton iteration, which starts from the true forces, corrects the loss of accuracy.
-        """
-        self._lu = splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-
-    @property
-    def negative(self) -> int:
-        """Number of negative eigenvalues of the matrix."""
-        return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
-
-    def solve(self, right: Array) -> Array:
-        """Solution (n,) for a right-hand side (n,)."""
-        return np.asarray(self._lu.solve(right))
-
-
-Factorise = Callable[[csc_array], Factorised]
-
-
 @one_thread()
 def newton(
     terms: Sequence[ForceTerm],
     x: Array,
     load: Load,
-    factorise: Factorise = SparseLU,
     tolerance: float = _TOLERANCE,
     scale: float = 0.0,
     chords: bool = False,
 ) -> Array:
     """Stable equilibrium near x (n,) under a load, by Newton's method.
 
-    Corrections that would invert a cell, or increase the residual, are halved. `factorise` takes
-    the stiffness of the free unknowns in rising order. The iteration ends with a correction below
-    `tolerance` relative to the largest unknown, or to `scale` where all unknowns are smaller; the
-    error is of the order of its square.
+    Corrections that would invert a cell, or increase the residual, are halved. The iteration ends
+    with a correction below `tolerance` relative to the largest unknown, or to `scale` where all
+    unknowns are smaller; the error is of the order of its square.
 
     With `chords`, corrections by the factors of the iterate before follow each iteration, where
     they contract tenfold: they take the place of the last factorisation. A
@@ -171,6 +176,7 @@ def newton(
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
     start = max(np.abs(x).max(), scale)  # where all loads are removed, x itself goes to zero
+    factorise = terms[0].elimination(load.fixed, len(x))
     constraints = sum(term.multipliers for term in terms)
     for iteration in range(_ITERATIONS):
         step, factorised, residual_norm = _correction(terms, x, load, free, factorise)
@@ -218,18 +224,6 @@ def _by_chords(
     return None
 
 
-def _solved_step(
-    terms: Sequence[ForceTerm], x: Array, load: Load, factorise: Factorise
-) -> tuple[Array, tuple[ForceTerm, ...]]:
-    """Equilibrium near x, and the terms advanced to it."""
-    x = newton(terms, x, load, factorise)
-    advanced = tuple(term.advanced(x) for term in terms)
-    before, after = (sum(term.forces(x) for term in each) for each in (terms, advanced))
-    if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
-        x = newton(advanced, x, load, factorise)
-    return x, advanced
-
-
 def _correction(
     terms: Sequence[ForceTerm], x: Array, load: Load, free: Indices, factorise: Factorise
 ) -> tuple[Array, Factorised, float]:
@@ -274,13 +268,15 @@ def follow(
     x: Array,
     path: Callable[[float], Load],
     first_step: float = 1.0,
-    factorise: Factorise = SparseLU,
+    solve: Callable[[Sequence[ForceTerm], Array, Load], Array] = newton,
+    remedy: str = "Load it less, or refine the mesh where it is strained most",
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
     """Load stepping: equilibrium under path(1) from x under path(0), with adaptive steps.
 
-    Returns the unknowns (n,) and the advanced terms.
+    Returns the unknowns (n,) and the advanced terms, solved again where these exert other forces.
 
-    Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
+    Raises SolidError, with the fraction reached and a remedy, where even small steps find no
+    equilibrium.
     """
     t, step, growth = 0.0, first_step, 2.0
     previous, previous_t = x, 0.0
@@ -291,14 +287,18 @@ def follow(
         if not all(term.admissible(guess) for term in terms):
             guess = x
         try:
-            reached, advanced = _solved_step(terms, guess, path(target), factorise)
+            load = path(target)
+            reached = solve(terms, guess, load)
+            advanced = tuple(term.advanced(reached) for term in terms)
+            before = sum(term.forces(reached) for term in terms)
+            after = sum(term.forces(reached) for term in advanced)
+            if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
+                reached = solve(advanced, reached, load)
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
             if step < _SMALLEST_STEP:
                 raise SolidError(
-                    f"the solid carries {t:.1%} of the load only; beyond, {error}. Load it less, "
-                    "or refine the mesh where it is strained most",
-                    reached=t,
+                    f"only {t:.1%} of the load is carried; beyond, {error}. {remedy}", reached=t
                 ) from None
             continue
         previous, previous_t, x, t = x, t, reached, target

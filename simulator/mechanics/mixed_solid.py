@@ -10,7 +10,7 @@ changes, kappa/2 (J - 1)^2; a small part of kappa acts on the displacements dire
 stress is positive in tension.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Literal
@@ -22,9 +22,9 @@ from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.elimination_order import Block, dissection
-from eitskin.simulator.linalg.multifrontal import Factors, factorised
+from eitskin.simulator.linalg.multifrontal import factorised
 from eitskin.simulator.linalg.stiffness_pattern import ElementBlocks, StiffnessPattern
-from eitskin.simulator.mechanics.load_stepping import ForceTerm
+from eitskin.simulator.mechanics.load_stepping import Factorise, ForceTerm
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 
 Array = NDArray[np.float64]
@@ -133,6 +133,7 @@ class Solid(ForceTerm):
         self.bulk_ratio, self.direct_ratio = bulk_ratio, min(_DIRECT, 0.5 * bulk_ratio)
         self._direct: Array = self.direct_ratio * moduli[law_of_cell]
         self._last: StrainState | None = None
+        self._eliminated: tuple[tuple[int, bytes], Factorise] | None = None
         self._compliance: Array = 1.0 / ((bulk_ratio - self.direct_ratio) * moduli[law_of_cell])
         # A pressure of mu/h has the effect of a displacement of 1 in a cell of size h.
         size = np.mean(np.abs(np.ptp(mesh.p[:, mesh.t], axis=1)))
@@ -221,21 +222,30 @@ class Solid(ForceTerm):
         )
         return self._assembled(at), self._pattern.assembled(elements, len(x))
 
-    def elimination(self, fixed: Indices, further: int = 0) -> Callable[[csc_array], Factors]:
-        """Elimination of all unknowns but the fixed ones, by nested dissection of the cells.
+    def elimination(self, fixed: Indices, size: int) -> Factorise:
+        """Elimination of all but the fixed ones of `size` unknowns, of bodies by nested dissection.
 
-        The function takes matrices (m, m) of the m free unknowns, numbered in rising order.
-        `further` unknowns follow those of the solid, coupled with any; they come last.
+        The function takes matrices (m, m) of the m free unknowns, numbered in rising order. Those
+        that follow the unknowns of the solid may be coupled with any; they come last.
         """
-        free = np.setdiff1d(np.arange(self.unknowns + further), fixed)
-        number = np.full(self.unknowns + further, -1)
+        if self.dim < 3:
+            return super().elimination(fixed, size)
+        wanted = (size, fixed.tobytes())
+        if self._eliminated is None or self._eliminated[0] != wanted:
+            self._eliminated = wanted, partial(factorised, blocks=self._blocks(fixed, size))
+        return self._eliminated[1]
+
+    def _blocks(self, fixed: Indices, size: int) -> list[Block]:
+        """Blocks of the free unknowns in their order of elimination."""
+        free = np.setdiff1d(np.arange(size), fixed)
+        number = np.full(size, -1)
         number[free] = np.arange(len(free))
         numbers = number[np.hstack([self._displacement_numbers, self._pressure_numbers])]
         blocks = dissection(numbers, self.mesh.p[:, self.mesh.t].mean(axis=1).T)
         last = number[self.unknowns :]
         if (last >= 0).any():
             blocks.append(Block(last[last >= 0], (len(blocks) - 1,)))
-        return partial(factorised, blocks=blocks)
+        return blocks
 
     def _strain_state(self, x: Array) -> StrainState:
         """Strain state at x; the last one is kept, as Newton's method asks for each repeatedly."""

@@ -1,12 +1,14 @@
 """Penalty contact of a solid's upper side with a rigid indenter from above."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import csc_array
 
+from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.load_stepping import ForceTerm
 from eitskin.simulator.mechanics.materials import cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
@@ -28,35 +30,21 @@ class PenaltyContact(ForceTerm):
     the depths d of indenters below the undeformed face, one per contact.
 
     Attributes:
-        solid: the body.
+        face: that may be touched, with the unknown d.
         indenter: shape of the rigid body.
         stiffness: k [Pa/m].
         centre: horizontal position of the axis, (dim - 1,) [m].
         lowest: height of the indenter's lowest point at the depth 0 [m].
-        points: quadrature points of the undeformed face, (facets, q, dim) [m].
-        values: displacement shape functions at these points, (facets, q, functions).
-        slopes: gradients of the shape functions, (facets, q, functions, dim) [1/m].
-        weights: undeformed areas, (facets, q) [m2].
-        normals: unit normals of the undeformed face, (facets, q, dim).
-        numbers: unknowns of each facet, those of the solid and d, (facets, functions * dim + 1).
-        depth: number of the unknown d.
         anchors: positions at which points are held, from the lowest point, (facets, q, dim) [m].
         holds: projections across the normal at the anchors, zero where a point is free to slide,
             (facets, q, dim, dim).
     """
 
-    solid: Solid
+    face: Face
     indenter: Indenter
     stiffness: float
     centre: Array
     lowest: float
-    points: Array
-    values: Array
-    slopes: Array
-    weights: Array
-    normals: Array
-    numbers: Indices
-    depth: int
     anchors: Array
     holds: Array
 
@@ -78,38 +66,20 @@ class PenaltyContact(ForceTerm):
         """
         # The rule of order 3 on triangles has a negative weight, which would pull at the face.
         order = 4 if isinstance(solid.mesh, skfem.MeshTet1) else 3
-        basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=order)
-        points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-        shape = points.shape[:2]
-        values = [np.broadcast_to(np.asarray(f), shape) for (f,) in basis.basis]
-        slopes = [np.moveaxis(np.asarray(f.grad), 0, -1) for (f,) in basis.basis]
-        dofs = basis.element_dofs.T.astype(np.int64)
-        spread = (solid.dim * dofs[:, :, None] + np.arange(solid.dim)).reshape(len(dofs), -1)
-        depth = solid.unknowns + number
-        ring = 2.0 * np.pi * points[..., 0] if solid.kinematics == "axisymmetric" else 1.0
-        r = np.linalg.norm(points[..., :-1] - centre, axis=-1)
-        above = points[..., -1].max() if lowest is None else lowest
-        rise = points[..., -1:] - above
-        rise[np.abs(rise) < _SAME] = 0.0
-        flat = (indenter.profile(r)[0] <= rise[..., 0]).astype(np.float64) * indenter.rough
+        face = Face(solid, facets, order, solid.unknowns + number)
+        above = float(face.points[..., -1].max()) if lowest is None else lowest
+        anchors = face.points - np.append(centre, above)
+        anchors[np.abs(anchors[..., -1]) < _SAME, -1] = 0.0
+        r = np.linalg.norm(anchors[..., :-1], axis=-1)
+        flat = (indenter.profile(r)[0] <= anchors[..., -1]).astype(np.float64) * indenter.rough
         horizontal = np.diag([*[1.0] * (solid.dim - 1), 0.0])
-        undeformed = np.concatenate([points[..., :-1] - centre, rise], axis=-1)
-        return cls(
-            solid=solid,
-            indenter=indenter,
-            stiffness=stiffness,
-            centre=centre,
-            lowest=float(above),
-            points=points,
-            values=np.stack(values, axis=-1),
-            slopes=np.stack(slopes, axis=2),
-            weights=np.asarray(basis.dx) * ring,
-            normals=np.moveaxis(np.broadcast_to(basis.normals, (solid.dim, *shape)), 0, -1),
-            numbers=np.hstack([spread, np.full((len(dofs), 1), depth)]),
-            depth=depth,
-            anchors=undeformed,
-            holds=flat[..., None, None] * horizontal,
-        )
+        holds = flat[..., None, None] * horizontal
+        return cls(face, indenter, stiffness, centre, above, anchors, holds)
+
+    @property
+    def depth(self) -> int:
+        """Number of the unknown d."""
+        return cast("int", self.face.depth)
 
     def nominal_pressure(self, x: Array) -> Array:
         """Nominal pressure q, force along the normal per undeformed area, (facets, q) [Pa]."""
@@ -124,8 +94,8 @@ class PenaltyContact(ForceTerm):
 
         Parts of the face that slope away from the indenter may not be in contact there.
         """
-        r = np.linalg.norm(self.points[..., :-1] - self.centre, axis=-1)
-        gaps = self.lowest + self.indenter.profile(r)[0] - self.points[..., -1]
+        r = np.linalg.norm(self.face.points[..., :-1] - self.centre, axis=-1)
+        gaps = self.lowest + self.indenter.profile(r)[0] - self.face.points[..., -1]
         count = min(max(least, int(0.5 * np.count_nonzero(r < radius))), gaps.size)
         return float(np.sort(gaps, axis=None)[count - 1])
 
@@ -133,7 +103,7 @@ class PenaltyContact(ForceTerm):
         """Penalty energy of the contact [J]."""
         slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
         squares = np.maximum(self._penetration(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
-        return float(0.5 * self.stiffness * np.sum(self.weights * squares))
+        return float(0.5 * self.stiffness * np.sum(self.face.weights * squares))
 
     def advanced(self, x: Array) -> "PenaltyContact":
         """Contact after a load step: a rough indenter now holds the points in contact."""
@@ -143,7 +113,7 @@ class PenaltyContact(ForceTerm):
         relative = self._relative(x)
         touching = self.nominal_pressure(x) > 0.0
         known = np.any(self.holds != 0.0, axis=(-2, -1))
-        across = np.eye(self.solid.dim) - normal[..., :, None] * normal[..., None, :]
+        across = np.eye(self.face.dim) - normal[..., :, None] * normal[..., None, :]
         new = (touching & ~known)[..., None]
         return replace(
             self,
@@ -157,19 +127,19 @@ class PenaltyContact(ForceTerm):
         For axisymmetric solids only.
         """
         r = self._relative(x)[..., 0]
-        along = np.einsum("fqa,fai->fqi", self.slopes[..., 0], self._of_facets(x))
+        along = np.einsum("fqa,fai->fqi", self.face.slopes[..., 0], self.face.displacements(x))
         along += np.array([1.0, 0.0])
-        area_ratio = r / self.points[..., 0] * np.linalg.norm(along, axis=-1)
+        area_ratio = r / self.face.points[..., 0] * np.linalg.norm(along, axis=-1)
         order = np.argsort(r, axis=None)
         return r.ravel()[order], (self.nominal_pressure(x) / area_ratio).ravel()[order]
 
     def area_and_peak(self, x: Array) -> tuple[float, float]:
         """Deformed area in contact [m2] and largest pressure on the deformed face [Pa], in 3D."""
-        F = np.eye(3) + np.einsum("fai,fqaJ->fqiJ", self._of_facets(x), self.slopes)
-        stretch = np.einsum("...ij,...j->...i", cofactor(F), self.normals)
+        F = np.eye(3) + np.einsum("fai,fqaJ->fqiJ", self.face.displacements(x), self.face.slopes)
+        stretch = np.einsum("...ij,...j->...i", cofactor(F), self.face.normals)
         area_ratio = np.linalg.norm(stretch, axis=-1)
         q = self.nominal_pressure(x)
-        area = np.sum((q > 0.0) * self.weights * area_ratio)
+        area = np.sum((q > 0.0) * self.face.weights * area_ratio)
         return float(area), float((q / area_ratio).max())
 
     def forces(self, x: Array) -> Array:
@@ -180,47 +150,19 @@ class PenaltyContact(ForceTerm):
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Forces on the unknowns and symmetric stiffness; semi-smooth where contact ends."""
         g, normal, curvature = self._penetration(x)
-        k = (self.stiffness * self.weights)[..., None, None]
         pushing = (g > 0.0)[..., None, None] * normal[..., :, None] * normal[..., None, :]
-        stiffness = k * (pushing + self.holds + np.maximum(g, 0.0)[..., None, None] * curvature)
-        moving = self._moving
-        K = np.einsum("fqa,fqij,fqb->faibj", moving, stiffness, moving, optimize=True)
-        K = K.reshape(len(K), self.solid.dim * moving.shape[2], -1)
-        K = K[:, self._kept][:, :, self._kept]
-        rows = np.broadcast_to(self.numbers[:, :, None], K.shape)
-        columns = np.broadcast_to(self.numbers[:, None, :], K.shape)
-        total = coo_array((K.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
-        return self._assembled(x, g, normal), total.tocsc()
-
-    @property
-    def _moving(self) -> Array:
-        """Influence of displacements and of the indenter's depth on each point's penetration."""
-        return np.concatenate([self.values, np.ones((*self.weights.shape, 1))], axis=-1)
-
-    @property
-    def _kept(self) -> Indices:
-        """Components of `_moving` that are unknowns: the indenter moves vertically only."""
-        last = self.solid.dim * (self.values.shape[-1] + 1) - 1
-        return np.append(np.arange(self.numbers.shape[1] - 1), last)
+        springs = pushing + self.holds + np.maximum(g, 0.0)[..., None, None] * curvature
+        K = self.face.stiffness(self.stiffness * springs, len(x))
+        return self._assembled(x, g, normal), K
 
     def _assembled(self, x: Array, g: Array, normal: Array) -> Array:
         slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
-        force = np.maximum(g, 0.0)[..., None] * normal + slip
-        force *= (self.stiffness * self.weights)[..., None]
-        forces = np.einsum("fqa,fqi->fai", self._moving, force).reshape(len(force), -1)
-        residual = np.bincount(
-            self.numbers.ravel(), weights=forces[:, self._kept].ravel(), minlength=len(x)
-        )
-        return np.asarray(residual, dtype=np.float64)
-
-    def _of_facets(self, x: Array) -> Array:
-        """Nodal displacements of each facet, (facets, functions, dim)."""
-        u: Array = x[self.numbers[:, :-1]].reshape(len(self.numbers), -1, self.solid.dim)
-        return u
+        traction = np.maximum(g, 0.0)[..., None] * normal + slip
+        return self.face.forces(self.stiffness * traction, len(x))
 
     def _relative(self, x: Array) -> Array:
         """Deformed positions relative to the indenter's lowest point, (facets, q, dim) [m]."""
-        moved: Array = self.points + self.values @ self._of_facets(x)
+        moved: Array = self.face.points + self.face.values @ self.face.displacements(x)
         moved[..., :-1] -= self.centre
         moved[..., -1] += x[self.depth] - self.lowest
         return moved
@@ -234,6 +176,6 @@ class PenaltyContact(ForceTerm):
         normal = np.concatenate([radial[..., None] * direction, upward[..., None]], axis=-1)
         tangent = np.concatenate([upward[..., None] * direction, -radial[..., None]], axis=-1)
         second = bend[..., None, None] * tangent[..., :, None] * tangent[..., None, :]
-        sideways = np.eye(self.solid.dim - 1) - direction[..., :, None] * direction[..., None, :]
+        sideways = np.eye(self.face.dim - 1) - direction[..., :, None] * direction[..., None, :]
         second[..., :-1, :-1] += (radial / r)[..., None, None] * sideways
         return g, normal, second

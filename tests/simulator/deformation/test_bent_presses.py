@@ -52,7 +52,7 @@ def meshed(stretches=(1.0, 1.0), support=None) -> StackMesh:
 
 
 def pressed(dent, bent) -> Correction:
-    frame = None if bent is None else ContactFrame.at(bent, X, Y, TOP)
+    frame = None if bent is None else ContactFrame.at(bent, X, Y, STACK)
     stretches = (1.0, 1.0) if frame is None else tuple(frame.stretches.tolist())
     stack = FiniteStack(meshed(stretches), bent=bent)
     return stack.correction([DentField(X, Y, PUNCH, dent, frame)])
@@ -70,7 +70,7 @@ def test_a_press_turns_with_its_sensor(dent) -> None:
 def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
     """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
     stretched = Homogeneous(TURN @ np.diag([1.15, 1.0, 1.0 / 1.15]))
-    frame = ContactFrame.at(stretched, X, Y, TOP)
+    frame = ContactFrame.at(stretched, X, Y, STACK)
     assert frame.stretches == pytest.approx([1.15, 1.0])
     stack = FiniteStack(meshed((1.15, 1.0)), bent=stretched)
     found = stack.correction([DentField(X, Y, PUNCH, dent, frame)])
@@ -80,7 +80,7 @@ def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
 
 def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
     F = TURN @ np.diag([1.2, 0.9, 0.8])
-    frame = ContactFrame.at(Homogeneous(F), X, Y, TOP)
+    frame = ContactFrame.at(Homogeneous(F), X, Y, STACK)
     assert frame.rotation == pytest.approx(TURN, abs=1e-12)
     stress = np.random.default_rng(1).normal(size=(3, 3))
     # On a flat face of unit area lie 1.2 x 0.9 of the bent face.
@@ -118,7 +118,6 @@ def unsolved(monkeypatch) -> list[BentStack | None]:
         return Nothing()
 
     monkeypatch.setattr(touches, "solved_presses", solved)
-    monkeypatch.setattr(touches, "SolvedField", lambda found: found)
     return asked
 
 

@@ -14,8 +14,8 @@ from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Sub
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation import corrections as tables
+from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation import solution_store as store
-from eitskin.simulator.deformation import solved_press
 from eitskin.simulator.deformation.corrections import (
     Corrections,
     correction_problems,
@@ -268,8 +268,8 @@ def changes(sim: Simulator, *touches: Touch):
 def test_tables_give_the_signals_of_solved_presses(monkeypatch) -> None:
     # Cells that grow faster away from the press, also at the ends: a third of the time, and 1 % of
     # the signals, of which the tables differ by 1.8 %.
-    coarser = partial(solved_press.stack_mesh, fineness=Fineness(ends=0.0, growth=2.0))
-    monkeypatch.setattr(solved_press, "stack_mesh", coarser)
+    coarser = partial(finite_stack.stack_mesh, fineness=Fineness(ends=0.0, growth=2.0))
+    monkeypatch.setattr(finite_stack, "stack_mesh", coarser)
     touch = Touch(0.062, 0.022, 4.0)
     found, solved = (
         changes(Simulator(DESIGN, "fast", touch_model=model), touch)

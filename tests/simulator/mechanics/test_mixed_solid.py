@@ -165,9 +165,10 @@ def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
         return SparseLU(matrix)
 
     exact = newton([solid], none, load, tolerance=1e-10)
+    solid.elimination = lambda *_: counted
     counts = []
     for chords in (False, True):
-        found = newton([solid], none, load, counted, 1e-2, chords=chords)
+        found = newton([solid], none, load, 1e-2, chords=chords)
         assert np.abs(found - exact).max() < 1e-4 * np.abs(exact).max()
         counts.append(len(factorised))
     assert counts[1] - counts[0] < counts[0]
