@@ -34,11 +34,12 @@ class Slab:
     """Rectangular layer in its encapsulation, the part of a design that bends depend on.
 
     Attributes:
-        outline: of the gel.
-        thickness, encapsulated_thickness: of the gel and of the whole stack [m].
+        length, width, thickness: of the gel [m].
+        encapsulated_thickness: of the whole stack [m].
     """
 
-    outline: Rectangle
+    length: float
+    width: float
     thickness: float
     encapsulated_thickness: float
 
@@ -51,12 +52,13 @@ class Slab:
                 f"a clamp bends sensors of rectangular outline, got {type(outline).__name__}; "
                 'choose a kinematic fixture, Hinge or FreeArc (in a recipe fixture = "hinge")'
             )
-        return cls(outline, design.thickness, design.encapsulated_thickness)
+        stack = design.thickness, design.encapsulated_thickness
+        return cls(outline.length, outline.width, *stack)
 
     @property
     def half_sizes(self) -> Array:
         """Half of length, width and thickness of the gel [m], (3,)."""
-        return 0.5 * np.array([self.outline.length, self.outline.width, self.thickness])
+        return 0.5 * np.array([self.length, self.width, self.thickness])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,8 +243,7 @@ def clamped_lines(
     edge, whole = 0.5 * clamp.span, length + margin
     if edge > length:
         raise ConfigurationError(
-            f"the span of {clamp.span:g} m must not exceed the sensor's length of "
-            f"{slab.outline.length:g} m"
+            f"the span of {clamp.span:g} m must not exceed the sensor's length of {slab.length:g} m"
         )
     end = whole if inside is None else min(whole, edge + inside)
     return (

@@ -11,7 +11,7 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial, reduce
+from functools import lru_cache, reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
-from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
-from eitskin.simulator.bends.bent_layer import BentLayer
+from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, cut_weights
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
@@ -48,6 +47,69 @@ _REACH = 1.5  # steps from the nominal value within which its two neighbours ser
 _TOLERANCE = 1e-6  # singular values of displacements, relative to the largest, that tables keep
 _FEWEST = 4
 _SAME = 1e-9  # [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BentLayer(Deformation):
+    """Layer of a bent sensor, a Deformation of the gel.
+
+    Cubic splines along x and y and a polynomial along z interpolate the nodal displacements of a
+    quarter, mirrored to all four: positions and deformation gradients are continuous. Beyond the
+    layer, where presses push gel, positions are extrapolated linearly.
+
+    Attributes:
+        field: displacements, from the middle along x and y and from the bottom face.
+        centre: middle of the layer [m], (3,).
+        half_sizes: of the layer [m], (3,).
+        thickness: of the whole stack [m].
+        angle_deg: between the plates.
+        energy: stored in the whole sensor [J].
+        moment: of each plate about the axis, the derivative of the energy by the angle in radians
+            [N m].
+    """
+
+    field: Field
+    centre: Array
+    half_sizes: Array
+    thickness: float
+    angle_deg: float
+    energy: float
+    moment: float
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients, continuous everywhere."""
+        x = np.asarray(points, dtype=float) - self.centre
+        outside = np.abs(x[..., 2]) > 0.5 * self.thickness + _SAME
+        outside |= np.abs(x[..., 1]) > self.half_sizes[1] + 0.5 * self.thickness
+        if np.any(outside):
+            raise ConfigurationError(
+                f"{int(outside.sum())} of {outside.size} points lie beside the bent sensor, whose "
+                f"gel is {2 * self.half_sizes[1]:g} m wide and whose stack is {self.thickness:g} m "
+                "thick; a rolled sensor needs a kinematic fixture, Hinge(...) or FreeArc(...)"
+            )
+        inside = np.clip(x, -self.half_sizes, self.half_sizes)
+        columns = inside.reshape(-1, 1, 3) + np.array([0.0, 0.0, self.half_sizes[2]])
+        moved = self.field.moved(columns).reshape(12, *x.shape[:-1])
+        positions: Points = self.centre + x + np.moveaxis(moved[:3], 0, -1)
+        slope, beyond = moved[3:].reshape(3, 3, *x.shape[:-1]), x - inside
+        if np.any(beyond):
+            positions = positions + np.einsum("ij...,...j->...i", slope, beyond)
+        moved[3::4] += 1.0  # the diagonal
+        return positions, np.moveaxis(slope, (0, 1), (-2, -1))
+
+
+def _mirrored(nodes: Sequence[Array], values: Array) -> Field:
+    """Field of the displacements (nx, ny, nz, 3) of the nodes of a quarter, mirrored to all."""
+    for axis in range(2):
+        # u_x is odd and the others are even along x; likewise u_y along y.
+        half = len(nodes[axis]) - 1
+        values = np.take(values, np.abs(np.arange(-half, half + 1)), axis)
+        odd = np.moveaxis(values, axis, 0)[..., axis]
+        odd[:half] *= -1.0
+        odd[half] = 0.0
+    x, y = (CubicSplines(np.concatenate([-each[:0:-1], each])) for each in nodes[:2])
+    top = float(nodes[2][-1])
+    return Field.from_values(values, (x, y), 2.0 * top, nodes[2] / top)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +154,8 @@ class BendTable:
             np.asarray(sum(weight * table.sizes[name] for table, weight in self.tables))
             for name in ("x", "y", "z", "centre", "thickness")
         )
-        return BentLayer((x, y, z), values, centre, float(thickness), angle_deg, energy, moment)
+        field, ends = _mirrored((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
+        return BentLayer(field, centre, ends, float(thickness), angle_deg, energy, moment)
 
 
 @lru_cache(maxsize=32)
@@ -194,7 +257,7 @@ def bend_table(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid = OWN_GRID
 ) -> BendTable:
     """Bend table of a clamped sensor; the first time takes half a minute."""
-    weighted = [(_loaded(case), each) for case, each in _cases(design, clamp, mechanics, grid)]
+    weighted = [(case.table(), each) for case, each in _cases(design, clamp, mechanics, grid)]
     common = reduce(np.intersect1d, (table.nodes("angle") for table, _ in weighted))
     return BendTable(tuple((table.restricted(common), weight) for table, weight in weighted))
 
@@ -203,7 +266,7 @@ def bend_problems(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid = OWN_GRID
 ) -> list[Problem]:
     """Tables that `bend_table` needs; each takes half a minute to solve."""
-    return [_problem(case) for case, _ in _cases(design, clamp, mechanics, grid)]
+    return [case.problem() for case, _ in _cases(design, clamp, mechanics, grid)]
 
 
 def on_support(clamp: Clamp, support: Support) -> Clamp:
@@ -213,132 +276,86 @@ def on_support(clamp: Clamp, support: Support) -> Clamp:
 
 @dataclass(frozen=True, slots=True)
 class _Case:
-    """One stack to be solved.
-
-    Attributes:
-        slab: the layer.
-        clamp: span, offset, compliance and held faces.
-        mechanics: materials.
-        lines: grid lines of the quarter [m].
-    """
+    """One stack to be solved, on the grid lines of its quarter [m]."""
 
     slab: Slab
     clamp: Clamp
     mechanics: Mechanics
     lines: tuple[tuple[float, ...], ...]
 
+    def problem(self) -> Problem:
+        """Table of the case, described at the solved thickness and modulus."""
+        (length, modulus), clamp, mechanics = self._scales, self.clamp, self.mechanics
+        slab, compliance = self.slab, clamp.compliance * modulus / length
+        laws = [
+            dataclasses.replace(law, shear_modulus=law.shear_modulus / modulus)
+            for law in (mechanics.gel, mechanics.encapsulation)
+        ]
+        described = {
+            "version": _VERSION,
+            "sizes": [x / length for x in (*(2.0 * slab.half_sizes), slab.encapsulated_thickness)],
+            "clamp": [clamp.span / length, clamp.offset / length, compliance, clamp.faces],
+            "laws": [[type(law).__name__, *dataclasses.astuple(law)] for law in laws],
+            "margin": mechanics.margin / length,
+            "bulk_ratio": mechanics.bulk_ratio,
+            "lines": [[x / length for x in line] for line in self.lines],
+            "angles_deg": ANGLES_DEG,
+        }
+        return Problem("bend", described, self._solve)
+
+    def table(self) -> SolutionTable:
+        """Table of the case, solved where it is not stored."""
+        table = SolutionTable.from_arrays(load_or_solve(self.problem()), np.float64)
+        length, modulus = self._scales
+        return table.scaled(length, modulus * length**3, length)
+
+    def _solve(self, report: Report) -> Arrays:
+        log.info("solving the bends of a clamped sensor, which takes half a minute")
+        x, y, z = (np.array(line) for line in self.lines)
+        stack = ClampedStack(self.slab, self.clamp, self.mechanics, lines=(x, y, z))
+        length, modulus = self._scales
+        table = tabulate_bends(stack, ANGLES_DEG, report)
+        return table.scaled(1.0 / length, 1.0 / (modulus * length**3), 1.0 / length).arrays()
+
     @property
-    def scales(self) -> tuple[float, float]:
+    def _scales(self) -> tuple[float, float]:
         """Thickness and modulus relative to the solved ones."""
         modulus = self.mechanics.gel.shear_modulus / _MODULUS
         return self.slab.encapsulated_thickness / _THICKNESS, modulus
-
-    def scaled(self) -> "_Case":
-        """Equal case of the solved thickness and modulus."""
-        length, modulus = self.scales
-        outline, old = self.slab.outline, self.mechanics
-        gel, around = (
-            dataclasses.replace(law, shear_modulus=law.shear_modulus / modulus)
-            for law in (old.gel, old.encapsulation)
-        )
-        return _Case(
-            Slab(
-                Rectangle(outline.length / length, outline.width / length),
-                self.slab.thickness / length,
-                self.slab.encapsulated_thickness / length,
-            ),
-            Clamp(
-                self.clamp.span / length,
-                self.clamp.offset / length,
-                self.clamp.compliance * modulus / length,
-                self.clamp.faces,
-            ),
-            Mechanics(gel, around, old.margin / length, old.bulk_ratio),
-            tuple(tuple(x / length for x in line) for line in self.lines),
-        )
 
 
 def _cases(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid
 ) -> Iterator[tuple[_Case, float]]:
-    """Solved stacks, and their weights in the table of a design."""
+    """Solved stacks on the nominal mesh, stretched, and their weights in the table of a design."""
     clamp, slab = on_support(clamp, design.support), Slab.of(design)
-    ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+    gel, around = mechanics.gel.shear_modulus, slab.encapsulated_thickness / slab.thickness
+
+    def varied(
+        span: float, offset: float, thickness: float, ratio: float
+    ) -> tuple[Slab, Clamp, Mechanics]:
+        law = dataclasses.replace(mechanics.encapsulation, shear_modulus=ratio * gel)
+        sizes = {"thickness": thickness, "encapsulated_thickness": around * thickness}
+        return (
+            dataclasses.replace(slab, **sizes),
+            dataclasses.replace(clamp, span=span, offset=offset),
+            dataclasses.replace(mechanics, encapsulation=law),
+        )
+
+    ratio = mechanics.encapsulation.shear_modulus / gel
     wanted = clamp.span, clamp.offset, slab.thickness, ratio
-    nominal = (
-        grid.span or clamp.span,
-        clamp.offset if grid.offset is None else grid.offset,
-        grid.thickness or slab.thickness,
-        grid.ratio or ratio,
-    )
-    stack = slab.encapsulated_thickness * nominal[2] / slab.thickness
-    sizes = _SPAN * nominal[0], _OFFSET * stack, _THICKER * nominal[2]
+    given = grid.span, grid.offset, grid.thickness, grid.ratio
+    nominal = [own if one is None else one for own, one in zip(wanted, given, strict=True)]
+    sizes = _SPAN * nominal[0], _OFFSET * around * nominal[2], _THICKER * nominal[2]
     positions = [(a - b) / size for a, b, size in zip(wanted, nominal, sizes, strict=False)]
     positions.append(math.log(ratio / nominal[3]) / math.log(_STIFFER))
     middles = [round(t) if abs(t) > _REACH else 0 for t in positions]  # specimens share nodes
     stencils = [range(middle - 1, middle + 2) for middle in middles]
+    x, y, z = clamped_lines(*varied(*nominal))
+    ends = float(slab.half_sizes[0]), float(x[-1])
     for steps, weight in cut_weights(positions, stencils).items():
         values = [b + n * size for b, n, size in zip(nominal, steps, sizes, strict=False)]
         values.append(nominal[3] * _STIFFER ** steps[3])
-        yield _case(slab, clamp, mechanics, nominal, tuple(values)), weight
-
-
-def _case(
-    slab: Slab,
-    clamp: Clamp,
-    mechanics: Mechanics,
-    nominal: tuple[float, ...],
-    values: tuple[float, ...],
-) -> _Case:
-    """Stack of a span, offset, thickness and ratio, on the nominal mesh, stretched."""
-    around = slab.encapsulated_thickness / slab.thickness
-    law = dataclasses.replace(
-        mechanics.encapsulation, shear_modulus=values[3] * mechanics.gel.shear_modulus
-    )
-    made = dataclasses.replace(mechanics, encapsulation=law)
-
-    def body(span: float, offset: float, thickness: float, _: float) -> tuple[Slab, Clamp]:
-        return (
-            dataclasses.replace(
-                slab, thickness=thickness, encapsulated_thickness=around * thickness
-            ),
-            Clamp(span, offset, clamp.compliance, clamp.faces),
-        )
-
-    x, y, z = clamped_lines(*body(*nominal), made)
-    ends = [float(slab.half_sizes[0]), float(x[-1])]
-    x = np.interp(x, [0.0, 0.5 * nominal[0], *ends], [0.0, 0.5 * values[0], *ends])
-    z = z * (values[2] / nominal[2])
-    lines = tuple(tuple(line.tolist()) for line in (x, y, z))
-    return _Case(*body(*values), made, lines)
-
-
-def _problem(case: _Case) -> Problem:
-    """Table of a scaled case."""
-    scaled = case.scaled()
-    laws = (scaled.mechanics.gel, scaled.mechanics.encapsulation)
-    clamp = scaled.clamp
-    described = {
-        "version": _VERSION,
-        "sizes": [*(2.0 * scaled.slab.half_sizes), scaled.slab.encapsulated_thickness],
-        "clamp": [clamp.span, clamp.offset, clamp.compliance, clamp.faces],
-        "laws": [[type(law).__name__, *dataclasses.astuple(law)] for law in laws],
-        "margin": scaled.mechanics.margin,
-        "bulk_ratio": scaled.mechanics.bulk_ratio,
-        "lines": scaled.lines,
-        "angles_deg": ANGLES_DEG,
-    }
-    return Problem("bend", described, partial(_solve, scaled))
-
-
-def _solve(scaled: _Case, report: Report) -> Arrays:
-    log.info("solving the bends of a clamped sensor, which takes half a minute")
-    x, y, z = (np.array(line) for line in scaled.lines)
-    stack = ClampedStack(scaled.slab, scaled.clamp, scaled.mechanics, lines=(x, y, z))
-    return tabulate_bends(stack, ANGLES_DEG, report).arrays()
-
-
-def _loaded(case: _Case) -> SolutionTable:
-    length, modulus = case.scales
-    table = SolutionTable.from_arrays(load_or_solve(_problem(case)), np.float64)
-    return table.scaled(length, modulus * length**3, length)
+        along = np.interp(x, [0.0, 0.5 * nominal[0], *ends], [0.0, 0.5 * values[0], *ends])
+        lines = along, y, z * (values[2] / nominal[2])
+        yield _Case(*varied(*values), tuple(tuple(line.tolist()) for line in lines)), weight
