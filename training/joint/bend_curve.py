@@ -9,7 +9,6 @@ calibration.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -80,8 +79,10 @@ class BendCurve(StoredFields):
 
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
         """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
-        exponents, factors = _value_and_slope(len(self.mean))
-        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self.coefficients
+        orders, u = np.arange(1.0, len(self.mean) + 1.0), angle_deg / SCALE
+        powers = u ** (orders - 1.0)
+        value: Array = (u * powers) @ self.coefficients
+        slope: Array = (orders / SCALE * powers) @ self.coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
@@ -317,13 +318,6 @@ def _powers(u: Array, count: int) -> Array:
     """Powers u, u^2, ... (..., count) of u (..., 1)."""
     powers: Array = u ** np.arange(1, count + 1)
     return powers
-
-
-@lru_cache(maxsize=16)
-def _value_and_slope(powers: int) -> tuple[Array, Array]:
-    """Exponents and factors (2, powers): u^1, u^2, ... and, over SCALE, u^0, 2 u^1, ..."""
-    orders = np.arange(1.0, powers + 1)
-    return orders - [[0.0], [1.0]], np.array([np.ones(powers), orders / SCALE])
 
 
 def _mixed_model(

@@ -135,24 +135,25 @@ def usual_curves(frames: MirroredFrames, everywhere: BendCurvePrior) -> BendCurv
     the group are learned, and every specimen belongs to the group whose curves are likelier by
     them than by those of all specimens, `everywhere` (classification EM, Celeux and Govaert 1992).
     """
-    count = frames.specimens
+    count, own = frames.specimens, frames[frames.image == 0]  # mirror images tell nothing more
     if count < 2 * FEWEST_SPECIMENS:
         return None
+    likelihood = everywhere.log_likelihood(own)
+
+    def learned(some: NDArray[np.bool_]) -> BendCurvePrior:
+        return BendCurvePrior.fit(frames[some[frames.specimen]])
+
     member = _closest(frames.coordinates())
-    likelihood = _log_likelihood(everywhere, frames)
     for _ in range(ROUNDS):
-        prior = _learned(frames, member)
-        log_odds = np.log(member.sum() / (count - member.sum()))
-        before, member = member, _log_likelihood(prior, frames) - likelihood > -log_odds
+        gain = learned(member).log_likelihood(own) - likelihood
+        before, member = member, gain > -np.log(member.sum() / (count - member.sum()))
         if not FEWEST_SPECIMENS <= member.sum() <= MOST_SHARE * count:
             return None
         if (member == before).all():
             break
     held_out = member & (np.arange(count) % HOLD_OUT == HOLD_OUT - 1)
-    unseen = _log_likelihood(_learned(frames, member & ~held_out), frames) - likelihood
-    if unseen[held_out].mean() < LEAST_GAIN:
-        return None
-    return _learned(frames, member)
+    unseen = learned(member & ~held_out).log_likelihood(own) - likelihood
+    return learned(member) if unseen[held_out].mean() >= LEAST_GAIN else None
 
 
 def _closest(coordinates: Array) -> NDArray[np.bool_]:
@@ -162,13 +163,3 @@ def _closest(coordinates: Array) -> NDArray[np.bool_]:
     middle = int(radius.argmin())
     closest: NDArray[np.bool_] = distance[middle] <= radius[middle]
     return closest
-
-
-def _learned(frames: MirroredFrames, member: NDArray[np.bool_]) -> BendCurvePrior:
-    """Distribution of the curves of some specimens."""
-    return BendCurvePrior.fit(frames[member[frames.specimen]])
-
-
-def _log_likelihood(prior: BendCurvePrior, frames: MirroredFrames) -> Array:
-    """Log-likelihood of each specimen (S,), without its mirror images."""
-    return prior.log_likelihood(frames[frames.image == 0])

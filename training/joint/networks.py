@@ -72,22 +72,18 @@ class AngleNetworks(StoredFields):
         shape = without_drift(change / self.unit, np.square(drift), self.drift, self.filter)
         return np.concatenate([shape, held, np.asarray(size)[..., None]], axis=-1)
 
-    def members(self, change: Array, features: Array, drift: float) -> tuple[Array, Array]:
-        """Means and standard deviations (M,) of one frame [deg]; arguments as of `inputs`."""
-        values = self.inputs(change, features, np.array(drift))
-        last = dense_network(zip(self.weights, self.biases, strict=True), values)
-        return UNIT_DEG * last[:, 0], UNIT_DEG * np.exp(np.clip(last[:, 1], *LOG_DEVIATION))
-
     def estimate(self, change: Array, features: Array, drift: float) -> tuple[float, float]:
         """Angle [deg] and its standard error [deg] of one frame; arguments as of `inputs`.
 
         The angle is at most `BEYOND_DEG` outside of those learned from, as that of a bend curve.
         """
-        means, deviations = self.members(change, features, drift)
-        lacking = (len(means) - 1) * float(np.var(means))
+        values = self.inputs(change, features, np.array(drift))
+        means, logs = dense_network(zip(self.weights, self.biases, strict=True), values).T
+        variance = np.mean(np.exp(2.0 * np.clip(logs, *LOG_DEVIATION)))
+        variance += (len(means) - 1) * np.var(means)
         low, high = self.angle_deg
-        angle = min(max(float(np.mean(means)), low - BEYOND_DEG), high + BEYOND_DEG)
-        return angle, float(np.sqrt(np.mean(deviations**2) + lacking))
+        angle = min(max(UNIT_DEG * float(np.mean(means)), low - BEYOND_DEG), high + BEYOND_DEG)
+        return angle, UNIT_DEG * float(np.sqrt(variance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
