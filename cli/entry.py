@@ -67,12 +67,18 @@ def describe_failure(error: Exception) -> str:
             "eitskin: the memory is not enough; ask for less, such as a smaller file, mesh or "
             "dataset, or fewer workers\n"
         )
-    kind = type(error).__name__
+    import tempfile
+    import traceback
+
     try:
-        place = f"; please send {_written(failure_report(error))}, after a look at what it says"
+        handle, name = tempfile.mkstemp(prefix="eitskin-report-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(failure_report(error))
+        place = f"; please send {name}, after a look at what it says"
     except OSError:
-        place = f", in {_place(error)}; no report could be written"
-    return f"eitskin: this is a fault of eitskin ({kind}){place}\n"
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f", in {last.name}, line {last.lineno}; no report could be written"
+    return f"eitskin: this is a fault of eitskin ({type(error).__name__}){place}\n"
 
 
 def failure_report(error: Exception) -> str:
@@ -88,41 +94,14 @@ def failure_report(error: Exception) -> str:
 
     from eitskin import __version__
     from eitskin.files import printable
+    from eitskin.provenance import package_versions
 
     lines = [
         f"eitskin {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         f"Python {platform.python_version()}, {platform.platform()}",
-        ", ".join(f"{name} {_version(name)}" for name in _PACKAGES),
+        ", ".join(" ".join(each) for each in package_versions(_PACKAGES).items()),
         f"command: eitskin {shlex.join(sys.argv[1:])}",
         "",
         *"".join(traceback.format_exception(error)).splitlines(),
     ]
     return "\n".join(printable(line[:_LONGEST_LINE]) for line in lines) + "\n"
-
-
-def _written(text: str) -> str:
-    """Name of a new file in the system's folder for temporary files, with this text."""
-    import tempfile
-
-    handle, name = tempfile.mkstemp(prefix="eitskin-report-", suffix=".txt")
-    with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
-        file.write(text)
-    return name
-
-
-def _place(error: Exception) -> str:
-    """Function and line of eitskin that raised the exception."""
-    import traceback
-
-    frames = traceback.extract_tb(error.__traceback__)
-    last = frames[-1]
-    return f"{last.name}, line {last.lineno}"
-
-
-def _version(package: str) -> str:
-    from importlib import metadata
-
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"

@@ -118,6 +118,18 @@ Commands = Mapping[str, Callable[[bytes], None]]
 """Function of each path that is posted to, which takes the body; may raise ConfigurationError."""
 
 
+def commands_of(
+    actions: Mapping[str, tuple[Any, Callable[[Any], None]]],
+    act: Callable[[Callable[[Any], None], Any], None],
+) -> Commands:
+    """Commands from the type of each payload and its action, which `act` calls with the payload."""
+
+    def take(path: str, kind: Any, action: Callable[[Any], None], body: bytes) -> None:
+        act(action, read_command(kind, path, body))
+
+    return {path: partial(take, path, *action) for path, action in actions.items()}
+
+
 def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
     """Command that was posted to `path`; raises ConfigurationError for another body."""
     try:
@@ -153,16 +165,17 @@ def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Com
         frames = max(1, round(STEP / (board.info.period or 1.0)))
         stage.play(hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS)))
 
-    def take(path: str, kind: Any, act: Callable[[Any], None], body: bytes) -> None:
+    def act(action: Callable[[Any], None], command: Any) -> None:
         if stage is None:
             raise ConflictError("this board is not a virtual one and takes no commands")
-        act(read_command(kind, path, body))
+        action(command)
 
-    return {
-        "/scene": partial(take, "/scene", SceneCommand, set_scene),
-        "/fault": partial(take, "/fault", FaultCommand, set_fault),
-        "/play": partial(take, "/play", PlayCommand, play),
+    actions: dict[str, tuple[Any, Callable[[Any], None]]] = {
+        "/scene": (SceneCommand, set_scene),
+        "/fault": (FaultCommand, set_fault),
+        "/play": (PlayCommand, play),
     }
+    return commands_of(actions, act)
 
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:

@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 
 from eitskin.cli.commands.live.session import LiveSession
-from eitskin.cli.commands.live.task import Progress, Task
-from eitskin.cli.commands.live.tasks import SessionTasks
+from eitskin.cli.commands.live.tasks import Progress, SessionTasks, Task
 from eitskin.cli.options import Output
 from eitskin.cli.page.commands import ConflictError
 from eitskin.datasets import open_dataset
