@@ -171,7 +171,6 @@ class SensorOptions:
 
 def read_design(sensor: Path | None) -> "geometry.SensorDesign":
     """Design of a file, or the reference sensor where none is named."""
-
     return geometry.SensorDesign.from_toml(sensor) if sensor else geometry.SensorDesign.reference()
 
 
@@ -216,7 +215,6 @@ def named_board(uri: str | None, output: "Output") -> str:
 
 def opened_board(uri: str, seed: int) -> "hardware.Board":
     """Board of a URI, open; the seed is for a virtual one whose URI has none."""
-
     drawn = uri.startswith(VIRTUAL) and "seed=" not in uri
     return hardware.open_board(uri, **({"seed": seed} if drawn else {}))
 

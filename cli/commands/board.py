@@ -61,7 +61,6 @@ def command(
     output: Output,
 ) -> None:
     """Serve a virtual board on a pseudo-terminal until Ctrl-C; hosts can come and go."""
-
     if list_faults:
         from eitskin.hardware.virtual.fault_table import FAULTS
 

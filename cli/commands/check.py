@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from eitskin import datasets, hardware, simulator, training
-from eitskin.cli.commands.recorded_frames import Values
+from eitskin.cli.commands.recorded_frames import Values, read_recorded, required_protocol
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     BoardOption,
@@ -73,68 +73,55 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
-
     if list_ports:
-        _list(output)
+        from eitskin.hardware.boards.port import serial_ports
+
+        ports = serial_ports()
+        lines = [f"{port.uri}  {port}" for port in ports]  # whole, to be copied
+        listed = [{**dataclasses.asdict(port), "uri": port.uri} for port in ports]
+        output.result({"ports": listed}, "\n".join(lines) or "no serial port was found here")
     elif recording is not None:
         if model is not None:
             raise ConfigurationError(
                 f"a recording is checked without a model, got {model}; leave MODEL or --recording "
                 "out"
             )
-        _check_recording(recording, values, protocol, output)
+        data = read_recorded(recording, values, protocol)
+        table = required_protocol(data)
+        readings = hardware.check_readings(data.impedance, table, data.status)
+        found = SensorFindings(readings.findings, readings.laws)
+        _report({"recording": str(recording)}, found, table, len(data), output)
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
         pipeline = training.open_pipeline(model or SHIPPED, own_method(method))
-        check_board(
-            pipeline,
-            named_board(board, output),
-            frames,
-            output,
-            reference,
-            named=model is not None,
-            calibrate=calibrate,
-            seed=seed,
+        spec, uri = pipeline.layout, named_board(board, output)
+        with opened_board(uri, seed) as opened:
+            suits = model is not None or opened.protocol == spec.known_protocol
+            if suits:
+                spec.require_same_measurements(opened.protocol, opened.info.frequency)
+            else:
+                output.note(
+                    f"{SHIPPED} is for {spec.known_protocol}, the board measures "
+                    f"{opened.protocol}: checking without a model; name a pipeline for this "
+                    "sensor to check its values, too"
+                )
+            if reference is not None:
+                use_reference(pipeline, reference, opened.info, output)
+            if calibrate:
+                opened.calibrate()
+            output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
+            taken = list(islice(opened.frames(), frames))
+        if suits and pipeline.expected is None:
+            output.note(NO_EXPECTED)
+        elif suits:
+            tell_unjudged(pipeline, output)
+        findings = sensor_findings(
+            pipeline if suits else None,
+            taken,
+            lambda: [pipeline.process(each) for each in taken][-1],
         )
-
-
-def check_board(
-    pipeline: "training.Pipeline",
-    board: str,
-    frames: int,
-    output: Output,
-    reference: Path | None,
-    *,
-    named: bool,
-    calibrate: bool,
-    seed: int,
-) -> None:
-    """Check a board by a pipeline, which was `named`, or is the shipped one."""
-    spec = pipeline.layout
-    with opened_board(board, seed) as opened:
-        suits = named or opened.protocol == spec.known_protocol
-        if suits:
-            spec.require_same_measurements(opened.protocol, opened.info.frequency)
-        else:
-            output.note(
-                f"{SHIPPED} is for {spec.known_protocol}, the board measures {opened.protocol}: "
-                "checking without a model; name a pipeline for this sensor to check its values, too"
-            )
-        if reference is not None:
-            use_reference(pipeline, reference, opened.info, output)
-        if calibrate:
-            opened.calibrate()
-        output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
-        taken = list(islice(opened.frames(), frames))
-    if suits and pipeline.expected is None:
-        output.note(NO_EXPECTED)
-    elif suits:
-        tell_unjudged(pipeline, output)
-    found = sensor_findings(
-        pipeline if suits else None, taken, lambda: [pipeline.process(each) for each in taken][-1]
-    )
-    _report({"board": board}, found.findings, found.laws, taken[0].protocol, len(taken), output)
+        _report({"board": uri}, findings, taken[0].protocol, len(taken), output)
 
 
 class SensorFindings(NamedTuple):
@@ -207,51 +194,31 @@ def _not_flat(
     return (Finding(FindingKind.NOT_FLAT, (), (), doubt),) if doubt else ()
 
 
-def _check_recording(path: Path, values: str | None, protocol: str | None, output: Output) -> None:
-    from eitskin.cli.commands.recorded_frames import read_recorded, required_protocol
-
-    data = read_recorded(path, values, protocol)
-    table = required_protocol(data)
-    readings = hardware.check_readings(data.impedance, table, data.status)
-    source = {"recording": str(path)}
-    _report(source, readings.findings, readings.laws, table, len(data), output)
-
-
 def _report(
     source: dict[str, str],
-    findings: "Sequence[Finding]",
-    laws: "Sequence[LawCheck]",
+    found: SensorFindings,
     protocol: "simulator.Protocol",
     frames: int,
     output: Output,
 ) -> None:
     """Print the findings, or that there are none; raises Exit where there are."""
-    for sentence in SensorFindings(tuple(findings), laws).sentences:
+    for sentence in found.sentences:
         output.note(sentence)
     healthy = f"healthy: nothing was found in {frames} frames"
-    shown = "\n".join(each.message for each in findings) or healthy
-    checked = [{**dataclasses.asdict(law), "kind": str(law.kind)} for law in laws]
-    plain = [_plain(each, protocol) for each in findings]
-    result = {"healthy": not findings, "frames": frames, "laws": checked, "findings": plain}
-    output.result(source | result, shown)
-    if findings:
-        raise typer.Exit(EXIT_UNHEALTHY)
-
-
-def _plain(finding: "Finding", protocol: "simulator.Protocol") -> dict[str, object]:
-    """Finding as plain data, channels by their labels."""
-    return {
-        "what": str(finding.what),
-        "electrodes": list(finding.electrodes),
-        "channels": [protocol.labels[k] for k in finding.channels],
-        "message": finding.message,
+    result = {
+        "healthy": not found.findings,
+        "frames": frames,
+        "laws": [{**dataclasses.asdict(law), "kind": str(law.kind)} for law in found.laws],
+        "findings": [
+            {
+                "what": str(each.what),
+                "electrodes": list(each.electrodes),
+                "channels": [protocol.labels[k] for k in each.channels],
+                "message": each.message,
+            }
+            for each in found.findings
+        ],
     }
-
-
-def _list(output: Output) -> None:
-    from eitskin.hardware.boards.port import serial_ports
-
-    ports = serial_ports()
-    lines = [f"{port.uri}  {port}" for port in ports]  # whole, to be copied
-    data = {"ports": [{**dataclasses.asdict(port), "uri": port.uri} for port in ports]}
-    output.result(data, "\n".join(lines) or "no serial port was found here")
+    output.result(source | result, "\n".join(each.message for each in found.findings) or healthy)
+    if found.findings:
+        raise typer.Exit(EXIT_UNHEALTHY)

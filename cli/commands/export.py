@@ -129,7 +129,6 @@ def _readings(
     board: "hardware.ReplayBoard", model: Path | None, method: str | None
 ) -> "Iterator[hardware.Reading]":
     """Readings of all recorded frames, with estimates where there is a model; latency unknown."""
-
     if model is None:
         return (hardware.Reading(frame, None, math.nan, math.nan) for frame in board.frames())
 

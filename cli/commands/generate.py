@@ -79,7 +79,6 @@ def make_dataset(
     shard: int | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Generate with a progress bar; the result as plain data and as a sentence."""
-
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
     _solve_missing(recipe, workers, output, shard)
@@ -193,7 +192,6 @@ def _duration(seconds: float) -> str:
 
 def _read(recipe: str) -> "datasets.Recipe":
     """Recipe from a file, or the shipped recipe of that name."""
-
     if recipe.endswith(".toml") or Path(recipe).is_file():
         return datasets.Recipe.from_toml(recipe)
     if "/" in recipe:

@@ -100,7 +100,6 @@ class FrameOptions:
         self, design: "geometry.SensorDesign", known: "simulator.Protocol", whose: str
     ) -> None:
         """Refuse a --protocol other than that of the source."""
-
         if self.protocol:
             named = simulator.Protocol.named(self.protocol, len(design.electrodes))
             named.require_same(known, "--protocol names", whose, "leave --protocol out")

@@ -35,7 +35,6 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "data
         DataError: where the recording cannot be used.
         FrameError: for another protocol than the dataset's.
     """
-
     named = simulator.Protocol.named(protocol) if protocol else None
     if not path.exists():
         raise DataError(f"there is no dataset and no file {path}; check the path")

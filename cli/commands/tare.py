@@ -2,11 +2,11 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from eitskin import datasets, geometry, hardware, simulator, training
+from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.options import (
     BoardOption,
     MethodCode,
@@ -18,11 +18,7 @@ from eitskin.cli.options import (
     require_parent,
     with_output,
 )
-from eitskin.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from eitskin.cli.options import Output
-
+from eitskin.errors import ConfigurationError, DataError
 
 FRAMES = 32  # that are averaged
 
@@ -57,7 +53,6 @@ def command(
     The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
     replay:DIRECTORY gives its first frames.
     """
-
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
     require_parent(out)
@@ -82,14 +77,9 @@ def taken_from_board(
     pipeline: "training.Pipeline", board: "hardware.Board", frames: int, zero: "training.Zero"
 ) -> "training.StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""
-    require_same_measurements(pipeline, board)
+    pipeline.layout.require_same_measurements(board.protocol, board.info.frequency)
     taken = list(islice(board.frames(), frames))
     return pipeline.tare(taken, zero, board_number(board.info), board.uri)
-
-
-def require_same_measurements(pipeline: "training.Pipeline", board: "hardware.Board") -> None:
-    """Raise DataError where a board measures otherwise than a pipeline was trained."""
-    pipeline.layout.require_same_measurements(board.protocol, board.info.frequency)
 
 
 def reference_frame(folder: Path, specimen: int) -> "simulator.Frame":
@@ -102,7 +92,7 @@ def reference_frame(folder: Path, specimen: int) -> "simulator.Frame":
     data = datasets.open_dataset(folder)
     rows = np.flatnonzero(data.specimen_number == specimen)
     if not len(rows) or data.protocol is None:
-        raise geometry.DataError(
+        raise DataError(
             f"expected specimen {specimen} and a protocol in {folder}, found specimens "
             f"{data.specimen_number[:8].tolist()}, protocol {data.protocol}; choose another "
             "--specimen, or import the recording with --protocol"
@@ -126,13 +116,12 @@ def board_number(info: "hardware.Info") -> str:
 
 
 def use_reference(
-    pipeline: "training.Pipeline", path: Path, info: "hardware.Info | None", output: "Output"
+    pipeline: "training.Pipeline", path: Path, info: "hardware.Info | None", output: Output
 ) -> None:
     """Use the reference in a file; note its zero, and another board than this one.
 
     Raises the errors of `StoredReference.read` and of the pipeline's `use`.
     """
-
     reference = training.StoredReference.read(path)
     pipeline.use(reference)
     output.note(f"zero: the sensor {reference.zero}, as stored in {path} at {reference.taken}")
@@ -144,7 +133,7 @@ def use_reference(
         )
 
 
-def tell_unjudged(pipeline: "training.Pipeline", output: "Output") -> None:
+def tell_unjudged(pipeline: "training.Pipeline", output: Output) -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
     from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
 

@@ -130,7 +130,6 @@ class Demo:
 
     def pipeline(self, which: str) -> "training.Pipeline":
         """Saved pipeline `TRAINED`, trained where that is needed, or `SHIPPED`."""
-
         if which == TRAINED and not self.is_trained():
             start = time.perf_counter()
             choice = choose("quick", epochs=self.epochs, seed=self.seed)
@@ -277,7 +276,6 @@ def run_episode(pipeline: "hardware.FramePipeline", seed: int, frames: int) -> l
     frames of its step, the median angle, the touches of the last frame, and state, angle, touches
     and time of each frame.
     """
-
     script = hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS), repeat=False)
     with hardware.open_board("virtual:", scene=script, speed="max", seed=seed) as board:
         live = hardware.run_live(board, pipeline, newest=False)

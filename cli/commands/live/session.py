@@ -216,7 +216,6 @@ class LiveSession:
 
     def tare(self, frames: Sequence["simulator.Frame"]) -> str:
         """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
-
         zero, board = (
             training.Zero.FLAT if self.stored is None else self.stored.zero,
             self.connection.board,
@@ -269,7 +268,6 @@ class LiveSession:
 
     def view(self) -> RenderableType:
         """Panel of the newest reading and notes."""
-
         notes = [Text(note, style="yellow") for note in self.notes]
         if self.newest is None:
             waiting = self.connection.problem or "waiting for the first frame"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -394,7 +395,6 @@ class SessionTasks(Closeable, SessionCommands):
 
     def _exchange(self, done: Setup) -> str:
         """Go on with the pipeline that was set up; between two frames."""
-
         done.adapted.use(None if done.zero is None else training.StoredReference.read(done.zero))
         self._session.pipeline, self._session.checks = done.adapted, True
         text = "this session goes on with it"

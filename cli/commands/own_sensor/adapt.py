@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from eitskin import datasets, geometry, simulator
+from eitskin import datasets, simulator
 from eitskin.cli.commands.own_sensor.poses import (
     TerminalDialogue,
     asked,
@@ -31,7 +31,7 @@ from eitskin.cli.options import (
     with_output,
 )
 from eitskin.cli.terminal import table_of
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def curve_of(
                 known = data if before is None else before.layout.described(data)
                 return press_curve(LabelledPresses.of(known), show)
             return pipeline_curve(before, data, show)
-        except geometry.DataError as error:
+        except DataError as error:
             output.note(f"no table of errors: {error}")
             return ()
 

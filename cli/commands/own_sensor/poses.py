@@ -9,6 +9,7 @@ import typer
 
 from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.options import Output
+from eitskin.errors import ConfigurationError, DataError
 
 
 class Dialogue(Protocol):
@@ -78,14 +79,12 @@ class Pose:
 
 def bent(angle_deg: float) -> Pose:
     """Pose of the untouched sensor at an angle."""
-
     words = "lay it flat" if angle_deg == 0 else f"bend it by {angle_deg:g} deg"
     return Pose(f"{words}, untouched", training.FrameLabel(angle_deg))
 
 
 def pressed(name: str, x: float, y: float) -> Pose:
     """Pose of the flat sensor with a press at a place [m]."""
-
     words = f"press at {name}: x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, and hold"
     return Pose(words, training.FrameLabel(touches=(training.TouchLabel(x, y),)))
 
@@ -113,7 +112,7 @@ def staged(force: float) -> Hand:
     def moved(board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]") -> None:
 
         if board.stage is None:
-            raise geometry.ConfigurationError(
+            raise ConfigurationError(
                 "--no-prompt is for a virtual: board, whose sensor moves by itself, got another "
                 "board; leave it out"
             )
@@ -172,7 +171,7 @@ def as_dataset(
     labels = [label for _, label in taken]
     flat = [row for row, label in enumerate(labels) if label.flat]
     if not flat:
-        raise geometry.DataError(
+        raise DataError(
             "expected frames of the flat, untouched sensor among the labelled ones, got none; "
             "repeat the step that lays it flat"
         )
@@ -267,9 +266,8 @@ def place_map(
 
 def _plane(design: "geometry.SensorDesign") -> "geometry.PlaneOutline":
     """Outline of a plane sensor; raises ConfigurationError for any other."""
-
     if not isinstance(design.outline, geometry.PlaneOutline):
-        raise geometry.ConfigurationError(
+        raise ConfigurationError(
             "places are named on plane sensors, got a surface; label own presses with eitskin "
             "import, and use eitskin adapt"
         )

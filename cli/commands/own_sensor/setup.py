@@ -247,7 +247,7 @@ class Setup:
 
     def _check(self, start: "training.Pipeline", board: "hardware.Board") -> str:
         """The sensor check; findings are told, and the step may be repeated."""
-        tare.require_same_measurements(start, board)
+        start.layout.require_same_measurements(board.protocol, board.info.frequency)
         taken = list(islice(board.frames(), check.FRAMES))
         found = check.sensor_findings(
             start, taken, lambda: [start.process(frame) for frame in taken][-1]
@@ -302,7 +302,6 @@ class Setup:
 
     def _finish(self) -> "training.Pipeline":
         """Adapt to the labelled frames, and save."""
-
         if not self.taken:
             raise ConfigurationError(
                 "no labelled frames to adapt to, all steps that take them were skipped; "
