@@ -12,6 +12,9 @@ from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
+from eitskin.simulator import Scene, Simulator
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.reconstruction.linear_model import linear_model
 from eitskin.training.reconstruction.pixel_grid import figures_of_merit
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor, back_projection
 from eitskin.training.reconstruction.regularised_inverse import Regularisation
@@ -130,3 +133,37 @@ def test_wrong_options_are_refused():
 def test_two_terminal_frames_are_compared_channel_by_channel():
     assert Reconstructor(SensorDesign.reference()).difference == "relative"
     assert made().difference == "absolute"
+
+
+# ---- linear model ----
+
+
+COARSEST = ((2, 1), Grading(finest=4e-3, coarsest=8e-3, growth=1.0, layers=1))
+THREE = Protocol(((0, 1, 0, 1), (2, 6, 2, 6), (0, 4, 1, 3)), 8)
+LAYOUT = InputSpec(SensorDesign.reference(), THREE, 40e3, np.ones(3))
+
+
+@pytest.mark.slow
+def test_agrees_with_central_differences():
+    """The relative change of every measurement, for a gel that conducts a little more somewhere."""
+    simulator = Simulator(LAYOUT.design, COARSEST, protocol=THREE)
+    setting = simulator.deformed_layer(Scene())
+
+    def change(x, y):
+        return np.sin(20.0 * x) + np.cos(40.0 * y)
+
+    def logarithms(share):
+        def conductivity(x):
+            factor = 1.0 + share * change(x[..., 0], x[..., 1])
+            return setting.conductivity(x) * factor[..., None, None]
+
+        impedance = simulator.model.impedance(conductivity, setting.area_ratio)
+        return np.log(THREE.measure(impedance).real)
+
+    rows, columns = LAYOUT.pixels
+    y, x = ((np.arange(n) + 0.5) / n * size for n, size in ((rows, 0.06), (columns, 0.15)))
+    J = linear_model(LAYOUT.design, THREE, LAYOUT.pixels, COARSEST).relative
+    assert J.shape == (3, rows * columns)
+    expected = (logarithms(1e-4) - logarithms(-1e-4)) / 2e-4
+    # The difference that is left is that of pixels and a smooth change.
+    assert J @ change(*np.meshgrid(x, y)).ravel() == pytest.approx(expected, rel=5e-3)

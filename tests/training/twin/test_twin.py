@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from eitskin.config import write_toml
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
@@ -12,7 +13,10 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.protocol import Protocol
-from eitskin.simulator import Mechanics, Scene, Touch
+from eitskin.simulator import Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.instrument.meter import FourTerminalMeter
+from eitskin.training import PressedTwin
 from eitskin.training.twin.files import as_plain, recipe, write_twin
 from eitskin.training.twin.fit import Problem, TwinForward
 from eitskin.training.twin.labelled_frames import FLAT, labelled_frames
@@ -199,3 +203,47 @@ def test_span_and_offset_are_found_from_known_angles():
     assert twin.narrowing[names.index("span")] < 0.1
     assert twin.narrowing[names.index("offset")] < 0.1
     assert Problem(model, labelled_frames(data)).predicted(x).shape == (4, 28)
+
+
+# ---- pressed twin ----
+
+
+PAIRWISE = Protocol.pairwise(8)
+METER = FourTerminalMeter(sink=2e-4, common_mode=0.01, scale=3.0)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    reference = SensorDesign.reference()
+    first = dataclasses.replace(reference.electrodes[0], contact_impedance=2e-3)
+    dataclasses.replace(reference, electrodes=(first, *reference.electrodes[1:])).to_toml(
+        tmp_path / "design.toml"
+    )
+    write_toml(Clamp(), tmp_path / "fixture.toml")
+    write_toml(Mechanics(), tmp_path / "mechanics.toml")
+    Instrument(snr_db=70.0, meter=METER).to_toml(tmp_path / "rig.toml")
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("angle_deg", [0.0, 20.0])
+def test_changes_are_those_of_the_simulator_with_the_twins_instrument(folder, angle_deg):
+    touches = np.array([[0.03, 0.02, 6.0], [0.10, 0.04, 9.0]])
+    found = PressedTwin.read(folder, PAIRWISE).changes(touches, angle_deg, 0.0075000001)
+    simulator = Simulator(SensorDesign.from_toml(folder / "design.toml"), "coarse")
+    bend = Bend(angle_deg)
+    scenes = [Scene(bend), *(Scene(bend, (Touch(x, y, force),)) for x, y, force in touches)]
+    Z = np.real([simulator.impedance_matrix(scene) for scene in scenes])
+    reading, _ = METER.reading(METER.transfer_impedance(Z, PAIRWISE))
+    logs = np.log(np.abs(reading))
+    np.testing.assert_allclose(found, logs[1:] - logs[0], atol=3e-4 * np.abs(found).max())
+
+
+def test_what_is_no_twin_of_the_pipelines_sensor_is_refused(folder):
+    twin = PressedTwin.read(folder, PAIRWISE)
+    assert twin.inside(np.array([[0.03, 0.02], [0.03, 0.07]])).tolist() == [True, False]
+    with pytest.raises(ConfigurationError, match="16"):
+        PressedTwin.read(folder, Protocol.pairwise(16))
+    (folder / "rig.toml").unlink()
+    with pytest.raises(ConfigurationError, match=r"rig\.toml"):
+        PressedTwin.read(folder, PAIRWISE)
