@@ -93,10 +93,10 @@ def test_a_plug_turned_round_cannot_be_seen():
 # ---- one fault ----
 
 RNG = np.random.default_rng(1)
-CASES = tuple(cases(flat(1), np.zeros((0, 28)), RNG))
+CASES = tuple(cases(flat(1), RNG))
 
 
-@pytest.mark.parametrize("name", sorted({case.name for case in CASES} - {"bad contact, 60 ohm"}))
+@pytest.mark.parametrize("name", sorted({case.name for case in CASES}))
 def test_each_fault_is_named_at_each_place_and_nothing_else_is(name):
     some = [case for case in CASES if case.name == name]
     for case in some if len(some) < 28 else some[::4]:

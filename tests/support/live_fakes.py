@@ -9,19 +9,10 @@ from typer.testing import CliRunner
 from eitskin.cli.commands.live import command as live
 from eitskin.datasets import State
 from eitskin.hardware import Counts
-from eitskin.simulator import Frame, Protocol
+from eitskin.simulator import Frame
 from eitskin.training import Pipeline
 
-from loopback import matrix_of_pairs
-
-PROTOCOL = Protocol.pairwise(8)
-
-
-class FakeSimulator:
-    protocol = PROTOCOL
-
-    def impedance_matrix(self, scene):
-        return matrix_of_pairs(np.linspace(400.0, 820.0, 28) + scene.bend.angle_deg)
+from loopback import PROTOCOL, FakeSimulator
 
 
 @dataclass

@@ -7,7 +7,7 @@ rmw_dds_common; nothing of eitskin is imported. Run: ros2_listener.py DOMAIN NAM
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 from cyclonedds.builtin import (
     BuiltinDataReader,
@@ -17,202 +17,80 @@ from cyclonedds.builtin import (
 )
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import (
-    array,
-    bounded_str,
-    byte,
-    float64,
-    int32,
-    int64,
-    sequence,
-    uint8,
-    uint32,
-    uint64,
-)
+from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
-    data: str
-
-
-@dataclass
-class MultiArrayDimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
-    label: str
-    size: uint32
-    stride: uint32
-
-
-@dataclass
-class MultiArrayLayout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):
-    dim: sequence[MultiArrayDimension]
-    data_offset: uint32
-
-
-@dataclass
-class Float64MultiArray(IdlStruct, typename="std_msgs::msg::dds_::Float64MultiArray_"):
-    layout: MultiArrayLayout
-    data: sequence[float64]
+DEFINITIONS = """
+builtin_interfaces/msg/Time: int32 sec, uint32 nanosec
+std_msgs/msg/Header: Time stamp, string frame_id
+std_msgs/msg/String: string data
+std_msgs/msg/MultiArrayDimension: string label, uint32 size, uint32 stride
+std_msgs/msg/MultiArrayLayout: MultiArrayDimension[] dim, uint32 data_offset
+std_msgs/msg/Float64MultiArray: MultiArrayLayout layout, float64[] data
+sensor_msgs/msg/JointState: Header header, string[] name, float64[] position, float64[] velocity,
+    float64[] effort
+sensor_msgs/msg/Image: Header header, uint32 height, uint32 width, string encoding,
+    uint8 is_bigendian, uint32 step, uint8[] data
+sensor_msgs/msg/PointField: string name, uint32 offset, uint8 datatype, uint32 count
+sensor_msgs/msg/PointCloud2: Header header, uint32 height, uint32 width, PointField[] fields,
+    bool is_bigendian, uint32 point_step, uint32 row_step, uint8[] data, bool is_dense
+geometry_msgs/msg/Vector3: float64 x, float64 y, float64 z
+geometry_msgs/msg/Quaternion: float64 x, float64 y, float64 z, float64 w
+geometry_msgs/msg/Transform: Vector3 translation, Quaternion rotation
+geometry_msgs/msg/TransformStamped: Header header, string child_frame_id, Transform transform
+tf2_msgs/msg/TFMessage: TransformStamped[] transforms
+diagnostic_msgs/msg/KeyValue: string key, string value
+diagnostic_msgs/msg/DiagnosticStatus: byte level, string name, string message, string hardware_id,
+    KeyValue[] values
+diagnostic_msgs/msg/DiagnosticArray: Header header, DiagnosticStatus[] status
+rmw_dds_common/msg/Gid: uint8[16] data
+rmw_dds_common/msg/NodeEntitiesInfo: string<=256 node_namespace, string<=256 node_name,
+    Gid[] reader_gid_seq, Gid[] writer_gid_seq
+rmw_dds_common/msg/ParticipantEntitiesInfo: Gid gid, NodeEntitiesInfo[] node_entities_info_seq
+std_srvs/srv/Trigger_Request: uint64 client, int64 sequence_number,
+    uint8 structure_needs_at_least_one_member
+std_srvs/srv/Trigger_Response: uint64 client, int64 sequence_number, bool success, string message
+"""
+"""Fields of the .msg and .srv files; those of services begin with rmw_cyclonedds_cpp's header."""
 
 
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs::msg::dds_::JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
+def field_type(text, known):
+    """Type of a field from its text, such as uint8[16], string<=256 or Header."""
+    name, _, count = text.rstrip("]").partition("[")
+    name, _, longest = name.partition("<=")
+    if longest:
+        return types.bounded_str[int(longest)]
+    single = {"string": str, "bool": bool}.get(name) or known.get(name) or getattr(types, name)
+    if not text.endswith("]"):
+        return single
+    return types.array[single, int(count)] if count else types.sequence[single]
 
 
-@dataclass
-class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
-    header: Header
-    height: uint32
-    width: uint32
-    encoding: str
-    is_bigendian: uint8
-    step: uint32
-    data: sequence[uint8]
+def message_types():
+    """Classes of all definitions by their short name."""
+    known = {}
+    for line in DEFINITIONS.replace("\n    ", " ").strip().splitlines():
+        kind, _, fields = line.partition(": ")
+        package, folder, name = kind.split("/")
+        made = {field: field_type(text, known) for text, field in map(str.split, fields.split(","))}
+        known[name] = make_idl_struct(name, f"{package}::{folder}::dds_::{name}_", made)
+    return known
 
 
-@dataclass
-class PointField(IdlStruct, typename="sensor_msgs::msg::dds_::PointField_"):
-    name: str
-    offset: uint32
-    datatype: uint8
-    count: uint32
-
-
-@dataclass
-class PointCloud2(IdlStruct, typename="sensor_msgs::msg::dds_::PointCloud2_"):
-    header: Header
-    height: uint32
-    width: uint32
-    fields: sequence[PointField]
-    is_bigendian: bool
-    point_step: uint32
-    row_step: uint32
-    data: sequence[uint8]
-    is_dense: bool
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-class KeyValue(IdlStruct, typename="diagnostic_msgs::msg::dds_::KeyValue_"):
-    key: str
-    value: str
-
-
-@dataclass
-class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticStatus_"):
-    level: byte
-    name: str
-    message: str
-    hardware_id: str
-    values: sequence[KeyValue]
-
-
-@dataclass
-class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticArray_"):
-    header: Header
-    status: sequence[DiagnosticStatus]
-
-
-@dataclass
-class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
-    data: array[uint8, 16]
-
-
-@dataclass
-class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
-    node_namespace: bounded_str[256]
-    node_name: bounded_str[256]
-    reader_gid_seq: sequence[Gid]
-    writer_gid_seq: sequence[Gid]
-
-
-@dataclass
-class ParticipantEntitiesInfo(
-    IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
-):
-    gid: Gid
-    node_entities_info_seq: sequence[NodeEntitiesInfo]
-
-
-@dataclass
-class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
-    client: uint64  # rmw_cyclonedds_cpp's header
-    sequence_number: int64
-    structure_needs_at_least_one_member: uint8
-
-
-@dataclass
-class TriggerResponse(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Response_"):
-    client: uint64
-    sequence_number: int64
-    success: bool
-    message: str
-
-
+TYPES = message_types()
 TOPICS = {
-    "rt/{}/sensor": String,
-    "rt/{}/impedance": Float64MultiArray,
-    "rt/{}/bend": JointState,
-    "rt/{}/touch_map": Image,
-    "rt/{}/touches": PointCloud2,
-    "rt/tf": TFMessage,
-    "rt/diagnostics": DiagnosticArray,
-    "ros_discovery_info": ParticipantEntitiesInfo,
+    "rt/{}/sensor": "String",
+    "rt/{}/impedance": "Float64MultiArray",
+    "rt/{}/bend": "JointState",
+    "rt/{}/touch_map": "Image",
+    "rt/{}/touches": "PointCloud2",
+    "rt/tf": "TFMessage",
+    "rt/diagnostics": "DiagnosticArray",
+    "ros_discovery_info": "ParticipantEntitiesInfo",
 }
 LATCHED = ("rt/{}/sensor", "ros_discovery_info")
 HEADER = b"\x00\x01"  # little-endian CDR of the first version, which ROS 2 reads
@@ -240,18 +118,20 @@ class Listener:
     def __init__(self, domain, name):
         self.participant = DomainParticipant(domain, qos=Qos(Policy.Userdata(b"enclave=/;")))
         self.waits = WaitSet(self.participant)
-        self.heard = {kind.__name__: [] for kind in TOPICS.values()}
+        self.heard = {kind: [] for kind in TOPICS.values()}
         self.readers = []
         for topic, kind in TOPICS.items():
-            profile = KEPT if topic in LATCHED else SENSOR_DATA if kind is Image else DEFAULT
+            profile = KEPT if topic in LATCHED else SENSOR_DATA if kind == "Image" else DEFAULT
             self.read(topic.format(name), kind, profile)
 
     def read(self, topic, kind, profile=DEFAULT):
-        reader = DataReader(self.participant, Topic(self.participant, topic, kind), qos=profile)
+        reader = DataReader(
+            self.participant, Topic(self.participant, topic, TYPES[kind]), qos=profile
+        )
         any_state = ViewState.Any | SampleState.Any | InstanceState.Any
         self.waits.attach(ReadCondition(reader, any_state))
-        self.readers.append((reader, kind.__name__))
-        self.heard.setdefault(kind.__name__, [])
+        self.readers.append((reader, kind))
+        self.heard.setdefault(kind, [])
 
     def wait(self):
         """Take what is there, after waiting for something."""
@@ -283,14 +163,15 @@ class Listener:
 
     def call(self, name, sequence_number):
         """Answer of the service."""
-        topic = Topic(self.participant, f"rq/{name}/tareRequest", TriggerRequest)
-        if not any(kind == "TriggerResponse" for _, kind in self.readers):
-            self.read(f"rr/{name}/tareReply", TriggerResponse)
+        request = TYPES["Trigger_Request"]
+        topic = Topic(self.participant, f"rq/{name}/tareRequest", request)
+        if not any(kind == "Trigger_Response" for _, kind in self.readers):
+            self.read(f"rr/{name}/tareReply", "Trigger_Response")
             self.requests = DataWriter(self.participant, topic, qos=DEFAULT)
-        self.requests.write(TriggerRequest(7, sequence_number, 0))
-        while len(self.heard["TriggerResponse"]) < 1:
+        self.requests.write(request(7, sequence_number, 0))
+        while len(self.heard["Trigger_Response"]) < 1:
             self.wait()
-        return asdict(self.heard["TriggerResponse"].pop()[1])
+        return asdict(self.heard["Trigger_Response"].pop()[1])
 
 
 def summary(listener, frames):
