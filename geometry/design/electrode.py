@@ -66,7 +66,7 @@ class Electrode:
                     f"electrode {name} must be one of {known}, got {getattr(self, name)!r}"
                 )
         self._check_combination()
-        self._check_impedance()
+        require_contact_impedance(self.contact_impedance)
 
     def footprint(self) -> Array:
         """Corners (k, 2) [m] relative to the centre, counter-clockwise, along width and height."""
@@ -100,16 +100,18 @@ class Electrode:
                 f'an electrode with on = "{self.on}" needs the height z of its centre, in m'
             )
 
-    def _check_impedance(self) -> None:
-        z = complex(self.contact_impedance)
-        if not (cmath.isfinite(z) and z.real > 0.0):
-            raise ConfigurationError(
-                "electrode contact_impedance must be finite with a positive real part, in ohm m2, "
-                f"got {self.contact_impedance!r}"
-            )
-        if not LEAST_IMPEDANCE <= abs(z) <= GREATEST_IMPEDANCE:
-            raise ConfigurationError(
-                f"electrode contact_impedance must be between {LEAST_IMPEDANCE:g} and "
-                f"{GREATEST_IMPEDANCE:g} ohm m2 in magnitude, got {abs(z):g} ohm m2; it is the "
-                "impedance of a contact times its area"
-            )
+
+def require_contact_impedance(value: complex) -> None:
+    """Raise ConfigurationError unless `value` [ohm m2] may be the impedance of a contact."""
+    z = complex(value)
+    if not (cmath.isfinite(z) and z.real > 0.0):
+        raise ConfigurationError(
+            "electrode contact_impedance must be finite with a positive real part, in ohm m2, "
+            f"got {value!r}"
+        )
+    if not LEAST_IMPEDANCE <= abs(z) <= GREATEST_IMPEDANCE:
+        raise ConfigurationError(
+            f"electrode contact_impedance must be between {LEAST_IMPEDANCE:g} and "
+            f"{GREATEST_IMPEDANCE:g} ohm m2 in magnitude, got {abs(z):g} ohm m2; it is the "
+            "impedance of a contact times its area"
+        )

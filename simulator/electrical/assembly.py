@@ -46,8 +46,8 @@ class Stiffness:
         inner: matrices from an element's outer to its inner unknowns, (elements, inner, outer).
     """
 
-    values: Array
-    inner: Array
+    values: Numbers
+    inner: Numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,11 +177,11 @@ class Assembly:
         first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
         return np.maximum(first, second), np.minimum(first, second)
 
-    def stiffness(self, conductivity: Array) -> Stiffness:
+    def stiffness(self, conductivity: Numbers) -> Stiffness:
         """Condensed stiffness for conductivities [S/m] as in `matrices`."""
         return self.condensed(self.matrices(conductivity))
 
-    def matrices(self, conductivity: Array) -> Array:
+    def matrices(self, conductivity: Numbers) -> Numbers:
         """Entries of element matrices, (elements, entries) [S].
 
         Args:
@@ -198,38 +198,40 @@ class Assembly:
             entries = conductivity.reshape(count, -1, 1) * unit[:, None]
         else:
             entries = conductivity.reshape(count, -1, 6) @ to_reference
-        found: Array = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
+        found: Numbers = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
 
-    def condensed_matrices(self, matrices: Array) -> Array:
+    def condensed_matrices(self, matrices: Numbers) -> Numbers:
         """Static condensation of element matrices (elements, entries).
 
         Gives the symmetric matrices of the outer functions, (elements, outer, outer).
         """
         outer = self.space.numbers.shape[1]
-        whole = np.empty((len(matrices), outer * outer))
+        whole = np.empty((len(matrices), outer * outer), dtype=matrices.dtype)
         for part, own, change, _ in self._condensations(matrices):
             np.take(own, self._whole.ravel(), axis=1, out=whole[part], mode="clip")
             whole[part] += change
         return whole.reshape(-1, outer, outer)
 
-    def condensed(self, matrices: Array) -> Stiffness:
+    def condensed(self, matrices: Numbers) -> Stiffness:
         """Condensed stiffness of element matrices (elements, entries)."""
         (i, j), outer = self._pairs, self.space.numbers.shape[1]
-        lower = np.empty((len(matrices), len(i)))
-        solved = np.empty((len(matrices), self.space.element.inner, outer))
+        lower = np.empty((len(matrices), len(i)), dtype=matrices.dtype)
+        solved = np.empty((len(matrices), self.space.element.inner, outer), dtype=matrices.dtype)
         for part, own, change, inner in self._condensations(matrices):
             np.take(change, i * outer + j, axis=1, out=lower[part], mode="clip")
-            lower[part] += own
+            np.add(lower[part], own, out=lower[part])
             solved[part] = inner
         return Stiffness(lower.ravel(), solved)
 
-    def whole_matrices(self, values: Array, elements: Indices) -> Array:
+    def whole_matrices(self, values: Numbers, elements: Indices) -> Numbers:
         """Matrices of some elements, (elements, outer, outer), from values of `Stiffness`."""
         triangles = values.reshape(-1, len(self._pairs[0]))[elements]
         return triangles[:, self._whole]
 
-    def _condensations(self, matrices: Array) -> Iterator[tuple[slice, Array, Array, Array]]:
+    def _condensations(
+        self, matrices: Numbers
+    ) -> Iterator[tuple[slice, Numbers, Numbers, Numbers]]:
         """Some elements at a time: lower triangles, changes by condensation, and inner unknowns.
 
         Lower triangles (elements, entries) and changes (elements, outer * outer) are of the outer
@@ -242,7 +244,7 @@ class Assembly:
             own, joining, within = np.split(matrices[part], ends, axis=1)
             joining = joining.reshape(len(own), inner, outer)
             # Blocks are well-conditioned, and many inverses are found faster than solutions.
-            solved: Array = -np.linalg.inv(within.reshape(len(own), inner, inner)) @ joining
+            solved: Numbers = -np.linalg.inv(within.reshape(len(own), inner, inner)) @ joining
             change = solved.swapaxes(1, 2) @ joining
             yield part, own, change.reshape(len(own), -1), solved
 

@@ -75,7 +75,7 @@ class ElementProducts:
             (ones, numbers.ravel(), ends), (numbers.size, unknowns)
         ).T.tocsr()
 
-    def product(self, matrices: Array, vectors: Array) -> Array:
+    def product(self, matrices: Numbers, vectors: Numbers) -> Numbers:
         """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
         each = matrices @ vectors[self._numbers]
         return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
@@ -105,7 +105,7 @@ class SystemPattern:
         )
         self._products = ElementProducts(numbers[self.lifting], assembly.unknowns)
 
-    def system(self, stiffness: Array, contact: ElectrodeTerms) -> CemSystem:
+    def system(self, stiffness: Numbers, contact: ElectrodeTerms) -> CemSystem:
         """System for stiffness values and electrode terms, each electrode in its own form.
 
         Args:
@@ -120,8 +120,8 @@ class SystemPattern:
 
     def forms(
         self,
-        matrices: Array,
-        ground: float,
+        matrices: Numbers,
+        ground: complex,
         contact: ElectrodeTerms,
         lifted: NDArray[np.bool_] | None = None,
     ) -> tuple[Numbers, Numbers, Array]:
@@ -140,7 +140,7 @@ class SystemPattern:
         KE[self.ground] += ground * E[self.ground]
         energy = E.T @ KE
         if lifted is None:
-            lifted = self._liftable & (np.diag(energy) < np.abs(contact.admittance))
+            lifted = self._liftable & (np.abs(np.diag(energy)) < np.abs(contact.admittance))
         admittance = np.where(np.outer(lifted, lifted), energy, 0.0) + np.diag(
             np.where(lifted, 0.0, contact.admittance)
         )

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
+from eitskin.files import shortened
 from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS, WHOLE_TENSOR
+from eitskin.geometry.design.electrode import require_contact_impedance
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
@@ -34,7 +36,7 @@ from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Field = Callable[[Array], ArrayLike]
-Conductivity: TypeAlias = float | Array | Field
+Conductivity: TypeAlias = complex | Numbers | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
 
 
@@ -131,22 +133,25 @@ class ForwardModel:
         self,
         conductivity: Conductivity | None = None,
         area_ratio: AreaRatio | None = None,
-        contact_impedance: Numbers | None = None,
+        contact_impedance: ArrayLike | None = None,
     ) -> Numbers:
         """Electrode impedance matrix Z [ohm], (electrodes, electrodes).
 
         Z maps injected currents that sum to zero to electrode potentials of zero mean: rows and
-        columns of Z sum to zero. Z is complex where a contact impedance is complex.
+        columns of Z sum to zero. Z is complex where the conductivity or a contact impedance is.
 
         Args:
             conductivity: [S/m] a scalar, (cells,), (cells, 3, 3), or f(x) with x (..., 3) [m]
-                giving (...) or (..., 3, 3); the design's own when omitted.
+                giving (...) or (..., 3, 3); the design's own when omitted. Complex for an
+                admittivity sigma + j omega epsilon, whose real part is positive.
             area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
                 the electrodes, (...); one when omitted.
-            contact_impedance: of the electrodes, (electrodes,) [ohm m2]; the design's when omitted.
+            contact_impedance: of the electrodes, (electrodes,), or of all of them [ohm m2]; the
+                design's when omitted.
 
         Raises:
-            ConfigurationError: for a conductivity of another shape, or not positive.
+            ConfigurationError: for a conductivity or contact impedance of another shape, or whose
+                real part is not positive.
         """
         _, system = self._system(conductivity, area_ratio, contact_impedance)
         T = self.solver.congruence(system.values, system.coupling)
@@ -212,7 +217,7 @@ class ForwardModel:
         self,
         conductivity: Conductivity | None = None,
         area_ratio: AreaRatio | None = None,
-        contact_impedance: Numbers | None = None,
+        contact_impedance: ArrayLike | None = None,
     ) -> Numbers:
         """Derivatives of the impedance matrix by each contact impedance [1/m2].
 
@@ -222,7 +227,7 @@ class ForwardModel:
             conductivity, area_ratio, contact_impedance: as in `impedance`.
         """
         assembly = self.assembly
-        z = self.contact_impedance if contact_impedance is None else contact_impedance
+        z = self._contact_impedance(contact_impedance)
         _, system, w, U = self._solve(conductivity, area_ratio, contact_impedance)
         ratio: Array | float = 1.0
         if area_ratio is not None:
@@ -319,14 +324,14 @@ class ForwardModel:
         self,
         conductivity: Conductivity | None,
         area_ratio: AreaRatio | None,
-        contact_impedance: Numbers | None = None,
+        contact_impedance: ArrayLike | None = None,
     ) -> tuple[Stiffness, CemSystem]:
         """Stiffness and linear system of one scene; counts as a factorisation."""
         assembly = self.assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
-        z = self.contact_impedance if contact_impedance is None else contact_impedance
+        z = self._contact_impedance(contact_impedance)
         contact = assembly.electrode_terms(z, ratio)
         stiffness = assembly.stiffness(self._conductivity(conductivity))
         self.factorisations += 1
@@ -336,7 +341,7 @@ class ForwardModel:
         self,
         conductivity: Conductivity | None,
         area_ratio: AreaRatio | None = None,
-        contact_impedance: Numbers | None = None,
+        contact_impedance: ArrayLike | None = None,
     ) -> tuple[Stiffness, CemSystem, Numbers, Numbers]:
         """Stiffness, system, w (unknowns, electrodes) and U, per unit electrode current [V/A].
 
@@ -348,7 +353,22 @@ class ForwardModel:
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
         return stiffness, system, per_potential @ U, U
 
-    def _conductivity(self, conductivity: Conductivity | None) -> Array:
+    def _contact_impedance(self, given: ArrayLike | None) -> Numbers:
+        """Contact impedances [ohm m2], (electrodes,); the design's where none are given."""
+        if given is None:
+            return self.contact_impedance
+        try:
+            z = np.broadcast_to(np.asarray(given, dtype=np.complex128), len(self.design.electrodes))
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(
+                "contact_impedance must be a number, or one for each of "
+                f"{len(self.design.electrodes)} electrodes, got {shortened(repr(given))}"
+            ) from error
+        for each in z:
+            require_contact_impedance(complex(each))
+        return z if z.imag.any() else z.real
+
+    def _conductivity(self, conductivity: Conductivity | None) -> Numbers:
         """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m].
 
         Scalars, or entries xx, yy, zz, xy, xz, yz of tensors. Raises ConfigurationError for another
@@ -358,10 +378,10 @@ class ForwardModel:
             conductivity = self._own_conductivity
         if callable(conductivity):
             points = self.assembly.points
-            value, shape = np.asarray(conductivity(points), dtype=np.float64), points.shape[:-1]
+            value, shape = _numbers(conductivity(points)), points.shape[:-1]
             asked = f"from f(x) of x with shape {points.shape} of shape {shape}"
         else:
-            value, shape = np.asarray(conductivity, dtype=np.float64), (len(self.mesh.cells), 1)
+            value, shape = _numbers(conductivity), (len(self.mesh.cells), 1)
             value = value[:, None] if value.ndim else value
             asked = f"per cell of shape {shape[:1]}"
         if value.shape == shape or value.ndim == 0:
@@ -373,13 +393,33 @@ class ForwardModel:
                 f"conductivity must be a scalar, or {asked}, with (3, 3) after it for tensors, got "
                 f"shape {value.shape}"
             )
-        if not _positive_definite(value, entries):
+        if not _positive_definite(value.real, entries.real) or not _bounded(value, entries):
             raise ConfigurationError(
-                "conductivity must be finite, symmetric and positive everywhere, from "
-                f"{LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
+                "conductivity must be finite, symmetric and, in its real part, positive "
+                f"everywhere, from {LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
                 f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
             )
         return entries
+
+
+def _numbers(given: ArrayLike) -> Numbers:
+    """Real or complex numbers in double precision; raises ConfigurationError for others."""
+    try:
+        value = np.asarray(given)
+        kind = np.complex128 if np.iscomplexobj(value) else np.float64
+        return np.asarray(value, dtype=kind)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"conductivity must be numbers in S/m: {error}") from error
+
+
+def _bounded(value: Numbers, entries: Numbers) -> bool:
+    """Whether imaginary parts are symmetric, and finite as those of what can be solved with."""
+    if not np.iscomplexobj(value):
+        return True
+    symmetric = entries.shape[-1] == 1 or bool(
+        np.allclose(value.imag, np.swapaxes(value.imag, -1, -2), rtol=1e-9, atol=0.0)
+    )
+    return symmetric and bool(np.all(np.abs(entries.imag) <= MOST))
 
 
 def _positive_definite(given: Array, entries: Array) -> bool:

@@ -154,7 +154,7 @@ class FunctionSpace:
         # Weights of the plane add up to one half, the area of the unit triangle.
         return heights, np.asarray(2.0 * np.bincount(level, self.rule.weights), dtype=np.float64)
 
-    def in_elements(self, potentials: Numbers, inner: Array) -> Numbers:
+    def in_elements(self, potentials: Numbers, inner: Numbers) -> Numbers:
         """Coefficients element by element, (elements, functions, k), from unknowns (unknowns, k).
 
         `inner` are the matrices of `Stiffness.inner` from outer to inner unknowns.

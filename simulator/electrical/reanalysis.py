@@ -24,6 +24,7 @@ from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_m
 from eitskin.simulator.electrical.forward_model import ForwardModel
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
 
 Tolerance: TypeAlias = float
@@ -165,9 +166,10 @@ class Reanalysis:
         ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
         return assembly.electrode_terms(layer.contact_impedance, ratio)
 
-    def _product(self, matrices: Array, vectors: Array) -> Array:
+    def _product(self, matrices: Numbers, vectors: Array) -> Array:
         """Sum of element matrices times vectors, (unknowns, k), grounded as the base is."""
-        found, ground = self._products.product(matrices, vectors), self._model.pattern.ground
+        found = np.real(self._products.product(matrices, vectors))
+        ground = self._model.pattern.ground
         found[ground] += self._ground * vectors[ground]
         return found
 

@@ -52,7 +52,7 @@ def concentric_disc(order: ArrayLike, ratio: float, radius: float) -> Array:
 
 def ring_of_gap_electrodes(
     n: int, electrodes: int, width: float, eigenvalue: Callable[[Array], Array]
-) -> float:
+) -> complex:
     """Eigenvalue of the impedance matrix of a disc for electrode currents cos(n phi_l).
 
     The current density is uniform under `electrodes` equal electrodes, `width` rad wide, at equal
@@ -60,7 +60,8 @@ def ring_of_gap_electrodes(
     """
     orders = n + electrodes * np.arange(-20_000, 20_001)
     weights = np.sinc(orders * width / (2 * np.pi)) ** 2
-    return float(electrodes / (2 * np.pi) * (weights * eigenvalue(orders)).sum())
+    total: complex = (electrodes / (2 * np.pi) * (weights * eigenvalue(orders)).sum()).item()
+    return total
 
 
 def disc_impedance(

@@ -58,7 +58,7 @@ def test_body_of_a_block_keeps_its_digits_beside_any_contact(z) -> None:
     assert R - 2 * z / area == pytest.approx(block(0.1, area, 1.0), rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6, 0.3 + 2j, 1e-3 - 5j])
 def test_blocks_in_series(ratio) -> None:
     z, area = 1e-4, 0.04 * THICKNESS
     R = resistance(
@@ -68,13 +68,14 @@ def test_blocks_in_series(ratio) -> None:
     assert R == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6, 0.3 + 2j])
 def test_blocks_in_parallel(ratio) -> None:
     """Potentials are equal side by side only where contacts have no impedance, or nearly none."""
     model = ForwardModel(strip(1e-9), ((2,), EVEN))
     below = model.mesh.points[model.mesh.cells, 1].mean(axis=1) < 0.02
-    R = resistance(model, np.where(below, 1.0, ratio) / max(ratio, 1.0))
-    exact = 0.1 / (0.02 * THICKNESS * (1 + ratio)) * max(ratio, 1.0)
+    largest = max(abs(ratio), 1.0)
+    R = resistance(model, np.where(below, 1.0, ratio) / largest)
+    exact = 0.1 / (0.02 * THICKNESS * (1 + ratio)) * largest
     assert R == pytest.approx(exact, rel=1e-7)
 
 
@@ -176,7 +177,7 @@ def test_sector_between_its_curved_faces(z) -> None:
     assert pair(Z) * THICKNESS == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 0.2, 5.0, 1e6])
+@pytest.mark.parametrize("ratio", [1e-6, 0.2, 5.0, 1e6, 0.5 + 2j])
 def test_concentric_disc(ratio) -> None:
     """Half a disc, as currents cos(n phi) are even; they leave evenly from very bad contacts."""
     count, share, z, radius = 8, 0.5, 1e3, 0.6

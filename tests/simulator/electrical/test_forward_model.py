@@ -128,6 +128,8 @@ def test_pull_back_equals_a_truly_deformed_mesh() -> None:
         (0.0, "positive"),
         (-1.0, "positive"),
         (float("nan"), "positive"),
+        (1j, "real part, positive"),
+        ("wet", "numbers"),
         (np.ones(3), "got shape"),
         (lambda x: np.ones(7), "got shape"),  # noqa: ARG005
         (lambda x: np.diag([1.0, 1.0, -1.0]) + 0 * x[..., None], "positive"),
@@ -137,6 +139,17 @@ def test_pull_back_equals_a_truly_deformed_mesh() -> None:
 def test_impossible_conductivities_are_refused(model, conductivity, message) -> None:
     with pytest.raises(ConfigurationError, match=message):
         model.impedance(conductivity)
+
+
+@pytest.mark.parametrize("z", [0.0, -1e-3, np.nan, np.full(7, 1e-3), "good"])
+def test_impossible_contact_impedances_are_refused(model, z) -> None:
+    with pytest.raises(ConfigurationError, match="contact_impedance must be"):
+        model.impedance(contact_impedance=z)
+
+
+def test_a_contact_impedance_is_that_of_all_electrodes(model) -> None:
+    one, each = (model.impedance(contact_impedance=z) for z in (2e-3, [2e-3] * 8))
+    assert np.array_equal(one, each)
 
 
 @pytest.mark.parametrize(
