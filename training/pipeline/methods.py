@@ -2,6 +2,8 @@
 
 import importlib.metadata
 import inspect
+import re
+import shlex
 import sys
 import traceback
 from collections.abc import Iterator
@@ -12,6 +14,7 @@ from types import ModuleType
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.files import quoted
 from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.baselines.greit_centroid import GreitMethod
 from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
@@ -42,6 +45,9 @@ SHIPPED_METHODS: dict[str, type[Method]] = {
 }
 
 
+_CLASS = re.compile(r"[^\W\d]\w*(\.(<locals>|[^\W\d]\w*))*")  # a class's qualified name
+
+
 class MethodCodeError(ConfigurationError):
     """Code of a method that is missing, not the one expected, or wrong."""
 
@@ -68,14 +74,16 @@ def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
     module, colon, name = kind.rpartition(":")
     if not colon:
         raise DataError(
-            f"expected a method of {', '.join(SHIPPED_METHODS)}, got '{kind}'; install a newer "
-            "eitskin"
+            f"expected a method of {', '.join(SHIPPED_METHODS)}, got {quoted(kind)}; install a "
+            "newer eitskin"
         )
+    if not (module and module.isprintable() and _CLASS.fullmatch(name)):
+        raise DataError(f"expected a method's name MODULE:CLASS, got {quoted(kind)}")
     if own is None:
         raise MethodCodeError(
             f"this pipeline was trained by {kind}, which does not come with eitskin, and opening a "
-            f"pipeline runs no code by itself: name its code with --method {module}.py:{name} "
-            f"(in Python: Pipeline.load(path, method={name}))"
+            "pipeline runs no code by itself: name its code with --method "
+            f"{shlex.quote(f'{module}.py:{name}')} (in Python: Pipeline.load(path, method={name}))"
         )
     if own.KIND.rpartition(":")[2] != name:
         raise MethodCodeError(

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.metadata
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,18 @@ def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, datase
 def test_opening_runs_no_code_that_the_user_does_not_name(folder):
     with pytest.raises(ConfigurationError, match=r"runs no code by itself.*--method .*:Strongest"):
         Pipeline.load(folder)
+
+
+@pytest.mark.parametrize("kind", ["$(touch X):M", "a b:M", "m;ls:M"])
+def test_a_name_in_a_command_to_be_pasted_is_quoted(kind):
+    with pytest.raises(ConfigurationError, match=re.escape(shlex.quote(f"{kind[:-2]}.py:M"))):
+        methods.method_class(kind)
+
+
+@pytest.mark.parametrize("kind", ["m:M;ls", "m\n:M", ":M", "m:"])
+def test_a_name_that_no_class_has_is_refused(kind):
+    with pytest.raises(DataError, match="MODULE:CLASS"):
+        methods.method_class(kind)
 
 
 def test_other_code_is_refused(folder):
