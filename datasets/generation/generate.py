@@ -20,7 +20,7 @@ from eitskin.datasets.store.manifest import (
     write_manifest,
 )
 from eitskin.datasets.store.schema import MOST_SHARD_BYTES
-from eitskin.datasets.store.shard import shard_name, unsealed, write_entry
+from eitskin.datasets.store.shard import shard_name, write_entry
 from eitskin.datasets.store.shard_reader import shard_of
 from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
@@ -221,7 +221,8 @@ def _finished(
     workers = worthwhile(workers, (folder / entry.name for entry in wanted))
     found: Entries = {}
     numbers = dict(zip(wanted, shards, strict=True))
-    with closing(run_tasks(partial(_examine, folder, text), wanted, workers)) as entries:
+    examine = partial(_examine, folder, text, recipe.seed)
+    with closing(run_tasks(examine, wanted, workers)) as entries:
         for count, (expected, entry) in enumerate(entries, 1):
             if entry is not None:
                 found[numbers[expected]] = entry
@@ -230,7 +231,7 @@ def _finished(
     return found
 
 
-def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None:
+def _examine(folder: Path, recipe: str, seed: int, wanted: ShardEntry) -> ShardEntry | None:
     """Entry of a shard that is whole and of this recipe; None where it has to be made."""
     path = folder / wanted.name
     try:
@@ -238,10 +239,9 @@ def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None
         found = hashlib.sha256(content).hexdigest()
         if wanted.sha256 not in ("", found):
             return None
-        # This folder is being made here: a whole seal tells that the file is as it was written.
-        _, whole = unsealed(content)
-        data = shard_of(content, path, wanted.first_index, known=whole)
+        # Whoever made the file, a seal says that it is whole and not that it does no harm.
+        data = shard_of(content, path, wanted.first_index)
     except DataError:
         return None
-    sound = len(data) == wanted.count and data.recipe == recipe
+    sound = len(data) == wanted.count and (data.recipe, data.seed) == (recipe, seed)
     return dataclasses.replace(wanted, sha256=found) if sound else None

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LARGEST_READING, LONGEST, MOST
 from eitskin.errors import DataError
 
 FORMAT: Final = "eitskin-dataset"
@@ -117,6 +118,18 @@ CLAMP_FIELDS: Final = tuple(field.name for field in FIELDS if field.path.startsw
 FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame")
 
 
+MAX_MAGNITUDES: Final = {
+    **dict.fromkeys(("impedance", "touch_reference", "reference"), LARGEST_READING),
+    **dict.fromkeys(("touch_x", "touch_y", "touch_radius", "touch_depth"), LONGEST),
+    **dict.fromkeys(("clamp_span", "clamp_offset"), LONGEST),
+    "bend_angle_deg": 720.0,
+    "touch_force": 1e6,
+    "clamp_stiffness": MOST,
+    "time": 1e10,
+}
+"""Largest magnitude of a column's values, in its units: beyond it, units or digits are wrong."""
+
+
 def _is_positive(values: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(values) & (values > 0))
 
@@ -138,6 +151,14 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
             raise DataError(
                 f"{field.name} must be finite, but {field.axes[0]} {row} is not; leave such "
                 "frames out"
+            )
+    for name in MAX_MAGNITUDES.keys() & columns.keys():
+        limit = MAX_MAGNITUDES[name]
+        if len(wrong := columns[name][np.abs(columns[name]) > limit]):
+            units = next(field.units for field in FIELDS if field.name == name)
+            raise DataError(
+                f"{name} must be at most {limit:g} {units} in magnitude, got {wrong[0]:g}; is it "
+                "in another unit?"
             )
     if "specimen_number" in columns:
         _check_specimen_numbers(columns["specimen_number"].astype(np.int64))

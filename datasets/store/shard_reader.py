@@ -150,7 +150,15 @@ def _as_data_errors(path: Path | None = None) -> Iterator[None]:
         yield
     except DataError as error:
         raise DataError(f"{name}{error}") from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+    except (
+        OSError,
+        LookupError,
+        ValueError,
+        TypeError,
+        RuntimeError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         raise DataError(
             f"{name}this is not a whole shard of an eitskin dataset: {error}; make or copy it again"
         ) from error

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, ShardWriter, State, open_dataset, touch_maps
+from eitskin.datasets.store.schema import MAX_MAGNITUDES
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status, Touch
 
@@ -205,6 +206,14 @@ def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
 def test_impossible_clamps_are_refused(name, value):
     with pytest.raises(DataError, match=f"{name} must be .* got {value:g}"):
         make(**{name: np.full(40, value)})
+
+
+@pytest.mark.parametrize("name", MAX_MAGNITUDES)
+def test_numbers_that_cannot_be_are_refused(name):
+    values = np.array(make().columns[name])
+    values.flat[-1] = -1.1 * MAX_MAGNITUDES[name]
+    with pytest.raises(DataError, match=f"{name} must be at most .* in another unit"):
+        dataclasses.replace(make(), **{name: values})
 
 
 def test_clamps_may_be_unknown_frame_by_frame():

@@ -218,6 +218,13 @@ def test_finished_dataset_is_not_made_again(whole, monkeypatch):
     assert contents(whole) == before
 
 
+def test_finished_shards_are_read_in_a_child_whatever_seal_they_have(whole, monkeypatch):
+    tried = []
+    monkeypatch.setattr(shard_reader, "contained", lambda *task: tried.append(task) or ())
+    generate(RECIPE, whole, resume=True)
+    assert len(tried) == RECIPE.shards
+
+
 def test_occupied_folders_are_refused(whole, tmp_path):
     with pytest.raises(ConfigurationError, match="--resume"):
         generate(RECIPE, whole)
