@@ -41,10 +41,10 @@ def whole_matrices(model, sigma):
     return K, assembly
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("layers", [1, 2])
-@pytest.mark.parametrize("order", [(2, 1), (2, 2), (3, 2, 1), (3, 3, 3)])
-@pytest.mark.parametrize("z", [1e-3, 1e-3 - 4e-4j])
+@pytest.mark.parametrize(
+    ("order", "layers", "z"),
+    [((2, 1), 2, 1e-3), ((3, 2, 1), 1, 1e-3 - 4e-4j), ((3, 3, 3), 2, 1e-3)],
+)
 def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers, z) -> None:
     """All unknowns kept, neither condensed nor lifted nor grounded."""
     places = [(0.01, 0.0), (0.04, 0.01), (0.02, 0.02)]
@@ -66,7 +66,6 @@ def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers
     assert pytest.approx(np.eye(3) - 1 / 3, abs=1e-9) == Y @ Z
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("z", [1e-3, 2e-4 + 3e-4j])
 def test_both_orders_of_elimination_agree(z) -> None:
     sigma = lambda x: 1 + 3 * x[..., 1]  # noqa: E731
@@ -80,7 +79,7 @@ def test_both_orders_of_elimination_agree(z) -> None:
     assert pytest.approx(other.sensitivity(PAIRS, sigma), rel=1e-8, abs=1e-6) == J
 
 
-@pytest.mark.parametrize("z", [1e-9, 1e-6, 1.0, 1e3])
+@pytest.mark.parametrize("z", [1e-9, 1.0, 1e3])
 def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> None:
     """Lifted or not, an electrode is the same; far from z = 1 one of the two loses digits."""
     model = ForwardModel(with_contacts(z), ((2, 2), COARSE))

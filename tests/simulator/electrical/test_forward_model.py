@@ -8,7 +8,6 @@ from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, tensor_map
 
 from alternatives import plain_impedance, pulled_back
 
@@ -29,9 +28,8 @@ def test_anisotropic_block_conducts_along_its_axis() -> None:
     assert R == pytest.approx([(0.1 / 4.0 + 2e-3) / (0.04 * 0.005)], rel=1e-9)
 
 
-@pytest.mark.parametrize("order", [(1,), (2, 2), (3, 2, 1)])
-@pytest.mark.parametrize("z", [1e-9, 1e-3, 1e3])
-def test_potentials_count_from_the_mean_of_the_electrodes(z, order) -> None:
+@pytest.mark.parametrize(("order", "z"), [((1,), 1e-3), ((2, 2), 1e-9), ((3, 2, 1), 1e3)])
+def test_potentials_count_from_the_mean_of_the_electrodes(order, z) -> None:
     """Half an ampere from end to end: u = (L / 2 - x) / (2 sigma A), whatever is grounded."""
     ends = (Electrode(0.0, 0.02, 0.04, z), Electrode(0.1, 0.02, 0.04, 2 * z))
     block = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends, conductivity=0.5)
@@ -52,13 +50,6 @@ def test_impedance_is_reciprocal_and_its_rows_sum_to_zero(model) -> None:
     U = U - U.mean(axis=0)
     assert pytest.approx(U.T, rel=1e-9, abs=1e-9) == U
     assert pytest.approx(Z, rel=1e-9, abs=1e-9) == U
-
-
-def test_symmetry_of_the_reference_sensor(model) -> None:
-    """Mirrored at x = L/2 or y = W/2, the sensor is itself with other electrode numbers."""
-    Z = model.impedance()
-    for mirror in ([2, 1, 0, 7, 6, 5, 4, 3], [6, 5, 4, 3, 2, 1, 0, 7]):
-        assert Z[np.ix_(mirror, mirror)] == pytest.approx(Z, rel=1e-9, abs=1e-9)
 
 
 def test_conductivity_per_cell_equals_the_same_field(model) -> None:
@@ -125,7 +116,6 @@ def test_pull_back_equals_a_truly_deformed_mesh() -> None:
 @pytest.mark.parametrize(
     ("conductivity", "message"),
     [
-        (0.0, "positive"),
         (-1.0, "positive"),
         (float("nan"), "positive"),
         (1j, "real part, positive"),
@@ -162,14 +152,3 @@ def test_a_contact_impedance_is_that_of_all_electrodes(model) -> None:
 def test_unknown_resolutions_and_solvers_are_refused(options, message) -> None:
     with pytest.raises(ConfigurationError, match=message):
         ForwardModel(REFERENCE, **options)
-
-
-def test_tensors_are_pulled_back_to_skewed_cells_too() -> None:
-    """The map of a tensor to the reference cell, entry by entry, is A S A^T."""
-    rng = np.random.default_rng(6)
-    A, S = rng.standard_normal((2, 5, 3, 3))
-    S = S + S.swapaxes(1, 2)
-    entries = S[:, TENSOR_ROWS, TENSOR_COLUMNS]
-    mapped = np.einsum("ck,ckl->cl", entries, tensor_map(A))
-    expected = (A @ S @ A.swapaxes(1, 2))[:, TENSOR_ROWS, TENSOR_COLUMNS]
-    assert mapped == pytest.approx(expected, rel=1e-12)

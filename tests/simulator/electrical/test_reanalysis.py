@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Disc, Hinge, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import EXACT, Cylinder, ForwardModel, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.deformation import touches as pressed_touches
-from eitskin.simulator.electrical.cem_system import ElementProducts
+from eitskin.simulator import EXACT, ForwardModel, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.electrical.reanalysis import Reanalysis
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
@@ -59,33 +56,14 @@ def small() -> Simulator:
     return Simulator(SensorDesign.reference(), COARSE)
 
 
-# Parts
-
-
-def test_products_element_by_element_are_those_of_the_assembled_matrix() -> None:
-    rng = np.random.default_rng(0)
-    numbers = np.array([rng.permutation(12)[:5] for _ in range(9)])
-    matrices = rng.normal(size=(9, 5, 5))
-    matrices += matrices.swapaxes(1, 2)
-    assembled = np.zeros((12, 12))
-    for own, matrix in zip(numbers, matrices, strict=True):
-        assembled[np.ix_(own, own)] += matrix
-    products, vectors = ElementProducts(numbers, 12), rng.normal(size=(12, 4))
-    assert products.product(matrices, vectors) == pytest.approx(assembled @ vectors, abs=1e-13)
-
-
 # Errors
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("piezoresistive", [False, True])
-def test_signals_of_touches_are_off_by_less_than_a_thousandth(small, piezoresistive) -> None:
-    if piezoresistive:
-        small = Simulator(small.design, COARSE, mechanics=PRESSED)
-    assert signal_errors(small, scenes()).max() < 1e-3
+def test_signals_of_touches_are_off_by_less_than_a_thousandth(small) -> None:
+    pressed = Simulator(small.design, COARSE, mechanics=PRESSED)
+    assert signal_errors(pressed, scenes()[::2]).max() < 1e-3
 
 
-@pytest.mark.slow
 def test_a_smaller_tolerance_leaves_a_smaller_error(small) -> None:
     some = scenes()[::5]
     default = signal_errors(small, some)
@@ -95,7 +73,7 @@ def test_a_smaller_tolerance_leaves_a_smaller_error(small) -> None:
     )
 
 
-@pytest.mark.parametrize("z", [1e-7, 1e-3, 10.0])
+@pytest.mark.parametrize("z", [1e-7, 10.0])
 def test_electrodes_of_any_contact_impedance(z) -> None:
     """In the form of the flat sensor, which is the lifted one where contact is good."""
     sim = Simulator(with_contacts(z), COARSE)
@@ -104,9 +82,9 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
     assert signal_errors(sim, near, tolerance=1e-8).max() < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cells", ["prisms", "hexahedra"])
-@pytest.mark.parametrize("solver", ["block Cholesky", "nested dissection"])
+@pytest.mark.parametrize(
+    ("cells", "solver"), [("prisms", "block Cholesky"), ("hexahedra", "nested dissection")]
+)
 def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
     model = ForwardModel(small.design, COARSE, cells=cells, solver=solver)
     flat = small.deformed_layer(Scene())
@@ -118,18 +96,6 @@ def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
         change = np.linalg.norm(plain - solved.base)
         assert np.linalg.norm(solved.impedance(layer) - plain) < 3e-4 * change
         assert np.linalg.norm(solved.impedance(layer, 1e-8) - plain) < 1e-7 * change
-
-
-@pytest.mark.slow
-def test_other_sensors_are_off_by_no_more(monkeypatch) -> None:
-    outline = Disc(0.04)
-    # Dents serve here, without their corrections, which take seconds each on a disc.
-    uncorrected = lambda pressed, *_: ([], [0.0] * len(pressed))  # noqa: E731
-    monkeypatch.setattr(pressed_touches, "_corrections", uncorrected)
-    design = SensorDesign(outline, 0.005, uniform(outline, 8, 0.005))
-    disc = Simulator(design, fixture=Hinge(span=0.02), resolution="fast")
-    some = [Scene(touches=(Touch(0.04 + 0.01 * k, 0.04, 5.0, Cylinder()),)) for k in range(2)]
-    assert signal_errors(disc, some).max() < 1e-3
 
 
 class Layer:

@@ -50,9 +50,7 @@ def signal(resolution, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(SCENES))
-@pytest.mark.parametrize(
-    "resolution", ["coarse", "fast", pytest.param("standard", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("resolution", list(PROMISES))
 def test_signals_are_as_exact_as_promised(resolution, name) -> None:
     truth, found = signal(CONVERGED[resolution], name), signal(resolution, name)
     assert np.linalg.norm(found - truth) < PROMISES[resolution] * np.linalg.norm(truth)
@@ -89,8 +87,8 @@ def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -
 @pytest.mark.slow
 def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     """Light presses stand for those of small indenters, whose dents take minutes to solve."""
-    sim = Simulator(SensorDesign.reference(), "fast")
-    fine = ForwardModel(sim.design, ((3, 3, 2, 1), Grading(1e-3, 5e-3, 2.0)))
+    sim = Simulator(SensorDesign.reference(), "coarse")
+    fine = ForwardModel(sim.design, ((3, 2, 1), Grading(1.5e-3, 6e-3, 2.0)))
     family = sim._impedances.own
     suited = lambda touches: fine if any(t.force < 5.0 for t in touches) else family.base  # noqa: E731
     monkeypatch.setattr(family, "suited", suited)
@@ -113,8 +111,7 @@ def test_a_model_beyond_the_bound_is_refused_before_it_is_assembled() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("order", "size", "cells"),
-    [((3, 3, 2, 1), 4e-3, None), ((5, 5, 4, 3), 9e-3, None), ((3, 2, 1), 6e-3, "prisms")],
+    ("order", "size", "cells"), [((3, 3, 2, 1), 6e-3, None), ((3, 2, 1), 8e-3, "prisms")]
 )
 def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> None:
     tracemalloc.start()
@@ -132,31 +129,29 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
 # Kinds of cells
 
 
-@pytest.mark.slow
-def test_many_electrodes_have_prisms_and_as_many_unknowns_as_they_need() -> None:
+def test_many_electrodes_have_prisms_unless_hexahedra_are_needed_or_asked_for() -> None:
     """Lines of hexahedra through 32 electrodes would make five times the reference's unknowns."""
-    models = [
-        ForwardModel(dataclasses.replace(DESIGN, electrodes=uniform(DESIGN.outline, n)), "fast")
-        for n in (16, 32)
-    ]
-    few = ForwardModel(DESIGN, "fast")
-    assert [model.mesh.cells.shape[1] for model in (few, *models)] == [8, 6, 6]
-    assert models[0].unknowns < 3.0 * few.unknowns
-    assert models[1].unknowns < 1.5 * models[0].unknowns
-
-
-def test_hexahedra_stay_where_they_are_needed_or_asked_for() -> None:
-    many = dataclasses.replace(DESIGN, electrodes=uniform(DESIGN.outline, 16))
+    eight, many, pads = (
+        dataclasses.replace(DESIGN, electrodes=electrodes)
+        for electrodes in (
+            uniform(DESIGN.outline, 8),
+            uniform(DESIGN.outline, 16),
+            grid(DESIGN.outline, 4, 8, 0.005),
+        )
+    )
+    kinds = [suited_cells("fast", design) for design in (eight, many, pads)]
+    assert kinds == ["hexahedra", "prisms", "hexahedra"]
     assert suited_cells(((3, 2, 1), Grading(1e-3, 6e-3, 2.0)), many) == "hexahedra"
     assert suited_cells("fast", many, (0.055,)) == "hexahedra"
     assert suited_cells("coarse", many) == "hexahedra"
-    pads = dataclasses.replace(DESIGN, electrodes=grid(DESIGN.outline, 4, 8, 0.005))
-    assert suited_cells("fast", pads) == "hexahedra"
+    few, more = ForwardModel(eight, "fast"), ForwardModel(many, "fast")
+    assert more.mesh.cells.shape[1] == 6
+    assert more.unknowns < 3.0 * few.unknowns
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution", ["coarse", "fast"])
-def test_prisms_are_as_exact_as_promised(resolution) -> None:
+def test_prisms_are_as_exact_as_promised() -> None:
+    resolution = "fast"
     truth = signal(CONVERGED[resolution], "sheared")
     model = ForwardModel(DESIGN, resolution, cells="prisms")
     layer = DeformedLayer(DESIGN, SCENES["sheared"], Piezoresistivity())
@@ -181,13 +176,4 @@ def test_simulators_of_one_design_share_its_mesh_and_its_flat_impedance() -> Non
     )
     assert one.model.factorisations == solved
     assert np.array_equal(Simulator(ring, "coarse").measure(Scene()).impedance, flat)
-    other = dataclasses.replace(ring, conductivity=0.642)
-    for different in (
-        Simulator(other, "coarse"),
-        Simulator(ring, "fast"),
-        Simulator(ring, "coarse", Hinge(0.030)),
-    ):
-        assert different.model is not one.model
-    assert Simulator(other, "coarse").measure(Scene()).impedance == pytest.approx(
-        flat * 0.5, rel=0.2
-    )
+    assert Simulator(ring, "coarse", Hinge(0.030)).model is not one.model
