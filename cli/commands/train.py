@@ -84,8 +84,11 @@ def command(
     warnings: tuple[str, ...] = ()
     if alone:
         output.note(f"{alone}: learning touch positions only")
-        trained = train_positions(data)
-        summary = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
+        trained, score = train_positions(data)
+        warnings = score.warnings
+        summary = (
+            f"mean error {score.mean_error_mm:.2f} mm (guessing {score.guess_error_mm:.0f} mm)"
+        )
     else:
         evaluation = train_and_measure(data, choice, output)
         trained, warnings = evaluation.pipeline, data_warnings(data, evaluation)
@@ -255,13 +258,16 @@ def _comparison(selection: "Selection") -> Group:
     return Group(table, *remarks, f"chosen: {selection.preset}")
 
 
-def train_positions(data: "datasets.Dataset") -> "training.Pipeline":
-    """Regression of touch positions from a recording without geometry, with its metrics."""
+def train_positions(
+    data: "datasets.Dataset",
+) -> "tuple[training.Pipeline, training.PositionScore]":
+    """Regression of touch positions from a recording without geometry, with its score."""
     from eitskin.training.method.settings import POSITIONS
 
     learned = training.Pipeline.fit(data, training.TrainingSettings(POSITIONS))
-    learned.metrics.update(training.PositionScore.of(learned, data).as_dict())
-    return learned
+    score = training.PositionScore.of(learned, data)
+    learned.metrics.update(score.as_dict())
+    return learned, score
 
 
 @with_output

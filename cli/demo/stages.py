@@ -346,7 +346,7 @@ def read_recordings(demo: Demo) -> Stage:
 def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     """500 robot presses on a round hydrogel skin of 32 channels."""
     recording = read_recording(path, RecordingNames("responsedowns", "responseups", "positions"))
-    learned = train_positions(recording)
+    learned, _ = train_positions(recording)
     learned.save(demo.out / "presses.eitmodel")
     score = learned.metrics
     stage.numbers["presses"] = {"presses": len(recording), **score}

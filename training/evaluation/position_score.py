@@ -44,6 +44,20 @@ class PositionScore:
         means = (1e3 * float(value) for value in (error.mean(), np.median(error), guess.mean()))
         return cls(len(true), *means)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Reasons not to believe in the estimates, a sentence each."""
+        few = []
+        if self.frames < 10:
+            few.append(f"too few presses were held out ({self.frames}) to know the error")
+        if self.mean_error_mm > 0.8 * self.guess_error_mm:
+            few.append(
+                f"the mean error of {self.mean_error_mm:.0f} mm is not clearly below the "
+                f"{self.guess_error_mm:.0f} mm of always guessing the mean place"
+            )
+        remedy = "record presses at 50 places or more, all over the sensor"
+        return tuple(f"{each}; {remedy}" for each in few)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return asdict(self)

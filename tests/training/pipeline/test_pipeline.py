@@ -320,3 +320,10 @@ def test_recorded_touches_are_tested_on_the_last_of_them(dataset):
     assert held_out.max() < np.flatnonzero(recording.state == State.TOUCH)[16]
     score = PositionScore.of(learned, recording)
     assert score.mean_error_mm < 0.3 * score.guess_error_mm
+
+
+def test_positions_no_better_than_a_guess_are_warned_of():
+    few = PositionScore(1, 87.2, 87.2, 49.0).warnings
+    assert len(few) == 2
+    assert "49 mm" in few[1]
+    assert not PositionScore(200, 3.0, 2.5, 49.0).warnings
