@@ -121,23 +121,24 @@ class StoredReference:
         """
         if not len(impedance):
             raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
-        impedance = [_usable(each) for each in impedance]
-        mean = RunningMean(still, longest=len(impedance))
-        for number, values in enumerate(impedance, 1):
-            if mean.add(values):
+        values, count = np.asarray(impedance), len(impedance)
+        size = np.abs(values)
+        values = np.where((size >= LEAST_READING) & (size <= LARGEST_READING), values, np.nan)
+        mean = RunningMean(still, longest=count)
+        for number, frame in enumerate(values, 1):
+            if mean.add(frame):
                 raise DataError(
                     f"expected frames of a still sensor, but it moves in frame {number} of "
-                    f"{len(impedance)}; hold it still and take the reference again"
+                    f"{count}; hold it still and take the reference again"
                 )
-        average = mean.mean
+        average, noise = mean.mean, None
         if not np.isfinite(average).any():
             raise DataError(
                 "expected readings of the untouched sensor, but every channel is bad; check the "
                 "board and its cable"
             )
-        count, noise = len(impedance), None
         if count > 1:
-            departures = relative_difference(np.asarray(impedance), average)
+            departures = relative_difference(values, average)
             noise = math.sqrt(2.0 * float(np.nanmean(departures**2)) * count / (count - 1))
         taken = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(average, protocol, frequency, zero, count, noise, taken, board, source)
@@ -163,8 +164,13 @@ class StoredReference:
             "format_version": FORMAT_VERSION,
             "protocol": asdict(self.protocol),
             **{name: getattr(self, name) for name in self.__slots__[2:]},
-            "real": [_plain(value) for value in self.impedance.real.tolist()],
-            "imaginary": [_plain(value) for value in self.impedance.imag.tolist()],
+            **{
+                name: [value if math.isfinite(value) else None for value in part.tolist()]
+                for name, part in (
+                    ("real", self.impedance.real),
+                    ("imaginary", self.impedance.imag),
+                )
+            },
         }
         with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
@@ -224,14 +230,3 @@ def _reference(
     return StoredReference(
         impedance, protocol, frequency, Zero(zero), frames, noise, taken, board, source
     )
-
-
-def _usable(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Readings, NaN where they are none of any sensor."""
-    size = np.abs(values)
-    return np.where((size >= LEAST_READING) & (size <= LARGEST_READING), values, np.nan)
-
-
-def _plain(value: float) -> float | None:
-    """`value`, None where it is not finite."""
-    return value if math.isfinite(value) else None

@@ -4,6 +4,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,13 +50,16 @@ class Step:
     problems: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
+class _Seen(NamedTuple):
     """Frame's number and time [s], NaN where it had none, and the time elapsed until then [s]."""
 
     number: int
     time: float
     elapsed: float = 0.0
+
+    def advance(self, frame: Frame) -> int:
+        """Number of frames from this one to another; half of `NUMBERS` or more backwards."""
+        return (frame.number - self.number) % NUMBERS
 
 
 @dataclass
@@ -87,12 +91,15 @@ class SessionOrder:
             return self._begin(frame, f"session {frame.session} follows session {self._session}")
         if self._before is not None and self._returns(frame, self._before, last):
             last = self._before
-        advance, step = _advance(last, frame), frame.time - last.time
+        advance, step = last.advance(frame), frame.time - last.time
         backwards = advance >= NUMBERS // 2
         if backwards and step < 0:
             return self._begin(frame, f"frame number {frame.number} follows {last.number}")
-        if not math.isfinite(frame.time) or math.isnan(last.time):
-            return self._untimed(frame, last)
+        timed = math.isfinite(frame.time)
+        if not timed or math.isnan(last.time):
+            time = frame.time if timed else last.time
+            self._last = _Seen(frame.number, time, last.elapsed)
+            return Step(problems=_told(frame, "" if timed else f"its time is {frame.time}"))
         problem = self._clock_problem(step, max(advance, 1))
         if backwards:
             problem = f"its number follows {last.number}, but its time went on"
@@ -112,18 +119,10 @@ class SessionOrder:
         problems += _told(frame, f"its time is {frame.time}") if math.isnan(time) else ()
         return Step(new_session=bool(reason), problems=problems)
 
-    def _untimed(self, frame: Frame, last: _Seen) -> Step:
-        """Step to or from a frame without a time."""
-        known = math.isfinite(frame.time)
-        time = frame.time if known else last.time
-        self._last = _Seen(frame.number, time, last.elapsed)
-        return Step(problems=_told(frame, "" if known else f"its time is {frame.time}"))
-
     def _returns(self, frame: Frame, before: _Seen, last: _Seen) -> bool:
         """Whether a frame goes on where the frames were `before` they jumped ahead to `last`."""
-        ran_back = frame.time < last.time or _advance(last, frame) >= NUMBERS // 2
-        step = frame.time - before.time
-        advance = _advance(before, frame)
+        ran_back = frame.time < last.time or last.advance(frame) >= NUMBERS // 2
+        step, advance = frame.time - before.time, before.advance(frame)
         goes_on = advance < NUMBERS // 2 and step >= 0
         return ran_back and goes_on and not self._clock_problem(step, max(advance, 1))
 
@@ -140,10 +139,6 @@ class SessionOrder:
         if due > max(LONGEST_GAP, JUMP * usual) + JUMP * step:
             return f"its number jumped ahead by {advance}, in {step:.3g} s"
         return ""
-
-
-def _advance(last: _Seen, frame: Frame) -> int:
-    return (frame.number - last.number) % NUMBERS
 
 
 def _told(frame: Frame, problem: str) -> tuple[str, ...]:
