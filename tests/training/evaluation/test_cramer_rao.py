@@ -1,7 +1,7 @@
 """Bounds against closed forms, against estimates that reach them, and on real scenes."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from eitskin.simulator import Instrument, Scene, Simulator, Touch
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.training.evaluation.cramer_rao import (
     SceneDerivatives,
-    Steps,
     cramer_rao_bound,
     mean_distance,
     scene_derivatives,
@@ -87,30 +86,16 @@ def test_most_likely_place_of_a_source_reaches_the_bound():
     assert abs(distance.mean() - mean_distance(least[:2, :2])) < 4.0 * error
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_what_is_unknown_never_lowers_the_bound(seed):
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_unknown_never_lowers_the_bound_and_units_do_not_matter(seed):
     G, s = drawn(seed)
     unknown = cramer_rao_bound(G, s)
     growth = np.linalg.eigvalsh(unknown[:3, :3] - cramer_rao_bound(G[:3], s))
     assert growth.min() > -1e-12
     assert growth.max() > 1e-4
-    assert cramer_rao_bound(G[[3, 0, 1, 2]], s)[1:, 1:] == pytest.approx(unknown[:3, :3])
-
-
-def test_units_do_not_matter():
-    G, s = drawn(3)
     units = np.array([1e-9, 1.0, 1e6, 1e12])
     found = cramer_rao_bound(units[:, None] * G, 1e-4 * s)
-    expected = 1e-8 * cramer_rao_bound(G, s) / np.outer(units, units)
-    assert found == pytest.approx(expected, rel=1e-9, abs=0.0)
-
-
-def test_what_cannot_be_told_is_said():
-    G, s = drawn(6)
-    with pytest.raises(ConfigurationError, match=r"parameters \[1\]"):
-        cramer_rao_bound(G * np.array([[1.0], [0.0], [1.0], [1.0]]), s)
-    with pytest.raises(ConfigurationError, match=r"\[0, 2\]"):
-        cramer_rao_bound([G[0], G[1], -3.0 * G[0]], s)
+    assert found == pytest.approx(1e-8 * unknown / np.outer(units, units), rel=1e-9, abs=0.0)
 
 
 @pytest.mark.parametrize("deviations", [(1.0, 1.0), (1.0, 0.3), (2.0, 0.05)])
@@ -123,12 +108,8 @@ def test_mean_distance_is_the_integral(deviations):
     mass = np.diff(0.5 * erf(edges / np.sqrt(2.0)))
     distance = np.hypot(deviations[0] * middle[:, None], deviations[1] * middle)
     assert mean_distance(covariance) == pytest.approx(mass @ distance @ mass, rel=1e-4)
-
-
-def test_mean_distance_at_its_limits():
-    line = np.array([[4.0, 0.0], [0.0, 0.0]])
-    found = mean_distance(np.array([line, np.eye(2), np.zeros((2, 2))]))
-    assert found == pytest.approx([2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0), 0.0])
+    limits = mean_distance(np.array([np.diag([4.0, 0.0]), np.eye(2), np.zeros((2, 2))]))
+    assert limits == pytest.approx([2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0), 0.0])
 
 
 @dataclass
@@ -170,17 +151,6 @@ def test_differences_are_of_second_order_next_to_limits_too(place, force):
         model.deformation(each)
 
 
-def test_a_touch_without_room_is_refused():
-    scene = Scene(touches=(Touch(0.03, 0.03, 10.0),))
-    with pytest.raises(ConfigurationError, match=r"force of touch 0 .*0\.2"):
-        scene_derivatives(Quadratic(forces=(9.9, 10.1)), scene)
-
-
-def test_a_depth_is_refused(sim):
-    with pytest.raises(ConfigurationError, match="give a force"):
-        scene_derivatives(sim, Scene(touches=(Touch(0.03, 0.03, depth=1e-3),)))
-
-
 @pytest.mark.slow
 def test_derivatives_are_those_of_the_measurements(sim, derivatives):
     """Along a path through all parameters at once, from one side to the other."""
@@ -196,37 +166,21 @@ def test_derivatives_are_those_of_the_measurements(sim, derivatives):
 
 
 @pytest.mark.slow
-def test_halving_the_steps_changes_little(sim, derivatives):
-    steps = Steps()
-    halved = Steps(steps.place / 2, steps.force / 2, steps.angle_deg / 2)
-    fine, coarse = scene_derivatives(sim, PRESS, halved).bound(1e-3), derivatives.bound(1e-3)
-    assert coarse.distance == pytest.approx(fine.distance, rel=0.02)
-    assert coarse.force == pytest.approx(fine.force, rel=0.02)
-    assert coarse.angle_deg == pytest.approx(fine.angle_deg, rel=0.003)
-
-
-@pytest.mark.slow
-def test_bounds_scale_with_the_noise_and_the_reference(derivatives):
+def test_bounds_scale_with_the_noise_and_unknowns_cost(derivatives):
     once, louder = derivatives.bound(1e-3), derivatives.bound(np.full(28, 3e-3))
     averaged, four = derivatives.bound(1e-3, math.inf), derivatives.bound(1e-3, 4.0)
+    known = derivatives.bound(1e-3, angle_known=True)
+    drifting = derivatives.bound(1e-3, factor_known=False)
     for name in ("place", "distance", "force", "angle_deg"):
         value = getattr(once, name)
         assert np.all(value > 0.0)
         assert getattr(louder, name) == pytest.approx(3.0 * value)
         assert getattr(averaged, name) == pytest.approx(value / np.sqrt(2.0))
         assert getattr(four, name) == pytest.approx(value * np.sqrt(1.25 / 2.0))
+        assert np.all(getattr(known, name) < value)
+        assert np.all(value < getattr(drifting, name))
     assert np.all(once.distance < once.place)
-
-
-@pytest.mark.slow
-def test_an_angle_or_a_drift_that_is_unknown_costs(derivatives):
-    free, known = derivatives.bound(1e-3), derivatives.bound(1e-3, angle_known=True)
-    drifting = derivatives.bound(1e-3, factor_known=False)
     assert known.angle_deg == 0.0
-    for name in ("place", "distance", "force"):
-        assert np.all(getattr(known, name) < getattr(free, name))
-        assert np.all(getattr(free, name) < getattr(drifting, name))
-    assert free.angle_deg < drifting.angle_deg
 
 
 @pytest.mark.slow
@@ -245,11 +199,8 @@ def test_each_bound_is_read_from_its_place_in_the_covariance(sim):
     assert least.distance[1] == pytest.approx(mean_distance(C[3:5, 3:5]), rel=1e-4)
 
 
-def test_a_common_factor_cannot_be_told_from_what_changes_all_values_alike():
-    alike = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.full(3, 0.01))
-    assert alike.bound(0.03, math.inf).angle_deg == pytest.approx(3.0 / np.sqrt(3.0))
-    with pytest.raises(ConfigurationError, match="separately"):
-        alike.bound(0.03, factor_known=False)
+def test_an_angle_that_changes_all_values_alike_is_that_of_their_mean():
+    assert ALIKE.bound(0.03, math.inf).angle_deg == pytest.approx(3.0 / np.sqrt(3.0))
 
 
 @pytest.mark.slow
@@ -260,30 +211,6 @@ def test_white_noise_of_the_instrument(sim, derivatives):
     frames = [sim.measure(PRESS, Instrument(), rng).impedance.real for _ in range(300)]
     relative = (np.log(frames) - quiet) / noise
     assert np.sqrt(np.mean(relative**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 300 * 28))
-
-
-@pytest.mark.slow
-def test_touches_keep_their_order(sim):
-    """Each alone is bounded by less than beside the other, and they are not mixed up."""
-    touches = (Touch(0.075, 0.015, 5.0), Touch(0.105, 0.030, 10.0))
-    both = scene_derivatives(sim, Scene(touches=touches))
-    swapped = scene_derivatives(sim, Scene(touches=touches[::-1]))
-    assert swapped.by_touch[::-1] == pytest.approx(both.by_touch, rel=1e-6, abs=1e-9)
-    together = both.bound(1e-4)
-    for number in range(2):
-        alone = replace(both, by_touch=both.by_touch[number : number + 1]).bound(1e-4)
-        assert 0.5 * together.distance[number] < alone.distance[0] < together.distance[number]
-    assert 3.0 * together.distance[0] < together.distance[1]
-
-
-@pytest.mark.slow
-def test_mirror_images_are_known_alike(sim, derivatives):
-    """In the middle lines of the sensor, the bent one too."""
-    bound = derivatives.bound(1e-3)
-    for x, y in ((0.110, 0.020), (0.040, 0.040)):
-        image = scene_derivatives(sim, Scene(Bend(20.0), (Touch(x, y, 8.0),))).bound(1e-3)
-        assert image.distance == pytest.approx(bound.distance, rel=1e-3)
-        assert image.angle_deg == pytest.approx(bound.angle_deg, rel=1e-3)
 
 
 def test_an_untouched_sensor_has_an_angle(sim):
@@ -308,17 +235,27 @@ def test_derivatives_on_a_board_are_those_of_its_readings(sim):
     assert np.abs(plain.by_angle - found.by_angle).max() > 0.01 * np.abs(plain.by_angle).max()
 
 
+ALIKE = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.full(3, 0.01))
+TOUCHED = Scene(touches=(Touch(0.03, 0.03, 10.0),))
+DEEP = Scene(touches=(Touch(0.03, 0.03, depth=1e-3),))
+G, S = drawn(6)
+
+
 @pytest.mark.parametrize(
-    ("arguments", "match"),
+    ("bound", "match"),
     [
-        ({"deviation": 0.0}, "above 0"),
-        ({"deviation": [1e-3, -1e-3, 1e-3]}, "above 0"),
-        ({"deviation": math.nan}, "above 0"),
-        ({"deviation": 1e-3, "reference_frames": 0.0}, "above 0"),
-        ({"deviation": 1e-3, "angle_known": True}, "got neither"),
+        (lambda: ALIKE.bound(0.0), "above 0"),
+        (lambda: ALIKE.bound([1e-3, -1e-3, 1e-3]), "above 0"),
+        (lambda: ALIKE.bound(math.nan), "above 0"),
+        (lambda: ALIKE.bound(1e-3, 0.0), "above 0"),
+        (lambda: ALIKE.bound(1e-3, angle_known=True), "got neither"),
+        (lambda: ALIKE.bound(1e-3, factor_known=False), "separately"),
+        (lambda: cramer_rao_bound(G * [[1.0], [0.0], [1.0], [1.0]], S), r"parameters \[1\]"),
+        (lambda: cramer_rao_bound([G[0], G[1], -3.0 * G[0]], S), r"\[0, 2\]"),
+        (lambda: scene_derivatives(Quadratic((9.9, 10.1)), TOUCHED), r"force of touch 0 .*0\.2"),
+        (lambda: scene_derivatives(Quadratic(), DEEP), "give a force"),
     ],
 )
-def test_what_cannot_be_bounded(arguments, match):
-    flat = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.array([1.0, 2.0, 3.0]))
+def test_what_cannot_be_bounded_is_refused(bound, match):
     with pytest.raises(ConfigurationError, match=match):
-        flat.bound(**arguments)
+        bound()

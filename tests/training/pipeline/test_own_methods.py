@@ -94,11 +94,6 @@ def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, datase
     assert evaluate(loaded, dataset).touches == evaluate(pipeline, dataset).touches
 
 
-def test_opening_runs_no_code_that_the_user_does_not_name(folder):
-    with pytest.raises(ConfigurationError, match=r"runs no code by itself.*--method .*:Strongest"):
-        Pipeline.load(folder)
-
-
 @pytest.mark.parametrize("kind", ["$(touch X):M", "a b:M", "m;ls:M"])
 def test_a_name_in_a_command_to_be_pasted_is_quoted(kind):
     with pytest.raises(ConfigurationError, match=re.escape(shlex.quote(f"{kind[:-2]}.py:M"))):
@@ -111,17 +106,16 @@ def test_a_name_that_no_class_has_is_refused(kind):
         methods.method_class(kind)
 
 
-def test_other_code_is_refused(folder):
-    class Other(Strongest):
-        pass
-
-    with pytest.raises(ConfigurationError, match=r"by .*:Strongest, got the code of .*Other"):
-        Pipeline.load(folder, Other)
-    with pytest.raises(ConfigurationError, match="comes with eitskin"):
-        Pipeline.load("reference.eitmodel", Strongest)
-
-
-def test_code_that_has_changed_is_refused(folder, monkeypatch):
+def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):
+    """Opening runs no code that the user does not name."""
+    other = type("Other", (Strongest,), {})
+    for path, code, message in (
+        (folder, None, r"runs no code by itself.*--method .*:Strongest"),
+        (folder, other, r"by .*:Strongest, got the code of .*Other"),
+        ("reference.eitmodel", Strongest, "comes with eitskin"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            Pipeline.load(path, code)
     monkeypatch.setattr(Strongest, "predict", shifted)
     with pytest.raises(DataError, match="does not compute"):
         Pipeline.load(folder, Strongest)
@@ -135,20 +129,8 @@ def shifted(method, observations):
     return Predictions.of(len(observations), method.spec, places=places)
 
 
-def test_what_is_not_estimated_is_none(pipeline, dataset):
-    pipeline.reset()
-    estimates = [pipeline.process(dataset.frame(row)) for row in range(3)]
-    for each in estimates:
-        assert each.state is None
-        assert each.bend_angle_deg is None
-        assert np.isnan(each.probabilities).all()
-    report = evaluate(pipeline, dataset)
-    assert report.bend.rmse_deg is None
-    assert not any(report.states.accuracy.values())
-
-
 def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dataset):
-    """A held touch does not become the reference that it is measured against."""
+    """What is not estimated is None; a held touch does not become the reference."""
     idle = dataset.frame(0)
     row = int(np.flatnonzero((dataset.touch_count == 1) & (dataset.bend_angle_deg == 0))[0])
     pipeline.reset()
@@ -157,6 +139,11 @@ def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dat
         frame = dataclasses.replace(dataset.frame(row), number=number, time=0.1 * number, session=0)
         held = pipeline.process(frame)
     assert len(held.touches) == 1
+    assert held.state is held.bend_angle_deg is None
+    assert np.isnan(held.probabilities).all()
+    report = evaluate(pipeline, dataset)
+    assert report.bend.rmse_deg is None
+    assert not any(report.states.accuracy.values())
     pipeline.reset()
 
 

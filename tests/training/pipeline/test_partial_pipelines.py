@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
+from eitskin.datasets.store.manifest import Names
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import Frame
 from eitskin.threads import one_torch_thread
@@ -99,29 +101,19 @@ def test_a_gel_that_is_never_bent(never_bent, tmp_path):
     pipeline, data = never_bent, frames([State.IDLE, State.TOUCH])
     assert pipeline.targets == Targets(("idle", "touch"), angle=False, force=False)
     for estimate in session(pipeline, data)[:4]:
-        assert estimate.bend_angle_deg is None
-        assert estimate.bend_deviation_deg is None
+        assert estimate.bend_angle_deg is estimate.bend_deviation_deg is None
         assert np.isnan(estimate.probabilities[State.BEND])
         assert estimate.probabilities[:2].sum() == pytest.approx(1.0)
         assert estimate.state in {State.IDLE, State.TOUCH}
-        assert estimate.touches is not None
         assert estimate.touch_map.shape == (8, 16)
-    pipeline.save(tmp_path / "some.eitmodel")
-    document = json.loads((tmp_path / "some.eitmodel" / "pipeline.json").read_text())
-    assert document["estimates"]["states"] == ["idle", "touch"]
-    card = (tmp_path / "some.eitmodel" / "README.md").read_text()
+    card = (pipeline.save(tmp_path / "some.eitmodel") / "README.md").read_text()
     assert "(idle or touch)" in card
     assert "bend angle" not in card
     with pytest.raises(ConfigurationError, match="trained without bends"):
         pipeline.calibrate([], [])
-
-
-def test_only_what_is_estimated_is_judged(never_bent):
-    report = evaluate(never_bent, frames(list(State)))
+    report = evaluate(pipeline, frames(list(State)))
     assert report.states.left_out == 16
-    assert report.states.accuracy["bend"] is None
-    assert report.bend.rmse_deg is None
-    assert report.as_dict()["estimates"]["angle"] is False
+    assert report.states.accuracy["bend"] is report.bend.rmse_deg is None
     rows = {name.strip(): here for name, _, here in table_rows(report)}
     assert rows["not estimated"] == "the state bend, the bend angle, forces"
     assert rows["frames of another state"] == "16, not judged"
@@ -204,14 +196,12 @@ def test_what_is_not_estimated_counts_as_guessed(never_touched):
 
 
 def test_no_method_for_a_set_is_told(monkeypatch):
-    data = frames([State.IDLE, State.TOUCH])
-
     def refused(*_):
         raise DataError("too few")
 
     monkeypatch.setattr(Pipeline, "fit", refused)
     with pytest.raises(DataError, match="joint: too few; quick: too few"):
-        Selection.of(data)
+        Selection.of(frames([State.IDLE, State.TOUCH]))
 
 
 def test_the_command_compares_and_warns(tmp_path, capsys):
@@ -226,3 +216,26 @@ def test_the_command_compares_and_warns(tmp_path, capsys):
     assert "the state bend, the bend angle, forces" in noted
     metrics = Pipeline.load(tmp_path / "a.eitmodel").metrics
     assert [trial["preset"] for trial in metrics["selection"]] == ["joint", "quick"]
+
+
+@pytest.mark.parametrize(
+    ("learned", "names", "words"),
+    [
+        ([0, 1], {2: "cast 7"}, "10 of 40 frames .*; cast 7 not among them.*--seed"),
+        ([0, 1], {}, "10 of 40 frames .*whole: another --seed"),
+        ([1, 2], {2: "cast 7"}, None),
+        ([0, 2], {0: "a", 2: "b"}, None),
+    ],
+)
+def test_own_sensors_and_most_frames_that_were_not_trained_on_are_told(
+    learned, names, words, monkeypatch, never_touched
+):
+    """Specimen 2 has most of the frames."""
+    specimen = np.array([0] * 5 + [1] * 5 + [2] * 30)
+    data = dataclasses.replace(make(40, specimens=3, specimen=specimen), names=Names(names))
+    kept = np.flatnonzero(np.isin(specimen, learned))
+    monkeypatch.setattr(TrainingSettings, "split", lambda *_: (kept, kept, kept))
+    evaluation = Evaluation.of(never_touched, frames(list(State)))
+    found = [each for each in data_warnings(data, evaluation) if "trained on, as" in each]
+    assert len(found) == (words is not None)
+    assert re.search(words or "", " ".join(found))

@@ -1,12 +1,16 @@
-"""References of a session, and the order of its frames."""
+"""References of a session, the order of its frames, and doubts about its start."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
+from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, FEWEST_SPECIMENS, FlatSensors
 from eitskin.training.pipeline.references import LONGEST_MEAN
 from eitskin.training.pipeline.session import LONGEST_ELAPSED, LONGEST_GAP, Session, SessionOrder
 
@@ -17,8 +21,7 @@ BENT = FLAT * np.linspace(1.01, 1.05, 28)
 
 def frames(truth, count, seed=0):
     """Noisy frames of a still sensor; each has 1 / sqrt(2) of the noise of a difference."""
-    rng = np.random.default_rng(seed)
-    noise = rng.normal(size=(2, count, len(truth))) * NOISE / np.sqrt(2)
+    noise = np.random.default_rng(seed).normal(size=(2, count, 28)) * NOISE / np.sqrt(2)
     return truth * (1 + noise[0] + 1j * noise[1])
 
 
@@ -26,190 +29,114 @@ def error(reference, truth):
     return np.sqrt(np.mean(relative_difference(reference, truth) ** 2))
 
 
-def followed(*stills):
-    references = Session(NOISE)
-    for still in stills:
-        for frame in still:
-            references.average(frame)
-    return references
+def averaged(*stills):
+    session = Session(NOISE)
+    for frame in (frame for still in stills for frame in still):
+        session.average(frame)
+    return session
 
 
-def test_difference_is_relative_real_and_blind_to_gain_and_phase():
+@given(gain=st.floats(0.1, 10), phase=st.floats(-3, 3))
+def test_difference_is_relative_real_and_blind_to_gain_and_phase(gain, phase):
     V, ref = np.array([11.0 + 1j]), np.array([10.0 + 1j])
-    assert relative_difference(V, ref) == pytest.approx(((V - ref) / ref).real)
-    turned = 3.0 * np.exp(0.7j)
-    np.testing.assert_allclose(
-        relative_difference(V * turned, ref * turned), relative_difference(V, ref)
-    )
-    assert relative_difference(np.array([1.02j]), np.array([1.00j])) == pytest.approx(0.02)
+    turned = gain * np.exp(1j * phase)
+    assert relative_difference(V * turned, ref * turned) == pytest.approx(((V - ref) / ref).real)
 
 
-def test_averaging_while_still_brings_the_noise_down():
-    one, many = followed(frames(FLAT, 1)), followed(frames(FLAT, 25))
-    assert error(one.touch, FLAT) == pytest.approx(NOISE / np.sqrt(2), rel=0.4)
-    assert error(many.touch, FLAT) == pytest.approx(NOISE / np.sqrt(2 * 25), rel=0.4)
-    np.testing.assert_allclose(many.bend, many.touch)
-
-
-def test_every_frame_of_a_stillness_weighs_the_same():
-    still = frames(FLAT, LONGEST_MEAN)
+def test_references_are_means_of_a_still_sensor():
+    """Of the opening for the static one, of the latest stillness for the dynamic one."""
     for count in (2, 5, LONGEST_MEAN):
-        references = followed(still[:count])
-        np.testing.assert_allclose(references.touch, still[:count].mean(axis=0), rtol=1e-13)
-        assert references.dynamic.count == references.static.count == count
-
-
-def test_mean_restarts_when_the_sensor_moves():
-    references = followed(frames(FLAT, 20), frames(BENT, 20, seed=1))
-    assert error(references.touch, BENT) < NOISE / 3
-    assert error(references.bend, FLAT) < NOISE / 3
-
-
-def test_still_noise_does_not_restart_the_mean():
-    references = followed(frames(FLAT, 2000))
-    assert references.dynamic.count == LONGEST_MEAN
-
-
-def test_static_reference_is_the_opening_stillness_only():
-    references = followed(frames(FLAT, 5), frames(BENT, 3, seed=1))
-    opening = references.bend.copy()
+        still = frames(FLAT, count)
+        session = averaged(still)
+        np.testing.assert_allclose(session.touch, still.mean(axis=0), rtol=1e-13)
+        np.testing.assert_array_equal(session.touch, session.bend)
+    assert averaged(frames(FLAT, 2000)).dynamic.count == LONGEST_MEAN
+    session = averaged(frames(FLAT, 20), frames(BENT, 20, seed=1))
+    assert error(session.touch, BENT) < NOISE / 3
+    opening = session.bend.copy()
+    assert error(opening, FLAT) < NOISE / 3
     for frame in frames(FLAT, 20, seed=2):
-        references.average(frame)
-    np.testing.assert_array_equal(references.bend, opening)
-
-
-def test_slow_drift_is_followed():
+        session.average(frame)
+    np.testing.assert_array_equal(session.bend, opening)
     drift = np.linspace(1.0, 1.01, 1000)  # a hundredth of the noise per frame at first
-    references = followed(FLAT * drift[:, None])
-    assert error(references.touch, FLAT * drift[-1]) < 2 * NOISE
+    assert error(averaged(FLAT * drift[:, None]).touch, FLAT * drift[-1]) < 2 * NOISE
 
 
-def test_touch_freezes_and_ends_the_opening():
-    references = followed(frames(FLAT, 5))
-    references.renew(FLAT, touched=True)
-    frozen, opening = references.touch.copy(), references.bend.copy()
-    references.renew(FLAT, touched=True)
-    np.testing.assert_array_equal(references.touch, frozen)
-    references.average(FLAT)
-    np.testing.assert_array_equal(references.bend, opening)
+def test_a_touch_freezes_the_references_and_a_new_beginning_forgets_them():
+    session = averaged(frames(FLAT, 5))
+    session.renew(FLAT, touched=True)
+    frozen, opening = session.touch.copy(), session.bend.copy()
+    session.renew(FLAT, touched=True)
+    np.testing.assert_array_equal(session.touch, frozen)
+    session.average(FLAT)
+    np.testing.assert_array_equal(session.bend, opening)
+    session.begin()
+    assert session.empty
+    session.average(BENT)
+    np.testing.assert_array_equal(session.bend, BENT)
 
 
-def test_drop_forgets_everything():
-    references = followed(frames(FLAT, 5), frames(BENT, 5))
-    references.begin()
-    assert references.empty
-    assert references.bend.size == references.touch.size == 0
-    references.average(BENT)
-    np.testing.assert_array_equal(references.bend, BENT)
-
-
-def test_bad_channel_keeps_what_was_known_and_a_late_one_is_taken_up():
-    broken = np.where(np.arange(28) == 3, np.nan, FLAT)
-    references = followed([FLAT], [broken * 1.00001])
-    assert references.touch[3] == FLAT[3]
-    late = followed([broken], [FLAT])
-    np.testing.assert_allclose(late.touch, FLAT)
-
-    broken = np.where(np.arange(28) == 3, np.nan, BENT)
-    references = followed(frames(FLAT, 10), [broken])
-    assert error(np.delete(references.touch, 3), np.delete(BENT, 3)) < 1e-12
-
-
-PROTOCOL = Protocol.pairwise(3)
+def test_a_bad_channel_keeps_its_reference_and_a_late_one_gets_one():
+    hole = np.arange(28) == 3
+    session = averaged([FLAT], [np.where(hole, np.nan, FLAT) * 1.00001])
+    assert session.touch[3] == FLAT[3]
+    np.testing.assert_allclose(averaged([np.where(hole, np.nan, FLAT)], [FLAT]).touch, FLAT)
+    session = averaged(frames(FLAT, 10), [np.where(hole, np.nan, BENT)])
+    assert error(np.delete(session.touch, 3), np.delete(BENT, 3)) < 1e-12
 
 
 def last_step(*frames):
     """Last step of frames given as (number, time) or (number, time, session)."""
     order = SessionOrder()
-    for each in frames:
-        number, time, *session = each
-        step = order.follow(Frame(np.ones(3), PROTOCOL, time, number, *session))
+    for number, time, *session in frames:
+        step = order.follow(Frame(np.ones(3), Protocol.pairwise(3), time, number, *session))
     return order, step
 
 
 STEADY = tuple((n, 0.3 * n) for n in range(5))
+AHEAD = ((5_000_000, 1.5), (5, 4294.9), (5_000_000, 1e300), (2**31, 9e9))
+# Frames; whether the last one begins a session, words of its problem, time elapsed.
+ORDERS = [
+    (STEADY, False, "", 1.2),
+    ((*STEADY, (5, 1.5, 1)), True, "session 1 follows session 0", 0.0),
+    ((*STEADY, (2, 0.1)), True, "2 follows 4", 0.0),
+    ((*STEADY, (5, 4294.9), (0, 0.0)), True, "0 follows 5", 0.0),
+    (((4, 1.0), (4, 1.3)), False, "", 0.3),
+    (((2**32 - 1, 1.0), (0, 1.3)), False, "", 0.3),
+    (((4, 1.0), (900, 1.3)), False, "", 0.3),
+    ((*STEADY, (5, 0.2)), False, "frame 5: the clock ran back by 1 s; the references stay", 1.2),
+    ((*STEADY, (2, 1.5)), False, "its number follows 4", 1.5),
+    ((*STEADY, (5, 3600.0)), False, "jumped ahead", 3600.0),
+    ((*STEADY, (24, 7.2)), False, "", 7.2),  # lost frames
+    ((*STEADY, (5, 4.0)), False, "", 4.0),  # a short pause
+    (((0, -1e308), (1, 1e308)), False, "", LONGEST_ELAPSED),
+    *(((*STEADY, wrong, (6, 1.8)), False, "", 1.8) for wrong in AHEAD),
+    *(
+        case
+        for time in (math.nan, math.inf, -math.inf)
+        for case in (
+            ((*STEADY, (5, time)), False, f"its time is {time}", 1.2),
+            ((*STEADY, (5, time), (6, 1.8)), False, "", 1.8),
+            (((0, time), (1, 7000.0), (2, 7000.3)), False, "", 0.3),
+        )
+    ),
+]
 
 
-def test_frames_in_order_are_no_event():
-    order, step = last_step(*STEADY)
-    assert (step.new_session, step.gap, step.problems) == (False, False, ())
-    assert order.elapsed == pytest.approx(1.2)
+@pytest.mark.parametrize(("given", "begins", "problem", "elapsed"), ORDERS)
+def test_order_of_frames(given, begins, problem, elapsed):
+    order, step = last_step(*given)
+    assert step.new_session == begins
+    assert step.gap == ("jumped" in problem or given[-1] == (24, 7.2) or given[-1][1] == 1e308)
+    assert problem in " ".join(step.problems)
+    assert len(step.problems) == bool(problem)
+    assert order.elapsed == pytest.approx(elapsed)
 
 
-@pytest.mark.parametrize(
-    ("last", "said"), [((5, 1.5, 1), "session 1 follows session 0"), ((2, 0.1), "2 follows 4")]
-)
-def test_sessions_and_numbers_begin_a_session_and_are_told(last, said):
-    order, step = last_step(*STEADY, last)
-    assert step.new_session
-    assert said in step.problems[0]
-    assert order.elapsed == 0.0
-
-
-@pytest.mark.parametrize("numbers", [(4, 4), (2**32 - 1, 0), (4, 900)])
-def test_equal_wrapped_and_lost_numbers_go_on(numbers):
-    assert not last_step(*zip(numbers, (1.0, 1.3), strict=True))[1].new_session
-
-
-def test_a_clock_that_runs_back_is_told_and_begins_nothing():
-    order, step = last_step(*STEADY, (5, 0.2))
-    assert not step.new_session
-    assert step.problems == (
-        "frame 5: the clock ran back by 1 s; the references stay as they were",
-    )
-    assert order.elapsed == pytest.approx(1.2)
-
-
-def test_a_clock_that_jumps_ahead_is_told():
-    _, step = last_step(*STEADY, (5, 3600.0))
-    assert step.gap
-    assert "jumped ahead" in step.problems[0]
-
-
-@pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
-def test_a_time_that_is_no_number_is_told_and_forgotten(time):
-    order, step = last_step(*STEADY, (5, time))
-    assert not step.new_session
-    assert f"its time is {time}" in step.problems[0]
-    order, step = last_step(*STEADY, (5, time), (6, 1.8))
-    assert step.problems == ()
-    assert order.elapsed == pytest.approx(1.8)
-    order, step = last_step((0, time), (1, 7000.0), (2, 7000.3))
-    assert (step.problems, step.gap) == ((), False)
-    assert order.elapsed == pytest.approx(0.3)
-
-
-def test_a_number_alone_that_runs_back_is_told_and_begins_nothing():
-    order, step = last_step(*STEADY, (2, 1.5))
-    assert not step.new_session
-    assert "its number follows 4" in step.problems[0]
-    assert order.elapsed == pytest.approx(1.5)
-
-
-@pytest.mark.parametrize("wrong", [(5_000_000, 1.5), (5, 4294.9), (5_000_000, 1e300), (2**31, 9e9)])
-def test_one_frame_far_ahead_is_told_and_the_next_goes_on_where_the_frames_were(wrong):
-    _, step = last_step(*STEADY, wrong)
-    assert not step.new_session
-    assert len(step.problems) == 1
-    order, step = last_step(*STEADY, wrong, (6, 1.8))
-    assert (step.new_session, step.gap, step.problems) == (False, False, ())
-    assert order.elapsed == pytest.approx(1.8)
-
-
-def test_a_restart_after_a_jump_ahead_begins_a_session():
-    order, step = last_step(*STEADY, (5, 4294.9), (0, 0.0))
-    assert step.new_session
-    assert order.elapsed == 0.0
-
-
-def test_an_impossible_time_is_no_age():
-    order, _ = last_step((0, -1e308), (1, 1e308))
-    assert order.elapsed == LONGEST_ELAPSED
-
-
-@pytest.mark.parametrize("last", [(24, 7.2), (5, 4.0)])
-def test_lost_frames_and_short_pauses_are_no_jump(last):
-    assert last_step(*STEADY, last)[1].problems == ()
+@pytest.mark.parametrize("wrong", AHEAD)
+def test_one_frame_far_ahead_is_told(wrong):
+    step = last_step(*STEADY, wrong)[1]
+    assert (step.new_session, len(step.problems)) == (False, 1)
 
 
 @pytest.mark.parametrize("bends", [True, False])
@@ -221,3 +148,80 @@ def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
         session.average(values)
         session.renew(values, touched=number == 2)
     assert bool(session.problems(protocol.labels)) == bends
+
+
+# ---- flat sensors ----
+
+RNG = np.random.default_rng(3)
+C = 10
+MIXING = RNG.normal(size=(3, C)) * 0.02
+BEND = np.array([RNG.normal(size=C) * 0.03, RNG.normal(size=C) * 0.004])
+ANGLES = np.linspace(-20.0, 50.0, 15)
+ODD = np.exp(0.1 * (np.arange(C) == 4))
+
+
+def change(angle_deg):
+    t = np.asarray(angle_deg)[..., None] / 45.0
+    return t * BEND[0] + t**2 * BEND[1]
+
+
+def sensors(count, angle_deg=0.0, seed=0):
+    """Sensors of any conductivity, which differ in three directions and by a board's paths."""
+    rng = np.random.default_rng(seed)
+    logs = np.log(np.linspace(400.0, 800.0, C)) + rng.normal(size=(count, 3)) @ MIXING
+    logs = logs + change(angle_deg) + 0.004 * rng.normal(size=(count, C))
+    return np.exp(logs + 0.3 * rng.normal(size=(count, 1)) - 0.01j)
+
+
+@lru_cache
+def known(count=200):
+    return FlatSensors.fit(sensors(count), ANGLES, change(ANGLES))
+
+
+def doubted(judge, values):
+    return np.mean([bool(judge.judge(each).doubt) for each in values])
+
+
+@pytest.mark.parametrize("count", [FEWEST_SPECIMENS, 20, 200])
+def test_flat_sensors_are_seldom_doubted(count):
+    assert doubted(known(count), sensors(400, seed=1)) <= 10 * FALSE_ALARM
+    chances = [known().judge(each).chance for each in sensors(400, seed=2)]
+    assert np.quantile(chances, [0.1, 0.5, 0.9]) == pytest.approx([0.1, 0.5, 0.9], abs=0.2)
+
+
+def test_bent_and_odd_sensors_are_doubted():
+    starts = [known().judge(each) for each in sensors(200, 40.0, seed=4)]
+    assert np.mean(["a bend of" in start.doubt for start in starts]) > 0.9
+    errors = np.array([(start.bend_deg - 40.0) / start.deviation_deg for start in starts])
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.25)
+    start = known().judge(sensors(1, seed=5)[0] * ODD)
+    assert start.chance < FALSE_ALARM
+    assert "does not look flat" in start.doubt
+    bent = sensors(1, 50.0, seed=6)[0]
+    whole = known().judge(bent)
+    assert FlatSensors.fit(sensors(50)).judge(bent).bend_chance == 1.0  # knows no bends
+    bent[3] = np.nan
+    assert known().judge(bent).bend_deg == pytest.approx(whole.bend_deg, abs=10.0)
+    assert known().judge(np.full(C, np.nan)).doubt == ""
+
+
+def test_a_distribution_needs_specimens_and_survives_its_arrays():
+    assert FlatSensors.fit(sensors(FEWEST_SPECIMENS - 1)) is None
+    assert FlatSensors.fit(np.repeat(sensors(1), 20, axis=0)) is None
+    again = FlatSensors.from_arrays(known().arrays())
+    value = sensors(1, 20.0, seed=8)[0]
+    assert again.judge(value).chance == pytest.approx(known().judge(value).chance, rel=1e-4)
+    assert again.judge(value).bend_deg == known().judge(value).bend_deg
+
+
+def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
+    strange = sensors(1, seed=5)[0] * ODD
+    own = known().of_sensor(np.abs(strange))
+    later = 1.3 * strange * np.exp(0.004 * np.random.default_rng(9).normal(size=(100, C)))
+    assert doubted(known(), later) == 1.0
+    assert doubted(own, later) <= 10 * FALSE_ALARM
+    bent = [own.judge(each) for each in later * np.exp(change(40.0))]
+    assert np.mean([bool(start.doubt) for start in bent]) > 0.9
+    assert np.median([start.bend_deg for start in bent]) == pytest.approx(40.0, abs=5.0)
+    partly = np.where(np.arange(C) == 2, np.nan, np.abs(strange))
+    assert not known().of_sensor(partly).judge(strange).doubt
