@@ -82,13 +82,6 @@ def test_angles_that_cannot_be_are_refused(saved, sensor, angles, error, message
     assert not pipeline.calibration
 
 
-@pytest.mark.slow
-def test_another_sensor_is_refused(saved, sensor):
-    strange = [Frame(50.0 * each.impedance, sensor.protocol) for each in frames(sensor, (0, 10))]
-    with pytest.raises(FrameError, match="times those"):
-        Pipeline.load(saved).calibrate(strange, (0.0, 10.0))
-
-
 def run(*arguments, **options):
     return CliRunner().invoke(app, [str(a) for a in ("calibrate", *arguments)], **options)
 
@@ -146,10 +139,14 @@ def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
     design.write_text(
         "thickness = 0.004\noutline = { length = 0.1, width = 0.05 }\nelectrodes = { count = 6 }\n"
     )
-    done = run(saved, "--board", f"virtual:?sensor={design}", "--out", tmp_path / "mine.eitmodel")
+    out = ("--out", tmp_path / "mine.eitmodel")
+    done = run(saved, "--board", f"virtual:?sensor={design}", *out)
     assert isinstance(done.exception, FrameError)
     assert "trained for pairwise:8" in str(done.exception)
     assert not done.output
+    done = run(saved, "--board", "virtual:", "--angles", "ten", *out)
+    assert isinstance(done.exception, ConfigurationError)
+    assert "apart by commas" in str(done.exception)
 
 
 @pytest.mark.parametrize(
@@ -161,11 +158,3 @@ def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits)
     outcome = nullcontext() if fits else pytest.raises(DataError, match="do not fit")
     with outcome:
         Calibration((10.0,), (1.0,), (1.0,), residual).require_fit(known)
-
-
-@pytest.mark.slow
-def test_the_command_says_how_angles_are_written(saved, tmp_path):
-    words = ("--board", "virtual:", "--angles", "ten", "--out", tmp_path / "mine.eitmodel")
-    done = run(saved, *words)
-    assert isinstance(done.exception, ConfigurationError)
-    assert "apart by commas" in str(done.exception)

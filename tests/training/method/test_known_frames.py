@@ -16,17 +16,15 @@ from eitskin.training.method.known_frames import KnownFrames
 from smooth_sensor import FLAT, PROTOCOL
 
 SPEC = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
-REST, BENT = FrameLabel(), FrameLabel(20.0)
+REST, BENT, UNKNOWN = FrameLabel(), FrameLabel(20.0), FrameLabel(None, ())
 PRESS = (TouchLabel(0.05, 0.03, 8.0),)
-
-
-def frames(*levels):
-    """Frames whose log V is this much above that of the flat sensor, half a second apart."""
-    return [Frame(FLAT * np.exp(level) + 0j, PROTOCOL, 0.5 * i) for i, level in enumerate(levels)]
+PRESSED = FrameLabel(20.0, PRESS)
 
 
 def known(labels, levels):
-    return KnownFrames.of(frames(*levels), labels, SPEC)
+    """Frames whose log V is this much above that of the flat sensor, half a second apart."""
+    frames = [Frame(FLAT * np.exp(z) + 0j, PROTOCOL, 0.5 * i) for i, z in enumerate(levels)]
+    return KnownFrames.of(frames, labels, SPEC)
 
 
 def test_changes_are_from_the_mean_of_the_flat_frames():
@@ -40,70 +38,32 @@ def test_changes_are_from_the_mean_of_the_flat_frames():
     assert found.flat.tolist() == [True, True, False]
 
 
-def test_a_touch_is_compared_with_the_latest_untouched_frames_of_its_angle():
-    touched = FrameLabel(20.0, PRESS)
-    labels = [REST, BENT, REST, BENT, BENT, touched, BENT]
-    found = known(labels, [0.0, 0.5, 0.0, 0.010, 0.012, 0.031, 0.7])
-    np.testing.assert_allclose(np.log1p(found.observations.dynamic[5]), 0.020)
-    assert found.observations.dynamic_frames[5] == 2
-    assert found.observations.dynamic_age[5] == 0.5
-    assert found.reference_deg[5] == 20.0
-    assert found.touched.tolist() == [False] * 5 + [True, False]
-    np.testing.assert_allclose(found.touches[5, 0], [0.05, 0.03, 8.0])
-
-
-def test_a_touch_before_any_frame_of_its_angle_is_compared_with_the_next_one():
-    found = known([REST, FrameLabel(20.0, PRESS), BENT, REST, BENT], [0.0, 0.03, 0.01, 0.0, 0.5])
-    np.testing.assert_allclose(np.log1p(found.observations.dynamic[1]), 0.02)
-
-
-def test_a_touch_at_an_unknown_angle_is_compared_with_the_frame_before():
-    labels = [REST, FrameLabel(None, ()), FrameLabel(None, PRESS)]
-    found = known(labels, [0.0, 0.01, 0.04])
-    np.testing.assert_allclose(np.log1p(found.observations.dynamic[2]), 0.03)
-    assert np.isnan(found.reference_deg[2])
-
-
-def test_a_touch_of_an_angle_that_no_frame_has_is_compared_with_the_flat_sensor():
-    found = known([REST, FrameLabel(30.0, PRESS)], [0.0, 0.04])
-    np.testing.assert_allclose(np.log1p(found.observations.dynamic[1]), 0.04)
-    assert found.reference_deg[1] == 0.0
+@pytest.mark.parametrize(
+    ("labels", "levels", "row", "change", "reference_deg", "frames"),
+    [
+        # The latest untouched frames of its angle, in succession; then the next ones.
+        ([REST, BENT, REST, BENT, BENT, PRESSED, BENT], [0, 0.5, 0, 0.010, 0.012, 0.031, 0.7], 5,
+         0.020, 20.0, 2),
+        ([REST, PRESSED, BENT, REST, BENT], [0, 0.03, 0.01, 0, 0.5], 1, 0.02, 20.0, 1),
+        # At an unknown angle the frame before; at one that no frame has the flat sensor.
+        ([REST, UNKNOWN, FrameLabel(None, PRESS)], [0, 0.01, 0.04], 2, 0.03, np.nan, 1),
+        ([REST, FrameLabel(30.0, PRESS)], [0, 0.04], 1, 0.04, 0.0, 1),
+    ],
+)  # fmt: skip
+def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, reference_deg, frames):
+    found = known(labels, levels)
+    np.testing.assert_allclose(np.log1p(found.observations.dynamic[row]), change)
+    assert found.reference_deg[row] == pytest.approx(reference_deg, nan_ok=True)
+    assert found.observations.dynamic_frames[row] == frames
+    assert np.flatnonzero(found.touched).tolist() == [row]
+    np.testing.assert_allclose(found.touches[row, 0], [0.05, 0.03, 8.0])
 
 
 def test_what_is_unknown_is_neither_touched_nor_bent():
-    found = known([REST, FrameLabel(20.0, None), FrameLabel(None, ())], [0.0, 0.1, 0.1])
-    assert not found.touched.any()
-    assert not found.bent.any()
-    assert np.isnan(
-        known([REST, FrameLabel(0.0, (TouchLabel(0.1, 0.03),))], [0, 0]).touches[1, 0, 2]
-    )
-
-
-@pytest.mark.parametrize(
-    ("labels", "error", "message"),
-    [
-        ([REST], ConfigurationError, "1 labels and 2 frames"),
-        ([BENT, BENT], ConfigurationError, "record the flat sensor"),
-        ([REST, FrameLabel(0.0, (TouchLabel(75.0, 30.0),))], DataError, "places are in metres"),
-    ],
-)
-def test_frames_that_cannot_be_known_are_refused(labels, error, message):
-    with pytest.raises(error, match=message):
-        known(labels, [0.0, 0.0])
-
-
-def test_labels_that_cannot_be_are_refused():
-    with pytest.raises(DataError, match="angle up to 360"):
-        FrameLabel(float("inf"))
-    with pytest.raises(DataError, match="above 0 N"):
-        TouchLabel(0.1, 0.03, 0.0)
-    with pytest.raises(DataError, match="place"):
-        TouchLabel(float("nan"), 0.03)
-
-
-def test_another_sensor_is_refused():
-    with pytest.raises(FrameError, match="times those"):
-        known([REST, BENT], [3.0, 3.1])
+    found = known([REST, FrameLabel(20.0, None), UNKNOWN], [0.0, 0.1, 0.1])
+    assert not (found.touched | found.bent).any()
+    light = FrameLabel(0.0, (TouchLabel(0.1, 0.03),))
+    assert np.isnan(known([REST, light], [0, 0]).touches[1, 0, 2])
 
 
 def dataset():
@@ -125,6 +85,12 @@ def dataset():
     )
 
 
+def of_two():
+    data, numbers = dataset(), np.arange(2)
+    reference, specimen = np.tile(data.reference, (2, 1)), np.array([0, 0, 1, 1])
+    return replace(data, reference=reference, specimen=specimen, specimen_number=numbers)
+
+
 def test_a_dataset_has_labels_and_references_of_its_own():
     found = KnownFrames.of(dataset(), None, SPEC)
     assert found.flat.tolist() == [True, False, False, False]
@@ -134,25 +100,33 @@ def test_a_dataset_has_labels_and_references_of_its_own():
     np.testing.assert_allclose(found.observations.dynamic[2:, 0], np.expm1([0.03, 0.03]), rtol=1e-5)
 
 
-def test_datasets_that_cannot_be_of_one_sensor_are_refused():
-    data = dataset()
-    two = replace(
-        data,
-        reference=np.tile(data.reference, (2, 1)),
-        specimen=np.array([0, 0, 1, 1]),
-        specimen_number=np.arange(2),
-    )
-    with pytest.raises(ConfigurationError, match="2 specimens"):
-        KnownFrames.of(two, None, SPEC)
-    with pytest.raises(ConfigurationError, match="no labels beside"):
-        KnownFrames.of(data, [REST] * 4, SPEC)
+FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: known([REST], [0, 0]), ConfigurationError, "1 labels and 2 frames"),
+        (lambda: known([BENT, BENT], [0, 0]), ConfigurationError, "record the flat sensor"),
+        (lambda: known([REST, FAR], [0, 0]), DataError, "places are in metres"),
+        (lambda: known([REST, BENT], [3.0, 3.1]), FrameError, "times those"),
+        (lambda: FrameLabel(float("inf")), DataError, "angle up to 360"),
+        (lambda: TouchLabel(0.1, 0.03, 0.0), DataError, "above 0 N"),
+        (lambda: TouchLabel(float("nan"), 0.03), DataError, "place"),
+        (lambda: KnownFrames.of(of_two(), None, SPEC), ConfigurationError, "2 specimens"),
+        (lambda: KnownFrames.of(dataset(), [REST], SPEC), ConfigurationError, "no labels beside"),
+    ],
+)
+def test_what_cannot_be_known_is_refused(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
 
 
 def test_flat_frames_alone_change_no_estimate():
     pipeline = Pipeline.load("reference.eitmodel")
     reference, protocol = pipeline.layout.reference, pipeline.layout.protocol
-    still = [Frame(reference + 0j, protocol, float(i)) for i in range(3)]
     before = pipeline.method.outputs(pipeline.examples)
+    still = [Frame(reference + 0j, protocol, float(i)) for i in range(3)]
     said = pipeline.adapt(still, [REST] * 3)
     assert (said.flat, said.bends, said.touches, said.left_out) == (3, 0, 0, 0)
     for name, array in pipeline.method.outputs(pipeline.examples).items():

@@ -1,5 +1,6 @@
-"""Input of a method: differences from references, targets that have labels, what is held out."""
+"""Input and output of a method: noise, targets that have labels, what is held out, touches."""
 
+import copy
 import dataclasses
 from dataclasses import asdict
 
@@ -9,6 +10,7 @@ import pytest
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.training import FoundTouches
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings, hold_out
 from eitskin.training.method.targets import (
@@ -34,34 +36,22 @@ def found(data):
     return channel_noise(data, Observations.of(data))
 
 
-def test_each_channel_has_its_own_noise():
+def test_noise_of_each_channel():
+    """Few frames lean on the median channel; a channel that never differs has a floor."""
     assert found(idle(4000, TRUE)) == pytest.approx(TRUE, rel=0.1)
-
-
-def test_few_frames_lean_on_the_median_channel():
     data = idle(1, np.full(8, 1e-2))
     drawn = np.abs(Observations.of(data).dynamic[0])
     assert np.ptp(np.log(found(data))) < 0.5 * np.ptp(np.log(drawn))
-
-
-def test_a_channel_that_never_differs_has_a_floor():
     data = idle(200, np.where(np.arange(8) < 6, 0.0, 1e-2))
-    noise = found(data)
+    noise, overall = found(data), frame_noise(data, Observations.of(data))
     assert (noise[:6] > 0).all()
-    assert (
-        noise[:6] < 1e-3 * noise[6:].min() + 1e-3 * frame_noise(data, Observations.of(data))
-    ).all()
+    assert (noise[:6] < 1e-3 * (noise[6:].min() + overall)).all()
 
 
 def test_there_are_more_epochs_where_frames_are_few():
     settings = NetworkSettings(1e-3, epochs=40, batch=32, fewest_steps=800)
-    assert [settings.epochs_of(count) for count in (5, 40, 240, 640, 6400)] == [
-        800,
-        400,
-        100,
-        40,
-        40,
-    ]
+    epochs = [settings.epochs_of(count) for count in (5, 40, 240, 640, 6400)]
+    assert epochs == [800, 400, 100, 40, 40]
     assert NetworkSettings(1e-3, epochs=40, batch=32).epochs_of(5) == 40
     assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.epochs_of(5) == 3
 
@@ -95,11 +85,7 @@ def frames(states, angles=None, touched=(), force=np.nan, **known):
 @pytest.mark.parametrize(
     ("data", "targets", "missing"),
     [
-        (
-            frames([0, 1, 2], [0, 0, 9], [1], force=8.0),
-            Targets(),
-            (),
-        ),
+        (frames([0, 1, 2], [0, 0, 9], [1], force=8.0), Targets(), ()),
         (
             frames([0, 1, 0, 1], touched=[1]),
             Targets(("idle", "touch"), angle=False, force=False),
@@ -182,3 +168,11 @@ def test_the_end_of_a_single_specimen_is_held_out_state_by_state():
     kept, held_out = hold_out(data)
     assert held_out.tolist() == [0, 1, 10, 11, 12, 13]
     assert len(kept) == 24
+
+
+def test_a_touch_unpacks_as_three_and_knows_five():
+    both = FoundTouches.of([[0.1, 0.2], [0.3, 0.4]], [0.5, 0.9], [7.0, 8.0], [1e-3, 2e-3])
+    first, second = both
+    assert tuple(first) == (first.x, first.y, first.strength) == (0.3, 0.4, 0.9)
+    assert (first.force, first.deviation, len(first)) == (8.0, 2e-3, 3)
+    assert copy.copy(second).force == 7.0

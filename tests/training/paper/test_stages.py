@@ -107,80 +107,68 @@ def states(presses):
 
 @pytest.mark.slow
 def test_classifier_learns_and_generalises(states, embedding):
+    """From standardised maps or compressed ones; other frames change no weight."""
     dV, state = states
-    briefer = dataclasses.replace(BRIEF, epochs=8)
-    stage = Classifier.fit(dV[:240], state[:240], embedding, SHAPE, briefer)
-    probabilities = stage.apply(dV[240:])
-    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
-    assert np.mean(probabilities.argmax(axis=1) == state[240:]) > 0.95
+    brief = dataclasses.replace(BRIEF, epochs=8)
+    unseen = (dV[240:], state[240:])
+    plain, compressed, watched = (
+        Classifier.fit(dV[:240], state[:240], embedding, SHAPE, brief, **options)
+        for options in ({"compress": False}, {}, {"validation": unseen})
+    )
+    for stage in (plain, compressed):
+        probabilities = stage.apply(dV[240:])
+        np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
+        assert np.mean(probabilities.argmax(axis=1) == state[240:]) > 0.95
+    maps = dV[:240] @ plain.embedding[0].T
+    assert np.std(maps) == pytest.approx(1.0)
+    assert np.std((dV[:240] @ compressed.embedding[0].T)[state[:240] == 0]) == pytest.approx(0.5)
+    curves = watched.history.training, watched.history.validation, compressed.history.validation
+    assert list(map(len, curves)) == [8, 8, 0]
+    for name, weights in compressed.weights.items():
+        np.testing.assert_array_equal(watched.weights[name], weights)
+    again = Classifier.from_arrays(watched.arrays(), shape=SHAPE)
+    assert again.history == watched.history
+    np.testing.assert_array_equal(again.apply(dV), watched.apply(dV))
+    pictures = maps.reshape(-1, 1, *SHAPE)
+    logits = by_torch(LayerNetwork(state_layers(SHAPE, 1)), plain.weights, pictures)
+    odds = np.exp(logits - logits.max(axis=1, keepdims=True))
+    expected = odds / odds.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(plain.apply(dV[:240]), expected, atol=1e-6)
 
 
-def test_classifier_is_the_papers(embedding):
-    settings = NetworkSettings(1e-3, epochs=1)
-    stage = Classifier.fit(np.eye(30)[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
-    layers = stage.network.layers
+def test_preset_and_classifier_are_the_papers():
+    layers = state_layers(SHAPE, 1)
     widths = {
         kind: [each.outputs for each in layers if each.kind == kind]
         for kind in ("convolution", "transposed", "dense")
     }
     assert widths == {"convolution": [16, 32, 64], "transposed": [32, 16, 1], "dense": [64, 16, 3]}
     assert [each.pooled for each in layers] == [True] * 3 + [False] * 6
-    paper = TrainingSettings.preset("paper").classifier
-    assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
-    assert not paper.one_cycle
-    assert paper.noise == 0
     whole = TrainingSettings.preset("paper")
-    assert not whole.bend_free_map
-    assert not whole.compressed_maps
-    assert not whole.bend_squares
-
-
-@pytest.mark.slow
-def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding):
-    dV, state = states
-    settings = NetworkSettings(1e-3, epochs=1)
-    plain, compressed = (
-        Classifier.fit(dV, state, embedding, SHAPE, settings, compress=compress)
-        for compress in (False, True)
-    )
-    maps = dV @ plain.embedding[0].T
-    assert np.std(maps) == pytest.approx(1.0)
-    assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
-    again = Classifier.from_arrays(plain.arrays(), shape=SHAPE)
-    np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
-    logits = by_torch(
-        LayerNetwork(state_layers(SHAPE, 1)), plain.weights, maps.reshape(-1, 1, *SHAPE)
-    )
-    odds = np.exp(logits - logits.max(axis=1, keepdims=True))
-    np.testing.assert_allclose(plain.apply(dV), odds / odds.sum(axis=1, keepdims=True), atol=1e-6)
+    paper = whole.classifier
+    assert (paper.learning_rate, paper.epochs, paper.batch, paper.noise) == (1e-5, 150, 64, 0)
+    choices = (paper.one_cycle, whole.bend_free_map, whole.compressed_maps, whole.bend_squares)
+    assert not any(choices)
 
 
 def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embedding):
+    """Adam's first step moves a weight by the learning rate, whatever the gradient."""
     dV, state = (array[:64] for array in states)
-    settings = NetworkSettings(1e-3, epochs=2, noise=1.0)
 
-    def weights(seed):
-        stage = Classifier.fit(dV, state, embedding, SHAPE, settings, noise=0.01, seed=seed)
-        return np.concatenate([w.ravel() for w in stage.weights.values()])
+    def weights(seed, rate=1e-3, **noise):
+        settings = NetworkSettings(rate, epochs=1, one_cycle=False, noise=1.0)
+        return Classifier.fit(dV, state, embedding, SHAPE, settings, seed=seed, **noise).weights
 
     torch.manual_seed(5)
     before = torch.random.get_rng_state()
-    first = weights(1)
+    first = weights(1, noise=0.01)
     assert torch.equal(torch.random.get_rng_state(), before)
     torch.rand(3)
-    np.testing.assert_array_equal(weights(1), first)
-    assert not np.array_equal(weights(2), first)
-
-
-def test_constant_learning_rate_is_the_one_asked_for(states, embedding):
-    """Adam's first step moves a weight by the learning rate, whatever the gradient."""
-    dV, state = (array[:64] for array in states)
-    moved = []
-    for rate in (1e-5, 1e-3):
-        settings = NetworkSettings(rate, epochs=1, batch=64, one_cycle=False)
-        stage = Classifier.fit(dV, state, embedding, SHAPE, settings)
-        moved.append(stage.weights["11.bias"])
-    assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
+    for name, again in weights(1, noise=0.01).items():
+        np.testing.assert_array_equal(again, first[name])
+    assert not np.array_equal(weights(2)["0.0.weight"], weights(1)["0.0.weight"])
+    moved = weights(1, 1e-5)["11.bias"] - weights(1, 1e-3)["11.bias"]
+    assert np.max(np.abs(moved)) == pytest.approx(1e-3 - 1e-5, rel=0.01)
 
 
 def by_torch(network, weights, maps):
@@ -247,10 +235,12 @@ def test_mirror_images_are_drawn_with_their_targets():
     assert mirrored(batch, flips[:1]) is batch
 
 
-def test_networks_survive_their_arrays(presses, reconstruction, embedding):
+def test_saved_networks_of_other_shapes_are_refused(presses, reconstruction, embedding):
     dV, maps, _ = presses
     settings = NetworkSettings(1e-3, epochs=1)
-    stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings)
+    told = {"validation": (dV[:9], maps[:9])}
+    stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings, **told)
+    assert len(stage.history.validation) == 1
     again = PostProcessor.from_arrays(stage.arrays())
     pictures = reconstruction.apply(dV[:5])
     np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
@@ -287,15 +277,10 @@ def test_touches_are_weighted_centroids_strongest_first():
     touch_map = np.zeros((32, 80))
     touch_map[10:14, 20:24] = 0.8
     touch_map[20:24, 60:64] = [[0.5, 0.5, 1.0, 1.0]] * 4
-    (x0, y0, s0), (x1, y1, s1) = find_touches(touch_map, (0.150, 0.060))
+    touch_map[2:6, 2:6] = 0.2  # faint
+    touch_map[28, 40:43] = 1.0  # tiny
     pixel = 0.150 / 80
     weighted = (60.5 + 61.5 + 2 * 62.5 + 2 * 63.5) / 6
-    assert (x0, y0, s0) == pytest.approx((weighted * pixel, 22 * pixel, 1.0))
-    assert (x1, y1, s1) == pytest.approx((22 * pixel, 12 * pixel, 0.8))
-
-
-def test_faint_and_tiny_regions_are_no_touches():
-    touch_map = np.zeros((32, 80))
-    touch_map[10:14, 20:24] = 0.2
-    touch_map[20, 60:63] = 1.0
-    assert len(find_touches(touch_map, (0.150, 0.060))) == 0
+    expected = [(weighted * pixel, 22 * pixel, 1.0), (22 * pixel, 12 * pixel, 0.8)]
+    assert find_touches(touch_map, (0.150, 0.060)) == pytest.approx(np.array(expected))
+    assert find_touches(np.zeros((32, 80)), (0.150, 0.060)).shape == (0, 3)
