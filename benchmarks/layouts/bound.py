@@ -9,15 +9,13 @@ the press. docs/layouts.md gives the errors of both.
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.layouts.candidates import Layout
 from eitskin.datasets.store.folder import make_folder
 from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import ConfigurationError
@@ -27,6 +25,7 @@ from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
+from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -42,6 +41,31 @@ _DIGITS = 9  # of places in metres, to recognise an electrode in the mirror
 _PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
 _MIRRORS = ((False, False), (True, False), (False, True), (True, True))
 _STENCIL = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Electrode layout of a bent sensor, of which every pair is measured.
+
+    Attributes:
+        name: of the layout, for tables; says nothing about it.
+        design: the sensor.
+        angle_deg: of the bend at which it is judged [deg].
+    """
+
+    name: str
+    design: SensorDesign
+    angle_deg: float = 0.0
+
+    @property
+    def protocol(self) -> Protocol:
+        """Protocol that measures all pairs."""
+        return Protocol.pairwise(len(self.design.electrodes))
+
+    @property
+    def scan_time(self) -> float:
+        """Time from one frame to the next [s]."""
+        return len(self.protocol) * MEASUREMENT_TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +98,7 @@ class Sampling:
         return self.margin + np.linspace(0.0, room, math.ceil(room / self.spacing - 1e-9) + 1)
 
 
-Question: TypeAlias = "tuple[Layout, Sampling]"
+Question = tuple[Layout, Sampling]
 Judge = Callable[[Sequence[Question]], "list[SheetBound]"]
 Watch = Callable[[str], None]
 
@@ -136,23 +160,29 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
     images = np.array([mirrored_places(len(x), len(y), *mirror) for mirror, _ in mirrors])
     first = images.min(axis=0)
     solved = np.unique(first)
+    instrument, full_scale = Instrument(snr_db=sampling.snr_db), sim.full_scale
     untouched = scene_derivatives(sim, Scene(Bend(layout.angle_deg)))
-    found = touch_derivatives(sim, untouched, layout.angle_deg, places[solved])
-    instrument = Instrument(snr_db=sampling.snr_db)
+    noise = untouched.noise(instrument, full_scale)
+    rows, white = [], []
     try:
-        rows = np.array([_row(each, untouched, instrument, sim.full_scale) for each in found])
-        alone = untouched.bound(untouched.noise(instrument, sim.full_scale))
+        alone = untouched.bound(noise)
+        for found in touch_derivatives(sim, untouched, layout.angle_deg, places[solved]):
+            own_noise = found.noise(instrument, full_scale)
+            least, known = found.bound(own_noise), found.bound(own_noise, angle_known=True)
+            white.append(np.log(np.abs(found.resistance / untouched.resistance)) / noise)
+            signal = float(np.linalg.norm(white[-1]))
+            row = least.place[0], known.place[0], least.force[0], least.angle_deg, signal
+            rows.append(row)
     except ConfigurationError as error:
         raise ConfigurationError(f"layout '{layout.name}': {error}") from error
-    maps = rows[np.searchsorted(solved, first)].T.reshape(-1, len(y), len(x))
-    white = np.array([_signal(each, untouched, instrument, sim.full_scale) for each in found])
-    whole = np.empty((len(places), white.shape[1]))
+    maps = np.array(rows)[np.searchsorted(solved, first)].T.reshape(-1, len(y), len(x))
+    whole = np.empty((len(places), len(noise)))
     for image, (_, order) in zip(images, mirrors, strict=True):
         whole[np.ix_(image[solved], order)] = white
     spectrum: Array = np.asarray(np.linalg.svd(whole / math.sqrt(len(places)), compute_uv=False))
-    place, known, force, angle, signal = maps
+    place, place_known, force, angle, change = maps
     return SheetBound(
-        x, y, place, known, force, angle, signal, alone.angle_deg, sim.full_scale, spectrum
+        x, y, place, place_known, force, angle, change, alone.angle_deg, full_scale, spectrum
     )
 
 
@@ -192,27 +222,20 @@ def own_mirrors(design: SensorDesign) -> Iterator[tuple[tuple[bool, bool], Numbe
 
     Each with the number that each measurement of every pair has in the mirror, (measurements,).
     """
-    outline, electrodes = design.outline, design.electrodes
-    known = {_rounded(each, each.x, each.y): number for number, each in enumerate(electrodes)}
-    pairs = [row[:2] for row in Protocol.pairwise(len(electrodes)).table]
+
+    def rounded(electrode: Electrode, along: bool, across: bool) -> Electrode:
+        x = design.outline.length - electrode.x if along else electrode.x
+        y = design.outline.width - electrode.y if across else electrode.y
+        return replace(electrode, x=round(x, _DIGITS) + 0.0, y=round(y, _DIGITS) + 0.0)
+
+    known = {rounded(e, False, False): number for number, e in enumerate(design.electrodes)}
+    pairs = [row[:2] for row in Protocol.pairwise(len(known)).table]
     number_of = {frozenset(pair): number for number, pair in enumerate(pairs)}
-    for along, across in _MIRRORS:
-        seen = (
-            _rounded(
-                each,
-                outline.length - each.x if along else each.x,
-                outline.width - each.y if across else each.y,
-            )
-            for each in electrodes
-        )
-        electrode = [known[each] for each in seen if each in known]
-        if len(electrode) == len(electrodes):
-            order = [number_of[frozenset((electrode[a], electrode[b]))] for a, b in pairs]
-            yield (along, across), np.array(order)
-
-
-def _rounded(electrode: Electrode, x: float, y: float) -> Electrode:
-    return replace(electrode, x=round(x, _DIGITS) + 0.0, y=round(y, _DIGITS) + 0.0)
+    for mirror in _MIRRORS:
+        seen = [rounded(each, *mirror) for each in design.electrodes]
+        if all(each in known for each in seen):
+            order = [number_of[frozenset((known[seen[a]], known[seen[b]]))] for a, b in pairs]
+            yield mirror, np.array(order)
 
 
 def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
@@ -221,45 +244,13 @@ def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
     return numbers[:: -1 if across else 1, :: -1 if along else 1].ravel()
 
 
-def _row(
-    found: SceneDerivatives, untouched: SceneDerivatives, instrument: Instrument, full_scale: float
-) -> tuple[float, ...]:
-    noise = found.noise(instrument, full_scale)
-    least = found.bound(noise)
-    known = found.bound(noise, angle_known=True)
-    signal = np.linalg.norm(_signal(found, untouched, instrument, full_scale))
-    return least.place[0], known.place[0], least.force[0], least.angle_deg, float(signal)
-
-
-def _signal(
-    found: SceneDerivatives, untouched: SceneDerivatives, instrument: Instrument, full_scale: float
-) -> Array:
-    """Signal of the press over the standard deviation of one frame's noise, (measurements,)."""
-    change = np.log(np.abs(found.resistance / untouched.resistance))
-    white: Array = change / untouched.noise(instrument, full_scale)
-    return white
-
-
-@dataclass(frozen=True, slots=True)
-class StoredBound:
-    """Finished layout in a file.
-
-    Attributes:
-        asked: version, design, angle, force and sampling.
-        found: fields of its `SheetBound`.
-    """
-
-    asked: dict[str, Any]
-    found: dict[str, Any]
-
-
 def judge_layouts(
     folder: Path, workers: int, watch: Watch, questions: Sequence[Question]
 ) -> list[SheetBound]:
     """Bounds of layouts in order; questions that differ only in the layout's name share one.
 
-    Each is a small file in `folder`, named by a hash of what was asked, and is taken only for the
-    same: a run that was stopped goes on.
+    Each is a small file in `folder`, named by a hash of what was asked: a run that was stopped
+    goes on.
 
     Args:
         folder: for the files; made where it is missing.
@@ -272,52 +263,35 @@ def judge_layouts(
     make_folder(folder)
     remove_leftovers(folder)
     by_path = {_path(folder, question): question for question in questions}
-    missing = []
+    missing = [(path, question) for path, question in by_path.items() if _read(path) is None]
     for path, question in by_path.items():
-        if _read(path, question) is None:
-            missing.append((path, question))
-        else:
+        if (path, question) not in missing:
             watch(question[0].name)
     for (_, question), _ in run_tasks(_write, missing, workers if workers > 1 else 0):
         watch(question[0].name)
-    found = [_read(_path(folder, question), question) for question in questions]
-    return [bound for bound in found if bound is not None]
-
-
-def _asked(question: Question) -> dict[str, Any]:
-    layout, sampling = question
-    return {
-        "version": _VERSION,
-        "design": layout.design.to_toml(),
-        "angle_deg": layout.angle_deg,
-        "force": FORCE,
-        **asdict(sampling),
-    }
+    bounds = (_read(_path(folder, question)) for question in questions)
+    return [bound for bound in bounds if bound is not None]
 
 
 def _path(folder: Path, question: Question) -> Path:
-    content = msgspec.json.encode(_asked(question), order="sorted")
+    layout, sampling = question
+    asked = {"version": _VERSION, "force": FORCE, "angle_deg": layout.angle_deg}
+    content = msgspec.json.encode(
+        asked | {"design": layout.design.to_toml()} | asdict(sampling), order="sorted"
+    )
     return folder / f"{hashlib.sha256(content).hexdigest()[:20]}.json"
 
 
-def _read(path: Path, question: Question) -> SheetBound | None:
-    """Bound stored in a file; None where it is missing or belongs to another question."""
+def _read(path: Path) -> SheetBound | None:
+    """Bound stored in a file; None where it is missing or damaged."""
     try:
-        part = msgspec.json.decode(path.read_bytes(), type=StoredBound)
+        content = path.read_bytes()
+        return msgspec.json.decode(content, type=SheetBound, dec_hook=lambda _, v: np.array(v))
     except (OSError, msgspec.MsgspecError):
         return None
-    if part.asked != _asked(question) or set(part.found) != {f.name for f in fields(SheetBound)}:
-        return None
-    arrays: dict[str, Any] = {
-        name: np.array(value) if isinstance(value, list) else value
-        for name, value in part.found.items()
-    }
-    return SheetBound(**arrays)
 
 
 def _write(task: tuple[Path, Question]) -> None:
     path, question = task
     bound = sheet_bound(*question)
-    values = {each.name: getattr(bound, each.name) for each in fields(bound)}
-    found = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
-    write_file(path, msgspec.json.encode(StoredBound(_asked(question), found)) + b"\n")
+    write_file(path, msgspec.json.encode(bound, enc_hook=lambda array: array.tolist()) + b"\n")

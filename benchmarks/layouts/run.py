@@ -10,16 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.layouts.bound import Judge, Sampling, SheetBound, judge_layouts
+from eitskin.benchmarks.layouts.bound import Judge, Layout, Sampling, SheetBound, judge_layouts
 from eitskin.benchmarks.layouts.candidates import (
+    COUNT,
     PAPER,
+    QUICK,
     SIZE,
-    Layout,
+    SearchPlan,
+    at_arcs,
     paper,
+    search,
     sweeps,
     with_electrodes,
 )
-from eitskin.benchmarks.layouts.search import COUNT, QUICK, SearchPlan, search
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
@@ -30,8 +33,7 @@ from eitskin.hardware.protocol.frame_parts import PER_PACKET
 SEARCH = "search"
 MIRRORED, TURNED = "best with both mirrors", "best with a half turn"
 NAMES = (*sweeps(), SEARCH)
-SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
-QUICK_SAMPLING = Sampling(0.0225)
+SAMPLING, QUICK_SAMPLING = Sampling(0.0075), Sampling(0.0225)
 _COLUMNS = {
     "n": ("measurements", "d"),
     "scan [ms]": ("scan_ms", ".0f"),
@@ -64,7 +66,6 @@ _DRAWN = (
     ("count", "10 on the rim"),
 )
 _MOST, _ABREAST = 6, 2  # maps
-_TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
 
 
@@ -87,8 +88,8 @@ def figures_of(judged: JudgedLayout) -> dict[str, Any]:
     `fits_wire` says whether a frame fits into one packet, `electrodes_mm` "x y" of each middle.
     """
     layout, bound = judged.layout, judged.bound
-    place, place_90, place_worst = _percentiles(1e3 * bound.place)
-    force, force_90, force_worst = _percentiles(bound.force)
+    place, place_90, place_worst = np.percentile(1e3 * bound.place, (50, 90, 100)).tolist()
+    force, force_90, force_worst = np.percentile(bound.force, (50, 90, 100)).tolist()
     return {
         "sweep": judged.sweep,
         "layout": layout.name,
@@ -101,12 +102,12 @@ def figures_of(judged: JudgedLayout) -> dict[str, Any]:
         "place_mm": place,
         "place_90_mm": place_90,
         "place_worst_mm": place_worst,
-        "place_90_known_mm": _percentiles(1e3 * bound.place_known)[1],
+        "place_90_known_mm": float(np.percentile(1e3 * bound.place_known, 90)),
         "place_90_paced_mm": place_90 * (layout.scan_time / paper().scan_time) ** 0.5,
         "force_n": force,
         "force_90_n": force_90,
         "force_worst_n": force_worst,
-        "angle_90_deg": _percentiles(bound.angle_deg)[1],
+        "angle_90_deg": float(np.percentile(bound.angle_deg, 90)),
         "angle_untouched_deg": bound.untouched_deg,
         "uniformity": bound.uniformity,
         "condition": bound.condition,
@@ -190,22 +191,16 @@ def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
     """Layouts found and usual layouts, judged as in the search and then on a finer mesh."""
     plan = QUICK if quick else SearchPlan()
     mirrored, turned = search(judge, plan)
-    electrodes = uniform(Rectangle(*SIZE), COUNT)
     layouts = [
         paper(),
-        with_electrodes("even, half a pitch on", electrodes),
-        replace(mirrored.layout, name=MIRRORED),
-        replace(turned.layout, name=TURNED),
+        with_electrodes("even, half a pitch on", uniform(Rectangle(*SIZE), COUNT)),
+        at_arcs(MIRRORED, mirrored.arcs),
+        at_arcs(TURNED, turned.arcs),
     ]
-    fine = replace(plan.sampling if quick else FINE, resolution="standard")
+    fine = replace(plan.sampling if quick else SAMPLING, resolution="standard")
     questions = [(layout, each) for each in (plan.sampling, fine) for layout in layouts]
     for (layout, each), bound in zip(questions, judge(questions), strict=True):
         yield JudgedLayout(SEARCH, layout, each, bound)
-
-
-def _percentiles(values: np.ndarray) -> tuple[float, float, float]:
-    median, most, worst = np.percentile(values, (50, 90, 100)).tolist()
-    return median, most, worst
 
 
 def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
@@ -213,7 +208,7 @@ def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
     shown = drawn(judged)
     values = np.concatenate([1e3 * each.bound.place.ravel() for each in shown])
     ends = np.percentile(values, (2, 100))
-    scale = require("matplotlib.colors", "bench").LogNorm(float(ends[0]), float(ends[1]))
+    scale = require("matplotlib.colors", "bench").LogNorm(*ends.tolist())
     rows = -(-len(shown) // _ABREAST)
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(9.5, 2.05 * rows + 0.4), layout="constrained"
@@ -223,13 +218,9 @@ def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
         filled = _draw(axes, each, scale)
     for axes in grid.ravel()[len(shown) :]:
         axes.set_visible(False)
-    bar = figure.colorbar(
-        filled, ax=grid, label="bound of the place of 10 N [mm]", shrink=0.8, extend="min"
-    )
-    ticks = [tick for tick in _TICKS if ends[0] <= tick <= ends[1]]
-    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
-    bar.ax.minorticks_off()
-    figure.savefig(path, dpi=120, facecolor="white")
+    label = "bound of the place of 10 N [mm]"
+    figure.colorbar(filled, ax=grid, label=label, shrink=0.8, extend="min", format="%g")
+    figure.savefig(path, dpi=120, facecolor="white", format="png")
 
 
 def drawn(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
@@ -243,37 +234,23 @@ def drawn(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
 
 
 def _draw(axes: Any, judged: JudgedLayout, scale: Any) -> Any:
-    bound, design = judged.bound, judged.layout.design
+    patches = require("matplotlib.patches", "bench")
+    bound, design, values = judged.bound, judged.layout.design, 1e3 * judged.bound.place
     length, width = 1e3 * design.outline.length, 1e3 * design.outline.width
-    values = 1e3 * bound.place
-    filled = axes.pcolormesh(
-        1e3 * bound.x, 1e3 * bound.y, values, norm=scale, cmap="viridis", shading="nearest"
-    )
-    corners = np.array([(0, 0), (length, 0), (length, width), (0, width), (0, 0)])
-    axes.plot(*corners.T, color="#444444", linewidth=1.0)
+    filled = axes.pcolormesh(1e3 * bound.x, 1e3 * bound.y, values, norm=scale, shading="nearest")
+    axes.add_patch(patches.Rectangle((0.0, 0.0), length, width, fill=False, edgecolor="#444444"))
     for electrode in design.electrodes:
         extent = 1e3 * np.array([electrode.width, electrode.height or electrode.width])
         if electrode.on == "side":
             upright = electrode.x in (0.0, design.outline.length)
-            along = 1e3 * electrode.width
-            extent = np.array([2 * _ON_RIM, along] if upright else [along, 2 * _ON_RIM])
+            extent[:] = (2 * _ON_RIM, extent[0]) if upright else (extent[0], 2 * _ON_RIM)
         low = 1e3 * np.array([electrode.x, electrode.y]) - extent / 2
-        patch = require("matplotlib.patches", "bench").Rectangle(
-            low,
-            *extent,
-            facecolor="#d9a41a",
-            edgecolor="black",
-            linewidth=0.5,
-            clip_on=False,
-            zorder=3,
-        )
-        axes.add_patch(patch)
-    most = np.percentile(values, 90)
-    axes.set_title(f"{judged.layout.name}: 90 % below {most:.2f} mm", fontsize=9)
+        style = {"facecolor": "#d9a41a", "edgecolor": "black", "linewidth": 0.5}
+        axes.add_patch(patches.Rectangle(low, *extent, clip_on=False, zorder=3, **style))
+    title = f"{judged.layout.name}: 90 % below {np.percentile(values, 90):.2f} mm"
+    axes.set_title(title, fontsize=9)
     axes.set(aspect="equal", xlim=(-3, length + 3), ylim=(-3, width + 3))
-    axes.set_xlabel("x [mm]", fontsize=8)
-    axes.set_ylabel("y [mm]", fontsize=8)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
     axes.label_outer()
     axes.spines[:].set_visible(False)
-    axes.tick_params(labelsize=7)
     return filled

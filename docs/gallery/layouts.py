@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from eitskin.benchmarks.layouts.bound import Sampling, SheetBound, sheet_bound
-from eitskin.benchmarks.layouts.candidates import Layout, paper, sweeps
+from eitskin.benchmarks.layouts.bound import Layout, Sampling, SheetBound, sheet_bound
+from eitskin.benchmarks.layouts.candidates import paper, sweeps
 
 from style import RISING, colours, figure, save, sensor, wanted
 

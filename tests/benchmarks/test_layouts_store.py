@@ -94,12 +94,10 @@ def test_damaged_and_foreign_files_are_judged_anew(tmp_path, counted):
         path.write_bytes(whole[:40])
         judge(asked(moved(0.020)))
         assert path.read_bytes() == whole
-        judge(asked(moved(0.021)))
-        (other,) = set(tmp_path.glob("*.json")) - {path}
-        path.write_bytes(other.read_bytes())
+        path.write_bytes(b'{"asked": {}, "found": {}}')  # of version 0.2
         (found,) = judge(asked(moved(0.020)))
     assert found.place[0, 0] == 0.020
-    assert len(counted) == 4
+    assert len(counted) == 3
 
 
 def test_what_cannot_be_written_is_said(tmp_path, counted, monkeypatch):
