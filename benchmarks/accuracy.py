@@ -6,19 +6,18 @@ is known. Times are per frame of 28 after meshing, of one core. Besides, errors 
 bent and pressed sensors, by the named resolutions.
 """
 
-import dataclasses
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks import forward_models as models
 from eitskin.benchmarks.forward_models import ModelCase, Truth, judge, model_frame
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.sensor import SensorDesign
@@ -41,12 +40,12 @@ HP_CONTACT = 1e-4
 # The first is the truth, the second says how far it can be trusted.
 References: TypeAlias = tuple[Discretisation, Discretisation]
 DEFORMED_REFERENCES: References = (
-    ((5, 5, 5, 5, 4, 3), Grading(finest=4e-5, coarsest=5e-3, growth=3.0)),
-    ((6, 6, 5, 4, 3), Grading(finest=4e-5, coarsest=6e-3, growth=2.5)),
+    ((5, 5, 5, 5, 4, 3), Grading(4e-5, 5e-3, 3.0)),
+    ((6, 6, 5, 4, 3), Grading(4e-5, 6e-3, 2.5)),
 )
 QUICK_DEFORMED_REFERENCES: References = (
-    ((4, 4, 3, 2, 1), Grading(finest=1e-4, coarsest=6e-3, growth=3.0)),
-    ((4, 4, 3, 2, 1), Grading(finest=2e-4, coarsest=6e-3, growth=3.0)),
+    ((4, 4, 3, 2, 1), Grading(1e-4, 6e-3, 3.0)),
+    ((4, 4, 3, 2, 1), Grading(2e-4, 6e-3, 3.0)),
 )
 
 # Smooth at the ends of the bend: F may jump at element faces only.
@@ -75,15 +74,9 @@ PRESSES: Mapping[str, Scene] = {
     "10 N in the bend": Scene(Bend(30.0), (Touch(0.075, 0.030),)),
 }
 SHEARS: Mapping[str, Displaced] = {"sheared along x": sheared(0), "sheared along y": sheared(1)}
-SCENES: Mapping[str, Scene | Displaced] = {
-    "bend 50": Scene(Bend(50.0)),
-    "bend -20": Scene(Bend(-20.0)),
-    **PRESSES,
-    **SHEARS,
-}
-QUICK_SCENES: Mapping[str, Scene | Displaced] = {
-    name: SCENES[name] for name in ("bend 50", "10 N", "sheared along x")
-}
+BENDS = {f"bend {angle:g}": Scene(Bend(angle)) for angle in (50.0, -20.0)}
+SCENES: Mapping[str, Scene | Displaced] = {**BENDS, **PRESSES, **SHEARS}
+QUICK_SCENES = ("bend 50", "10 N", "sheared along x")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +85,12 @@ class Deformed:
 
     Attributes:
         name: of the resolution.
-        unknowns: of the matrix.
         frame_seconds: median per frame, deformation evaluated, assembled and solved anew.
         signal_errors: per scene, norm of the error of the relative change over norm of the
             change, of the bend or, in scenes that are pressed, of the press.
     """
 
     name: str
-    unknowns: int
     frame_seconds: float
     signal_errors: dict[str, float]
 
@@ -125,20 +116,19 @@ def signals(
     return changes, times
 
 
-def compare_deformed(
-    resolutions: Sequence[Resolution],
-    references: References,
-    scenes: Mapping[str, Scene | Displaced],
-) -> tuple[Deformed, ...]:
-    """Errors of each resolution, and of the second reference, against the first reference.
+def compare_deformed(quick: bool) -> list[Deformed]:
+    """Errors of resolutions, and of the second reference, against the first reference.
 
     On the reference sensor, bent by a hinge with transitions.
     """
     design = SensorDesign.reference()
-    truth, _ = signals(Simulator(design, references[0], FIXTURE), scenes)
+    scenes = {name: SCENES[name] for name in (QUICK_SCENES if quick else SCENES)}
+    first, second = QUICK_DEFORMED_REFERENCES if quick else DEFORMED_REFERENCES
+    named: dict[str, Resolution | Discretisation] = {"second reference": second, "fast": "fast"}
+    if not quick:
+        named |= {"standard": "standard", "fine": "fine"}
+    truth, _ = signals(Simulator(design, first, FIXTURE), scenes)
     rows = []
-    named: dict[str, Resolution | Discretisation]
-    named = {"second reference": references[1], **{name: name for name in resolutions}}
     for name, resolution in named.items():
         sim = Simulator(design, resolution, FIXTURE)
         found, times = signals(sim, scenes)
@@ -146,8 +136,8 @@ def compare_deformed(
             scene: float(np.linalg.norm(found[scene] - truth[scene]) / np.linalg.norm(truth[scene]))
             for scene in scenes
         }
-        rows.append(Deformed(name, sim.model.unknowns, float(np.median(times)), errors))
-    return tuple(rows)
+        rows.append(Deformed(name, float(np.median(times)), errors))
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +194,8 @@ def measure(case: ModelCase, truth: Truth) -> ModelResult:
 def published_error(case: ModelCase) -> float:
     """Largest relative error of the seven published flat resistances and of their sum."""
     design = SensorDesign.reference()
-    electrodes = [dataclasses.replace(e, contact_impedance=HP_CONTACT) for e in design.electrodes]
-    model = case.model(dataclasses.replace(design, electrodes=tuple(electrodes)))
+    electrodes = [replace(e, contact_impedance=HP_CONTACT) for e in design.electrodes]
+    model = case.model(replace(design, electrodes=tuple(electrodes)))
     R = np.real(Protocol.pairwise(8).measure(model.impedance()))
     errors = [*(R[:7] / HP_FIRST - 1.0), R.sum() / HP_SUM - 1.0]
     return float(np.abs(errors).max())
@@ -231,13 +221,7 @@ def compare(case: ModelCase, truth: Truth) -> tuple[ModelResult, ModelResult]:
         **judge(model.frame(truth.design.conductivity), truth),
     )
     own = measure(case, truth)
-    return dataclasses.replace(own, nodes=model.nodes), other
-
-
-def _deformed(quick: bool) -> tuple[Deformed, ...]:
-    if quick:
-        return compare_deformed(("fast",), QUICK_DEFORMED_REFERENCES, QUICK_SCENES)
-    return compare_deformed(("fast", "standard", "fine"), DEFORMED_REFERENCES, SCENES)
+    return replace(own, nodes=model.nodes), other
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
@@ -253,11 +237,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     references = models.QUICK_REFERENCES if quick else models.REFERENCES
     with one_thread():
         (truth,) = (Truth.compute(seed, pair) for pair in watch("reference", [references]))
-        own = watch("models", models.QUICK if quick else models.FULL)
-        results = [measure(case, truth) for case in own]
+        cases = models.QUICK if quick else models.FULL
+        results = [measure(case, truth) for case in watch("models", cases)]
         duels = [compare(case, truth) for case in watch("pyEIT", peers)]
-        (deformed,) = (f(quick) for f in watch("bent and pressed", [_deformed]))
+        (deformed,) = (compare_deformed(each) for each in watch("bent and pressed", [quick]))
     points = [*results, *(own for own, _ in duels), *(other for _, other in duels)]
+    by_family: dict[str, list[ModelResult]] = {}
+    for point in points:
+        by_family.setdefault(point.family, []).append(point)
     sentences = [
         f"two references differ by {truth.resistance_error:.1e} in R and "
         f"{truth.signal_error:.1e} in the signal",
@@ -273,77 +260,65 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         (scene, *(f"{row.signal_errors[scene]:.1e}" for row in deformed))
         for scene in deformed[0].signal_errors
     ]
-    figures = dict(_figures(truth, results, duels, deformed))
+    figures = {
+        "references.resistance_error": truth.resistance_error,
+        "references.signal_error": truth.signal_error,
+    }
+    figures |= _figures([(f"{point.family}, {point.name}", point) for point in results])
+    for own, other in duels:
+        peer = f"{other.family}, {other.name}"
+        figures |= _figures([(peer, other), (f"ours on the nodes of {peer}", own)])
+        figures[f"{peer}.times_longer"] = other.frame_seconds / own.frame_seconds
+    for row in deformed:
+        name, errors = f"bent and pressed, {row.name}", row.signal_errors
+        figures |= {f"{name}.{scene}": error for scene, error in errors.items()}
+        figures[f"{name}.frame_ms"] = 1e3 * row.frame_seconds
+        for kind, some in {"presses": PRESSES, "shears": SHEARS}.items():
+            largest = max((errors[scene] for scene in errors if scene in some), default=np.nan)
+            figures[f"{name}.largest of {kind}"] = largest
+    panels = {
+        title: {
+            family: [(1e3 * p.frame_seconds, getattr(p, quantity)) for p in some]
+            for family, some in by_family.items()
+        }
+        for quantity, title in _PANELS.items()
+    }
+    x, y, rows = "time per frame of 28 [ms]", "error", [asdict(point) for point in points]
     return Report(
         results=measured("accuracy", figures.items(), began=began, seed=seed, quick=quick),
-        rows=[dataclasses.asdict(point) for point in points],
+        rows=rows,
         tables=[
-            ReportTable(_HEADINGS, [_cells(point) for point in points], 2),
+            ReportTable.of(rows, _COLUMNS, 2),
             ReportTable(("signal errors", *(row.name for row in deformed)), scenes),
         ],
         sentences=sentences,
-        plots={"accuracy.png": partial(plot_errors, **_plotted(points))},
+        plots={"accuracy.png": partial(plot_errors, panels=panels, x=x, y=y)},
     )
 
 
-_HEADINGS = ("mesh and element", "", "unknowns", "ms/frame", "error of R", "of signal", "z = 1e-4")
+_COLUMNS: Columns = {
+    "mesh and element": ("family", "", 1),
+    "": ("name", "", 1),
+    "unknowns": ("unknowns", "d", 1),
+    "ms/frame": ("frame_seconds", ".1f", 1e3),
+    "error of R": ("resistance_error", ".1e", 1),
+    "of signal": ("signal_error", ".1e", 1),
+    "z = 1e-4": ("published_error", ".1e", 1),
+}
+_QUANTITIES = (
+    *("nodes", "unknowns", "setup_seconds"),
+    *("resistance_error", "signal_error", "published_error"),
+)
+_PANELS = {
+    "resistance_error": "28 flat resistances: largest relative error",
+    "signal_error": "change under a 30 % drop of conductivity: relative error",
+}
 
 
-def _cells(point: ModelResult) -> tuple[str, ...]:
-    return (
-        point.family,
-        point.name,
-        str(point.unknowns),
-        f"{1e3 * point.frame_seconds:.1f}",
-        f"{point.resistance_error:.1e}",
-        f"{point.signal_error:.1e}",
-        "" if point.published_error is None else f"{point.published_error:.1e}",
-    )
-
-
-def _plotted(points: Sequence[ModelResult]) -> dict[str, Any]:
-    """Both errors over the time per frame, a line for each family."""
-    titles = {
-        "resistance_error": "28 flat resistances: largest relative error",
-        "signal_error": "change under a 30 % drop of conductivity: relative error",
-    }
-    panels: dict[str, dict[str, list[tuple[float, float]]]] = {}
-    for quantity, title in titles.items():
-        for point in points:
-            line = panels.setdefault(title, {}).setdefault(point.family, [])
-            line.append((1e3 * point.frame_seconds, getattr(point, quantity)))
-    return {"panels": panels, "x": "time per frame of 28 [ms]", "y": "error"}
-
-
-def _figures(
-    truth: Truth,
-    results: Sequence[ModelResult],
-    duels: Sequence[tuple[ModelResult, ModelResult]],
-    deformed: Sequence[Deformed],
-) -> Iterator[tuple[str, float]]:
-    """All figures by name: points by family and name, duels by the peer's family."""
-    yield "references.resistance_error", truth.resistance_error
-    yield "references.signal_error", truth.signal_error
-    for point in results:
-        yield from _figures_of(f"{point.family}, {point.name}", point)
-    for own, other in duels:
-        peer = f"{other.family}, {other.name}"
-        yield from _figures_of(peer, other)
-        yield from _figures_of(f"ours on the nodes of {peer}", own)
-        yield f"{peer}.times_longer", other.frame_seconds / own.frame_seconds
-    for row in deformed:
-        yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
-        for kind, scenes in {"presses": PRESSES, "shears": SHEARS}.items():
-            errors = [error for scene, error in row.signal_errors.items() if scene in scenes]
-            if errors:
-                yield f"bent and pressed, {row.name}.largest of {kind}", max(errors)
-        for scene, error in row.signal_errors.items():
-            yield f"bent and pressed, {row.name}.{scene}", error
-
-
-def _figures_of(label: str, point: ModelResult) -> Iterator[tuple[str, float]]:
-    yield f"{label}.frame_ms", 1e3 * point.frame_seconds
-    names = ("nodes", "unknowns", "setup_seconds", "resistance_error", "signal_error")
-    for name in (*names, "published_error"):
-        if (value := getattr(point, name)) is not None:
-            yield f"{label}.{name}", value
+def _figures(points: Sequence[tuple[str, ModelResult]]) -> dict[str, float]:
+    """Figures of results by their labels."""
+    found = {f"{label}.frame_ms": 1e3 * point.frame_seconds for label, point in points}
+    for name in _QUANTITIES:
+        values = {f"{label}.{name}": getattr(point, name) for label, point in points}
+        found |= {key: value for key, value in values.items() if value is not None}
+    return found

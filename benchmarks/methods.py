@@ -9,11 +9,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from eitskin.benchmarks.frames import frame_times, generate_missing
-from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.training.evaluation.evaluate import Evaluation
@@ -26,12 +27,15 @@ from eitskin.training.pipeline.saved_form import SHIPPED
 FRAMES, SPECIMENS = 2000, 40
 QUICK_FRAMES, QUICK_SPECIMENS = 300, 6
 TIMED = 100  # frames
-_COLUMNS = {
-    "states": ("states right, %", 100.0, 1),
-    "error_mm": ("touches: error, mm", 1.0, 2),
-    "found": ("found, %", 100.0, 1),
-    "false_per_touch": ("false, %", 100.0, 1),
-    "angle_rmse_deg": ("angle: RMSE, deg", 1.0, 2),
+_COLUMNS: Columns = {
+    "": ("method", "", 1),
+    "states right, %": ("states", ".1f", 100.0),
+    "touches: error, mm": ("error_mm", ".2f", 1.0),
+    "found, %": ("found", ".1f", 100.0),
+    "false, %": ("false_per_touch", ".1f", 100.0),
+    "angle: RMSE, deg": ("angle_rmse_deg", ".2f", 1.0),
+    "training, s": ("training_s", ".1f", 1.0),
+    "frame, ms": ("frame_ms", ".2f", 1.0),
 }
 
 
@@ -71,10 +75,9 @@ def run(
         pipeline = Pipeline.fit(data, replace(settings, whole_specimens=True), method=method)
         seconds = time.process_time() - start
         unseen = data.select(pipeline.held_out(data))
-        rows.append(_row(name, pipeline, unseen, f"{seconds:.1f}"))
-    rows.append(_row("shipped", Pipeline.load(SHIPPED), unseen, ""))
-    heads = ("", *(head for head, *_ in _COLUMNS.values()), "training, s", "frame, ms")
-    shown = ReportTable(heads, rows)
+        rows.append(_row(name, pipeline, unseen) | {"training_s": seconds})
+    rows.append(_row("shipped", Pipeline.load(SHIPPED), unseen))
+    shown = ReportTable.of(rows, _COLUMNS)
     options = "".join(f" --preset {name}" for name in presets)
     options += "".join(f" --method {each.KIND}" for each in methods)
     specimens = len(np.unique(unseen.specimen))
@@ -112,13 +115,9 @@ def small_recipe(frames: int, specimens: int) -> Recipe:
     )
 
 
-def _row(name: str, pipeline: Pipeline, unseen: Dataset, seconds: str) -> tuple[str, ...]:
-    """Cells of a pipeline on unseen frames."""
-    found = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
-    cells = [
-        "" if (value := found[key]) is None else f"{factor * value:.{digits}f}"
-        for key, (_, factor, digits) in _COLUMNS.items()
-    ]
+def _row(name: str, pipeline: Pipeline, unseen: Dataset) -> dict[str, Any]:
+    """Figures of a pipeline on unseen frames."""
     touched = np.flatnonzero(unseen.touch_count > 0)[:TIMED].tolist()
-    frame_ms = 1e3 * np.median(frame_times(pipeline, unseen, touched, time.process_time))
-    return (name, *cells, seconds, f"{frame_ms:.2f}")
+    seconds = frame_times(pipeline, unseen, touched, time.process_time)
+    figures = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
+    return {"method": name, "frame_ms": 1e3 * float(np.median(seconds)), **figures}

@@ -27,6 +27,8 @@ NUMBER = re.compile(r"[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[-+]?\d+)?")
 RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
 Points = Mapping[str, Sequence[tuple[float, float]]]
 """Points (x, y) by label."""
+Columns = Mapping[str, tuple[str, str, int | float]]
+"""Key, format and factor of the values of a column, by its heading."""
 Watch = Callable[[str, Sequence[Any]], Iterable[Any]]
 """Gives back the items that its text is about; shows progress where wanted."""
 Progress = Callable[[str, int, int], None]
@@ -70,6 +72,23 @@ class ReportTable:
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     names: int = 1
+
+    @classmethod
+    def of(
+        cls,
+        rows: Sequence[Mapping[str, Any]],
+        columns: Columns,
+        names: int = 1,
+    ) -> "ReportTable":
+        """Table of values by their columns; cells are empty where a row has no value."""
+        cells = [
+            tuple(
+                "" if (value := row.get(key)) is None else f"{factor * value:{digits}}"
+                for key, digits, factor in columns.values()
+            )
+            for row in rows
+        ]
+        return cls(tuple(columns), cells, names)
 
     def figures(self, title: str = "") -> Iterator[tuple[str, float]]:
         """Numbers of all cells but the first of each row, by `title / row / heading`.

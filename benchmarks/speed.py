@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.forward_models import PEERS, PointElectrodeModel, drops, has_pyeit
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
@@ -48,7 +48,13 @@ Array = NDArray[np.float64]
 SCENES, QUICK_SCENES = 384, 32  # of each process
 FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
 SETTLED = 20  # frames before those whose time counts: references are taken then
-HEADINGS = ("scenes", "per second", "ms, one process alone", "error, median", "largest")
+_COLUMNS: Columns = {
+    "scenes": ("name", "", 1),
+    "per second": ("scenes_per_second", ".0f", 1),
+    "ms, one process alone": ("scene_ms", ".0f", 1),
+    "error, median": ("error_median", ".1%", 1),
+    "largest": ("error_max", ".1%", 1),
+}
 ANGLES = (-20.0, 50.0)
 FORCES = (4.0, 12.0)
 PER_BEND = 32
@@ -304,12 +310,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
             found |= frame_time(name, frames, seed)
     for make in watch("datasets", [generation]):
         found |= make(count, rates[0])
-    rows = [_cells(each) for each in rates]
-    cells = {
-        f"{row[0]} / {heading}": float(cell.removesuffix(" %"))
-        for row in rows
-        for heading, cell in zip(HEADINGS[1:], row[1:], strict=True)
-    }
+    rows = [dataclasses.asdict(each) for each in rates]
+    table = ReportTable.of(rows, _COLUMNS)
     points = {
         each.name: [(each.scenes_per_second, 100 * e) for e in (each.error_median, each.error_max)]
         for each in rates
@@ -317,22 +319,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     x, y = "scenes per second, two processes", "error of the signal, median and largest [%]"
     missing = "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
     return Report(
-        results=measured("speed", (cells | found).items(), began=began, seed=seed, quick=quick),
-        rows=[dataclasses.asdict(each) for each in rates],
-        tables=[ReportTable(HEADINGS, rows)],
+        results=measured(
+            "speed", (*table.figures(), *found.items()), began=began, seed=seed, quick=quick
+        ),
+        rows=rows,
+        tables=[table],
         sentences=[
             *(() if "pyEIT.nodes" in found else (missing,)),
             *(f"{name}: {value:.4g}" for name, value in found.items()),
         ],
         plots={"speed.png": partial(plot_errors, panels={"": points}, x=x, y=y)},
-    )
-
-
-def _cells(each: Rate) -> tuple[str, ...]:
-    return (
-        each.name,
-        f"{each.scenes_per_second:.0f}",
-        f"{each.scene_ms:.0f}",
-        f"{100 * each.error_median:.1f} %",
-        f"{100 * each.error_max:.1f} %",
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.paper.scores import scene_of
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
-from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -101,17 +101,19 @@ FEW = "pressed while bent"
 """World of a handful of frames on two sensors on the plates that bend them, without known presses:
 presses are solved as one problem with the bend."""
 BOUND = "Cramer-Rao bound"
-_COLUMNS = {
-    "states [%]": ("untouched states right", 100.0),
-    "angle [deg]": ("angle, rms [deg]", 1.0),
-    "/ SE": ("angle, error over standard error", 1.0),
-    "false [%]": ("touches in untouched frames", 100.0),
-    "found [%]": ("touches found", 100.0),
-    "place [mm]": ("place, mean [mm]", 1.0),
-    "place / SE": ("place, error over standard error", 1.0),
-    "refused [%]": ("sensors refused", 100.0),
+_COLUMNS: Columns = {
+    "pipeline": ("pipeline", "", 1),
+    "world": ("world", "", 1),
+    "labelled": ("labelled", "", 1),
+    "states [%]": ("untouched states right", ".3g", 100.0),
+    "angle [deg]": ("angle, rms [deg]", ".3g", 1.0),
+    "/ SE": ("angle, error over standard error", ".3g", 1.0),
+    "false [%]": ("touches in untouched frames", ".3g", 100.0),
+    "found [%]": ("touches found", ".3g", 100.0),
+    "place [mm]": ("place, mean [mm]", ".3g", 1.0),
+    "place / SE": ("place, error over standard error", ".3g", 1.0),
+    "refused [%]": ("sensors refused", ".3g", 100.0),
 }
-"""Figure of each column, and the factor to its unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,42 +340,28 @@ def run(
     """
     began = time.perf_counter()
     worlds = make(folder, seed, quick, workers, progress)
-    rows: list[tuple[str, str, str, Figures]] = []
+    rows: list[dict[str, Any]] = []
     for number, (name, path) in enumerate(pipelines.items()):
         pipeline = Pipeline.load(path)
         for place, world in enumerate(worlds):
             progress("scores", number * len(worlds) + place, len(worlds) * len(pipelines))
             for labelled in LABELLED:
                 if not (labelled.presses and world.name == FEW):
-                    row = name, world.name, str(labelled), scores(pipeline, world, labelled)
-                    rows.append(row)
+                    row = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
+                    rows.append(row | scores(pipeline, world, labelled))
     progress("scores", len(worlds) * len(pipelines), len(worlds) * len(pipelines))
     limits = [
-        (BOUND, world.name, "", bounds(world, recipes(world.name, seed, quick)[0], progress))
+        {"pipeline": BOUND, "world": world.name, "labelled": ""}
+        | bounds(world, recipes(world.name, seed, quick)[0], progress)
         for world in worlds
         if world.name != FEW
     ]
-    figures = {
-        f"{pipeline} / {', '.join(filter(None, (world, labelled)))} / {name}": value
-        for pipeline, world, labelled, values in (*rows, *limits)
-        for name, value in values.items()
-    }
-    columns = _COLUMNS.values()
+    figures: list[tuple[str, float]] = []
+    for row in (*rows, *limits):
+        where = ", ".join(filter(None, (row["world"], row["labelled"])))
+        figures += [(f"{row['pipeline']} / {where} / {name}", row[name]) for name in list(row)[3:]]
     return Report(
-        results=measured("transfer", figures.items(), began=began, seed=seed, quick=quick),
-        rows=[
-            dict(zip(("pipeline", "world", "labelled"), names, strict=True))
-            | {column: values.get(column) for column, _ in columns}
-            for *names, values in rows
-        ],
-        tables=[
-            ReportTable(
-                ("pipeline", "world", "labelled", *_COLUMNS),
-                [
-                    (*names, *(f"{f * values[c]:.3g}" if c in values else "-" for c, f in columns))
-                    for *names, values in (*rows, *limits)
-                ],
-                3,
-            )
-        ],
+        results=measured("transfer", figures, began=began, seed=seed, quick=quick),
+        rows=[{name: row.get(name) for name, *_ in _COLUMNS.values()} for row in rows],
+        tables=[ReportTable.of((*rows, *limits), _COLUMNS, 3)],
     )

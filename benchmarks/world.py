@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, Displaced
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
@@ -49,6 +49,13 @@ MEDIAN, WORST = 0.02, 0.04
 """Targets of the signal error of presses by the default models: in the middle, and at most."""
 BENDS = 0.01
 """Target of the signal error of bends."""
+_COLUMNS: Columns = {
+    "case": ("case", "", 1),
+    "model": ("model", "", 1),
+    "error [%]": ("error", ".2f", 100.0),
+    "reference [%]": ("reference_error", ".1f", 100.0),
+    "s": ("seconds", ".3f", 1),
+}
 _QUICK_CASES = ("75_30", "independent_bend_20")
 # Presses that are solved in 3D besides those without a table: half a minute to minutes each.
 _SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
@@ -368,20 +375,11 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     }
     limits = {"target, median": 100 * MEDIAN, "target, worst": 100 * WORST}
     x, y = "time of the deformation at all points [s]", "error of the signal [%]"
-    cells = [
-        (
-            row.case,
-            row.model,
-            f"{100 * row.error:.2f}",
-            f"{100 * row.reference_error:.1f}",
-            f"{row.seconds:.3f}",
-        )
-        for row in errors
-    ]
+    rows = [asdict(row) for row in errors]
     return Report(
         results=measured("world", figures(errors), began=began, seed=seed, quick=quick),
-        rows=[asdict(row) for row in errors],
-        tables=[ReportTable(("case", "model", "error [%]", "reference [%]", "s"), cells, 2)],
+        rows=rows,
+        tables=[ReportTable.of(rows, _COLUMNS, 2)],
         sentences=[*sentences(errors)],
         plots={"world.png": partial(plot_errors, panels={"": points}, x=x, y=y, limits=limits)},
     )

@@ -23,7 +23,7 @@ from eitskin.benchmarks.layouts.candidates import (
     sweeps,
     with_electrodes,
 )
-from eitskin.benchmarks.results import Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
 from eitskin.geometry.design.outline import Rectangle
@@ -34,20 +34,20 @@ SEARCH = "search"
 MIRRORED, TURNED = "best with both mirrors", "best with a half turn"
 NAMES = (*sweeps(), SEARCH)
 SAMPLING, QUICK_SAMPLING = Sampling(0.0075), Sampling(0.0225)
-_COLUMNS = {
-    "n": ("measurements", "d"),
-    "scan [ms]": ("scan_ms", ".0f"),
-    "50 % [mm]": ("place_mm", ".2f"),
-    "90 %": ("place_90_mm", ".2f"),
-    "worst": ("place_worst_mm", ".2f"),
-    "paced": ("place_90_paced_mm", ".2f"),
-    "force [N]": ("force_90_n", ".2f"),
-    "angle [deg]": ("angle_untouched_deg", ".3f"),
-    "weak/strong": ("uniformity", ".3f"),
-    "condition": ("condition", ".3g"),
-    "patterns": ("patterns", "d"),
+_COLUMNS: Columns = {
+    "": ("layout", "", 1),
+    "n": ("n", "", 1),
+    "scan [ms]": ("scan_ms", ".0f", 1),
+    "50 % [mm]": ("place_mm", ".2f", 1),
+    "90 %": ("place_90_mm", ".2f", 1),
+    "worst": ("place_worst_mm", ".2f", 1),
+    "paced": ("place_90_paced_mm", ".2f", 1),
+    "force [N]": ("force_90_n", ".2f", 1),
+    "angle [deg]": ("angle_untouched_deg", ".3f", 1),
+    "weak/strong": ("uniformity", ".3f", 1),
+    "condition": ("condition", ".3g", 1),
+    "patterns": ("patterns", "d", 1),
 }
-"""Figure of each column, and its format."""
 LEGEND = (
     "bound of the place of 10 N: median, 90 % and worst over the sheet, and 90 % paced, for as "
     "many frames as take the time of the paper's; force: 90 %; angle: of the untouched sheet; "
@@ -165,23 +165,25 @@ def run(
 
 def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report:
     rows = [figures_of(each) for each in judged]
-    tables: dict[str, list[tuple[str, ...]]] = {}
+    by_title: dict[str, list[dict[str, Any]]] = {}
     sentences = [LEGEND]
-    for each, row in zip(judged, rows, strict=True):
-        title = each.sweep
+    for row in rows:
+        title = row["sweep"]
         if title == SEARCH:
             title += f", {row['resolution']} mesh, places {row['spacing_mm']:g} mm apart"
-        cells = [f"{row[name]:{digits}}" for name, digits in _COLUMNS.values()]
-        cells[0] += "" if row["fits_wire"] else "*"
-        tables.setdefault(title, []).append((each.layout.name, *cells))
-        if each.layout.name in (MIRRORED, TURNED):
-            sentences.append(f"{each.layout.name}: middles at (x y) {row['electrodes_mm']} mm")
-    shown = [ReportTable((title, *_COLUMNS), cells) for title, cells in tables.items()]
-    figures = [pair for table in shown for pair in table.figures(table.headings[0])]
+        mark = "" if row["fits_wire"] else "*"
+        by_title.setdefault(title, []).append(row | {"n": f"{row['measurements']}{mark}"})
+        if row["layout"] in (MIRRORED, TURNED):
+            sentences.append(f"{row['layout']}: middles at (x y) {row['electrodes_mm']} mm")
+    tables = [
+        replace(ReportTable.of(some, _COLUMNS), headings=(title, *list(_COLUMNS)[1:]))
+        for title, some in by_title.items()
+    ]
+    figures = [pair for table in tables for pair in table.figures(table.headings[0])]
     return Report(
         results=measured("layouts", figures, began=began, quick=quick, options="--workers 2"),
         rows=rows,
-        tables=shown,
+        tables=tables,
         sentences=sentences,
         plots={"layouts.png": partial(plot_maps, judged)},
     )
