@@ -242,6 +242,7 @@ def plot_errors(
     x: str,
     y: str,
     limits: Mapping[str, float] | None = None,
+    ticks: Sequence[str] = (),
 ) -> None:
     """Plot points on logarithmic scales, a panel for each title.
 
@@ -250,6 +251,7 @@ def plot_errors(
         panels: points by label, by title.
         x, y: labels of the axes.
         limits: values of y to be marked, by name.
+        ticks: names of x = 0, 1, ..., for linear scales.
     """
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(8.0 * len(panels), 5.4), layout="constrained"
@@ -258,11 +260,13 @@ def plot_errors(
     for axes, (title, series) in zip(grid.ravel(), panels.items(), strict=True):
         for label, points in series.items():
             ordered = list(zip(*sorted(points), strict=True)) or [(), ()]
-            axes.loglog(*ordered, "o-", ms=4, lw=0.8, label=label)
+            (axes.plot if ticks else axes.loglog)(*ordered, "o-", ms=4, lw=0.8, label=label)
         for name, value in (limits or {}).items():
             axes.axhline(value, color="#999999", linewidth=0.8, linestyle=(0, (4, 3)))
             axes.text(0.01, 1.04 * value, name, transform=axes.get_yaxis_transform())
         axes.set(xlabel=x, ylabel=y, title=title)
+        if ticks:
+            axes.set_xticks(range(len(ticks)), ticks)
         axes.grid(visible=True, which="major", color="#e4e4e4", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     handles, labels = grid[0, 0].get_legend_handles_labels()

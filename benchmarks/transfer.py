@@ -347,10 +347,10 @@ def run(
             progress("scores", number * len(worlds) + place, len(worlds) * len(pipelines))
             for labelled in LABELLED:
                 if not (labelled.presses and world.name == FEW):
-                    row = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
-                    rows.append(row | scores(pipeline, world, labelled))
+                    names = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
+                    rows.append(names | scores(pipeline, world, labelled))
     progress("scores", len(worlds) * len(pipelines), len(worlds) * len(pipelines))
-    limits = [
+    limits: list[dict[str, Any]] = [
         {"pipeline": BOUND, "world": world.name, "labelled": ""}
         | bounds(world, recipes(world.name, seed, quick)[0], progress)
         for world in worlds
@@ -359,7 +359,8 @@ def run(
     figures: list[tuple[str, float]] = []
     for row in (*rows, *limits):
         where = ", ".join(filter(None, (row["world"], row["labelled"])))
-        figures += [(f"{row['pipeline']} / {where} / {name}", row[name]) for name in list(row)[3:]]
+        start = f"{row['pipeline']} / {where}"
+        figures += [(f"{start} / {name}", row[name]) for name in list(row)[3:]]
     return Report(
         results=measured("transfer", figures, began=began, seed=seed, quick=quick),
         rows=[{name: row.get(name) for name, *_ in _COLUMNS.values()} for row in rows],

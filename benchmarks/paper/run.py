@@ -1,19 +1,26 @@
-"""Run of the paper's experiments with its own pipeline and with another: `eitskin bench paper`."""
+"""Run of the paper's experiments, their table and picture: `eitskin bench paper`.
+
+Beside the published figures stand those of the paper's pipeline, trained here, of ours, and of
+further methods.
+"""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from eitskin.benchmarks.paper import scores as paper_scores
 from eitskin.benchmarks.paper.scores import Figures, SignalToNoise
 from eitskin.benchmarks.paper.sets import Sets, make
-from eitskin.benchmarks.results import Progress
-from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.benchmarks.results import Progress, Report, ReportTable, measured, plot_errors
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.evaluation.scores import GATE, SSIM_DEFINITION
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.settings import TrainingSettings
@@ -26,6 +33,94 @@ BOUNDED, BOUNDED_QUICK = 12, 4  # frames of each kind whose bound is computed
 PAPER = "paper's"
 OWN, UNSEEN, OURS = f"{PAPER}, own sensor", f"{PAPER}, unseen", "ours, unseen"
 """Columns; each further method has two like the paper's, after ours."""
+BOUND = "Cramer-Rao bound"
+_DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
+_TOUCHES = {
+    "indentation.error_mm": ("one, flat\n27 places", 4.8),
+    "touch.1.error_mm": ("one,\n-10 to 50 deg", None),
+    "touch.2.error_mm": ("two,\n0 to 30 deg", 5.5),
+    "touch.3.error_mm": ("three,\n0 to 30 deg", 4.3),
+    "touch.4.error_mm": ("four,\n0 to 30 deg", 5.0),
+}
+"""Name and published error [mm] of the touches in the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableLine:
+    """Line of the table.
+
+    Attributes:
+        figure: its name in `paper_scores`.
+        text: what it is.
+        unit: "mm", "deg", "ms", "%" of a share, or none.
+        paper: as published; empty where the paper gives none.
+        target: to be reached; empty where there is none.
+    """
+
+    figure: str
+    text: str
+    unit: str = ""
+    paper: str = ""
+    target: str = ""
+
+
+def _touches(name: str, text: str, paper: tuple[str, str], target: str) -> tuple[TableLine, ...]:
+    several = target if target.endswith("2.5") else ""
+    return (
+        TableLine(f"{name}.error_mm", text, "mm", paper[0], target),
+        TableLine(f"{name}.deviation_mm", "  standard deviation", "mm", paper[1]),
+        TableLine(f"{name}.found", "  found", "%", "", ">= 98" if several else ""),
+        TableLine(f"{name}.false", "  false, per touch", "%", "", "<= 2" if several else ""),
+    )
+
+
+def _pictures(
+    group: str, text: str, paper: tuple[str, str, str], target: str
+) -> tuple[TableLine, ...]:
+    return (
+        TableLine(f"{group}.ssim.static", f"{text}: SSIM, static reference", "", paper[0]),
+        TableLine(f"{group}.ssim.dynamic", "  dynamic reference", "", paper[1]),
+        TableLine(f"{group}.ssim.touch_map", "  touch map", "", paper[2], target),
+        TableLine(f"{group}.ssim.empty", "  empty picture", ""),
+    )
+
+
+def _step(angle_deg: int, count: int) -> tuple[TableLine, ...]:
+    name = f"demo.{angle_deg}deg.{count}"
+    return (
+        TableLine(f"{name}.state", f"  {count} touches at {angle_deg} deg: state right", "%"),
+        TableLine(f"{name}.found", "    found", "%"),
+        TableLine(f"{name}.error_mm", "    error", "mm"),
+    )
+
+
+LINES: tuple[TableLine, ...] = (
+    *_touches("indentation", "one touch at 27 places, flat: error", ("4.8", "2.8"), "<= 1.5"),
+    *_touches("touch.1", "one touch at -10 to 50 deg: error", ("", ""), "<= 1.5"),
+    *_touches("touch.2", "two touches at 0 to 30 deg: error", ("5.5", ""), "<= 2.5"),
+    *_touches("touch.3", "three touches at 0 to 30 deg: error", ("4.3", ""), "<= 2.5"),
+    *_touches("touch.4", "four touches at 0 to 30 deg: error", ("5.0", ""), "<= 2.5"),
+    *_pictures("touch.1", "one touch", ("0.29", "0.71", "0.94"), ">= 0.97"),
+    *_pictures("touch.several", "several touches", ("0.11", "0.47", "0.80"), ">= 0.90"),
+    TableLine("state.idle", "idle recognised", "%", "> 97", ">= 99.5"),
+    TableLine("state.touch", "touch recognised", "%", "99", ">= 99.5"),
+    TableLine("state.bend", "bend recognised", "%", "", ">= 99.5"),
+    TableLine("touch.state", "touch on a bent sensor recognised", "%", "", ">= 99.5"),
+    TableLine("bend.r2", "bend angle: R2", "", "0.997"),
+    TableLine("bend.angle_deg", "  RMSE", "deg", "0.90"),
+    TableLine("touch.angle_deg", "  RMSE while touched", "deg"),
+    TableLine("sequence.angle_deg", "  RMSE in a continuous sequence", "deg"),
+    TableLine("calibrated.r2", "bend angle, calibrated: R2"),
+    TableLine("calibrated.angle_deg", "  RMSE", "deg", "", "<= 0.3"),
+    TableLine("calibrated.touched_deg", "  RMSE while touched", "deg", "", "<= 0.6"),
+    TableLine("demo.state", "demonstration: state right", "%"),
+    TableLine("demo.angle_deg", "  angle, RMSE", "deg"),
+    *(line for step in ((-10, 2), (20, 3), (40, 4), (0, 4)) for line in _step(*step)),
+    TableLine("time.p50_ms", "processing of a touched frame, median", "ms", "303.6"),
+    TableLine("time.p99_ms", "  99th percentile", "ms", "", "<= 5"),
+)
+"""The paper's time is the mean of 606.6 ms less 303 ms of acquisition; its angle is of the sensor
+that was trained with, its sequence has no figure."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,34 +155,6 @@ class Contender:
         return self.preset if self.method is None else self.method.KIND
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperComparison:
-    """Everything that was measured; every tuple has one entry per seed.
-
-    Attributes:
-        began: `time.perf_counter()` at its start [s].
-        seeds: of the frames and of the training of the paper's pipeline.
-        quick: whether a tenth of the frames had to do.
-        pipeline: what "ours" is.
-        recipe: of the last seed's frames on unseen sensors: instrument, sensors.
-        figures: by column, in the order of the table; of the paper's pipeline of as many seeds as
-            it was trained for, perhaps none.
-        bounds: of figures, by their names.
-        signal_to_noise: of the touches on unseen sensors.
-        contenders: further methods.
-    """
-
-    began: float
-    seeds: tuple[int, ...]
-    quick: bool
-    pipeline: str
-    recipe: Recipe
-    figures: dict[str, tuple[Figures, ...]]
-    bounds: tuple[Figures, ...]
-    signal_to_noise: tuple[SignalToNoise, ...]
-    contenders: tuple[Contender, ...] = ()
-
-
 def run(
     pipeline: Path,
     folder: Path,
@@ -97,7 +164,7 @@ def run(
     progress: Progress = lambda *_: None,
     paper_seeds: int | None = None,
     contenders: Sequence[Contender] = (),
-) -> PaperComparison:
+) -> Report:
     """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
 
     Args:
@@ -120,9 +187,11 @@ def run(
             f"there is no pipeline at {pipeline}; name one that eitskin train has made, with "
             "--pipeline NAME.eitmodel"
         )
-    began = time.perf_counter()
-    ours = Pipeline.load(pipeline)
-    figures, bounds, ratios = [], [], []
+    began, ours = time.perf_counter(), Pipeline.load(pipeline)
+    columns = [OWN, UNSEEN, OURS, *(name for each in contenders for name in columns_of(each.name))]
+    figures: dict[str, list[Figures]] = {name: [] for name in columns}
+    bounds: list[Figures] = []
+    ratios = []
     for seed in range(seeds):
         place = folder / f"{'quick-' if quick else ''}seed-{seed}"
         sets = make(place, seed, quick, workers, progress)
@@ -135,24 +204,51 @@ def run(
             trained[each.name] = _pipeline(
                 sets.training, kept, each.settings(seed), progress, each.method
             )
-        measured = _measured(sets, trained, ours, seed, quick, progress)
-        figures.append(measured[0])
-        bounds.append(measured[1])
+
+        def note(part: str, done: int, text: str = f"measuring, seed {seed}") -> None:
+            progress(f"{text}: {part}", done, len(trained) + 2)  # noqa: B023 - called at once
+
+        for column, values in _measured(sets, trained, ours, note):
+            figures[column].append(values)
+        note("bounds", len(trained) + 1)
+        count = BOUNDED_QUICK if quick else BOUNDED
+        bounds.append(paper_scores.bounds(sets.unseen, sets.recipe, count, seed))
+        note("done", len(trained) + 2)
         ratios.append(SignalToNoise.of(sets.unseen))
-    columns = [OWN, UNSEEN, OURS]
-    columns += [column for each in contenders for column in columns_of(each.name)]
-    return PaperComparison(
-        began=began,
-        seeds=tuple(range(seeds)),
-        quick=quick,
-        pipeline=f"{pipeline.name}, {_description(ours)}",
-        recipe=sets.recipe,
-        figures={
-            column: tuple(each[column] for each in figures if column in each) for column in columns
-        },
-        bounds=tuple(bounds),
-        signal_to_noise=tuple(ratios),
-        contenders=tuple(contenders),
+    options = f"--seeds {seeds} --paper-seeds {len(figures[OWN])}"
+    options += "".join(f" {each.option}" for each in contenders)
+    measured_columns = {name: values for name, values in figures.items() if values}
+    with_bounds = measured_columns | {BOUND: bounds}
+    shown = ReportTable(
+        ("experiment", "paper", *measured_columns, "to reach", "bound", "ours / bound"),
+        list(_table(measured_columns, bounds)),
+    )
+    named = dict(_figures(with_bounds)) | dict(shown.figures())
+    return Report(
+        results=measured("paper", named.items(), began=began, quick=quick, options=options),
+        rows=[
+            {"column": column, "seed": seed, "figure": figure, "value": value}
+            for column, some in with_bounds.items()
+            for seed, values in enumerate(some)
+            for figure, value in values.items()
+        ],
+        tables=[shown],
+        sentences=[
+            f"seeds {', '.join(map(str, range(seeds)))}; +- standard deviation over them",
+            f"ours: {pipeline.name}, {_description(ours)}, on unseen sensors; the paper's is "
+            "trained on one sensor",
+            SSIM_DEFINITION,
+            f"touches are matched by the Hungarian method within {1e3 * GATE:g} mm",
+            "bounds: white noise alone, of the nominal sensor, some of the frames, each by itself",
+            *(
+                f"seed {seed}: signal to noise of a touch, rms, per channel: {ratio.least:.1f} "
+                f"least, {ratio.median:.1f} median, {ratio.most:.1f} most"
+                for seed, ratio in enumerate(ratios)
+            ),
+            f"instrument: {_terms(sets.recipe.instrument)}",
+            f"specimens: {_terms(sets.recipe.specimens)}",
+        ],
+        plots={"paper-touches.png": partial(_plot_touches, with_bounds)},
     )
 
 
@@ -160,28 +256,18 @@ def _measured(
     sets: Sets,
     trained: Mapping[str, Pipeline],
     ours: Pipeline,
-    seed: int,
-    quick: bool,
-    progress: Progress,
-) -> tuple[dict[str, Figures], Figures]:
-    def said(what: str, done: int) -> None:
-        progress(f"measuring, seed {seed}: {what}", done, len(trained) + 2)
-
-    figures, unseen = {}, {OURS: ours}
+    note: Callable[[str, int], None],
+) -> Iterator[tuple[str, Figures]]:
+    unseen = {OURS: ours}
     for number, (name, pipeline) in enumerate(trained.items()):
         own_sensor, others_sensors = columns_of(name)
-        said(own_sensor, number)
-        figures[own_sensor] = paper_scores.scores(pipeline, sets.own)
+        note(own_sensor, number)
+        yield own_sensor, paper_scores.scores(pipeline, sets.own)
         unseen[others_sensors] = pipeline
     for column, pipeline in unseen.items():
-        said(column, len(trained))
+        note(column, len(trained))
         calibrated = paper_scores.calibrated_scores(pipeline, sets.unseen, sets.calibration)
-        figures[column] = paper_scores.scores(pipeline, sets.unseen) | calibrated
-    said("bounds", len(trained) + 1)
-    count = BOUNDED_QUICK if quick else BOUNDED
-    bounds = paper_scores.bounds(sets.unseen, sets.recipe, count, seed)
-    said("done", len(trained) + 2)
-    return figures, bounds
+        yield column, paper_scores.scores(pipeline, sets.unseen) | calibrated
 
 
 def columns_of(name: str) -> tuple[str, str]:
@@ -212,3 +298,65 @@ def _description(pipeline: Pipeline) -> str:
         f"method {pipeline.method.KIND}, trained on {trained['frames']} {trained['source']} "
         f"frames, seed {pipeline.settings.seed}"
     )
+
+
+def _table(
+    columns: Mapping[str, Sequence[Figures]], bounds: Sequence[Figures]
+) -> Iterator[tuple[str, ...]]:
+    """Rows of the table: mean and standard deviation over the seeds.
+
+    Indented lines that no column has a figure for are left out; others head what follows them.
+    """
+    for line in LINES:
+        cells_of = {name: _values(figures, line) for name, figures in columns.items()}
+        if line.text.startswith(" ") and not any(cells_of.values()):
+            continue
+        ours, bound = cells_of[OURS], _values(bounds, line)
+        multiple = f"{np.mean(ours) / np.mean(bound):.1f}" if ours and bound else ""
+        cells = (_cell(values, line.unit) for values in cells_of.values())
+        text = f"{line.text} [{line.unit}]" if line.unit else line.text
+        yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
+
+
+def _values(figures: Sequence[Figures], line: TableLine) -> list[float]:
+    """Values of the seeds that have one."""
+    factor = 100.0 if line.unit == "%" else 1.0
+    return [factor * each[line.figure] for each in figures if line.figure in each]
+
+
+def _cell(values: Sequence[float], unit: str) -> str:
+    if not values:
+        return ""
+    digits = _DIGITS[unit]
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
+
+
+def _terms(said: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in asdict(said).items() if value)
+
+
+def _figures(columns: Mapping[str, Sequence[Figures]]) -> Iterator[tuple[str, float]]:
+    """Means over the seeds as `COLUMN: FIGURE`, deviations with ` +-`, shares in percent."""
+    for column, seeds in columns.items():
+        for line in LINES:
+            values = _values(seeds, line)
+            if values:
+                yield f"{column}: {line.figure}", float(np.mean(values))
+            if len(values) > 1:
+                yield f"{column}: {line.figure} +-", float(np.std(values, ddof=1))
+
+
+def _plot_touches(columns: Mapping[str, Sequence[Figures]], path: Path) -> None:
+    """Plot localisation errors by experiment, beside the paper's and the bounds."""
+    ticks = [text for text, _ in _TOUCHES.values()]
+    points = {
+        column: [
+            (float(place), float(np.mean(values)))
+            for place, name in enumerate(_TOUCHES)
+            if (values := [each[name] for each in seeds if name in each])
+        ]
+        for column, seeds in columns.items()
+    }
+    points["published"] = [(float(k), e) for k, (_, e) in enumerate(_TOUCHES.values()) if e]
+    plot_errors(path, {"": points}, "", "mean error of a found touch [mm]", ticks=ticks)

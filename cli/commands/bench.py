@@ -188,7 +188,6 @@ def paper(
 
     Frames are kept; a run that was stopped goes on from them.
     """
-    from eitskin.benchmarks.paper.report import report
     from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
 
     require_all(training=TRAINING, bench="matplotlib")
@@ -209,7 +208,7 @@ def paper(
             contenders=[*contenders, *own],
         )
     codes = {each.name: code for each, code in zip(own, method or (), strict=True)}
-    _present(output, report(found), out, leaderboard, codes)
+    _present(output, found, out, leaderboard, codes)
 
 
 @app.command()
