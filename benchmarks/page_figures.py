@@ -30,8 +30,6 @@ from eitskin.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "benchmarks" / "published"
-_RULE = re.compile(r"\|(\s*:?-+:?\s*\|)+")
-
 _TABLE = re.compile(r"^<!-- figures: (\w+)(?:: (.+?)| (\|.*?))? -->\n((?:\|.*\n)+)", re.MULTILINE)
 _ABOVE_TABLE = re.compile(r"^<!-- figures: ", re.MULTILINE)
 _PROSE = re.compile(r"<!-- (?!figures: )(\w+): (.+?) -->")
@@ -39,21 +37,6 @@ _CODE = re.compile(r"(?:^ {4}.*\n?)+", re.MULTILINE)
 _ROW_COMMENT = re.compile(r"<!-- ((?:(?!-->).)*) -->\s*$")
 _IN_PROSE = re.compile(r"(?<![\w.])" + NUMBER.pattern)
 _NO_FIGURE = "-"
-
-
-@dataclass(frozen=True, slots=True)
-class MarkdownTable:
-    """Table in Markdown.
-
-    Attributes:
-        title: the heading or bold line above it, if there is one since the table before.
-        head: of the columns.
-        rows: cells under the head.
-    """
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,57 +126,31 @@ def main(folders: Sequence[str]) -> None:
         page.write_text(page_with(page.read_text(encoding="utf-8"), board), encoding="utf-8")
 
 
-def tables(text: str) -> list[MarkdownTable]:
-    """All tables of a text in turn."""
-    found: list[MarkdownTable] = []
-    title = ""
-    lines = text.splitlines()
-    for number, line in enumerate(lines):
-        if line.startswith(("#", "**")):
-            title = line.strip("#* ")
-        elif number and _RULE.fullmatch(line.strip()):
-            head = _cells(lines[number - 1])
-            rows = []
-            for below in lines[number + 1 :]:
-                if not below.startswith("|"):
-                    break
-                rows.append(_cells(below))
-            found.append(MarkdownTable(title, head, tuple(rows)))
-            title = ""
-    return found
-
-
-def _cells(line: str) -> tuple[str, ...]:
-    return tuple(cell.strip() for cell in line.strip().strip("|").split("|"))
-
-
 def _of_table(match: re.Match[str]) -> Iterator[Figure]:
     results, whole, by_column, text = match.groups()
-    (table,) = tables(text)
-    columns = table.head[1:]
+    lines = text.splitlines(keepends=True)
+    columns, _, *rows = ([cell.strip() for cell in line.strip("|\n").split("|")] for line in lines)
     patterns = [cell.strip() for cell in by_column.split("|")[1:]] if by_column else []
-    patterns = patterns or [whole or "ROW / COLUMN"] * len(columns)
-    if len(patterns) != len(columns):
+    patterns = patterns or [whole or "ROW / COLUMN"] * (len(columns) - 1)
+    if len(patterns) != len(columns) - 1:
         raise ConfigurationError(
-            f"expected {len(columns)} patterns, one for each column after the first, got "
+            f"expected {len(columns) - 1} patterns, one for each column after the first, got "
             f"{len(patterns)} in {match[0].partition(chr(10))[0]}"
         )
-    start = match.start(4)
-    lines = text.splitlines(keepends=True)
-    for line, label, offset in zip(
-        lines[2:], row_labels(table.rows), _offsets(lines)[2:], strict=True
-    ):
+    start = match.start(4) + len(lines[0]) + len(lines[1])
+    for line, label in zip(lines[2:], row_labels(rows), strict=True):
         cells = list(re.finditer(r"(?<=\|)[^|\n]*(?=\|)", line))
         comment = _ROW_COMMENT.search(cells[0][0])
-        rows = (comment[1] if comment else label).split("; ")
-        for cell, pattern, column in zip(cells[1:], patterns, columns, strict=True):
+        names = (comment[1] if comment else label).split("; ")
+        for cell, pattern, column in zip(cells[1:], patterns, columns[1:], strict=True):
             keys = [
-                each.replace("ROW", row).replace("COLUMN", column)
-                for row in rows
+                each.replace("ROW", name).replace("COLUMN", column)
+                for name in names
                 for each in pattern.split("; ")
             ]
-            if pattern and rows != [_NO_FIGURE]:
-                yield from _of_cell(cell, keys, start + offset, results)
+            if pattern and names != [_NO_FIGURE]:
+                yield from _of_cell(cell, keys, start, results)
+        start += len(line)
 
 
 def _of_cell(
@@ -221,10 +178,6 @@ def _of_prose(text: str, match: re.Match[str]) -> Iterator[Figure]:
             continue
         key = f"{key.partition(' #')[0]} {given}" if given.startswith("#") else given
         yield Figure(number.start(), number.end(), number[0], results, key)
-
-
-def _offsets(lines: Sequence[str]) -> list[int]:
-    return [sum(map(len, lines[:count])) for count in range(len(lines))]
 
 
 def _formatted(figure: Figure, published: Mapping[str, Results]) -> str:
