@@ -57,7 +57,7 @@ def run_tasks(
     left = list(items)
     for _ in range(2):  # tasks of workers that died, perhaps by the machine's fault, get a second
         lost = []
-        started = _on_cluster(scheduler) if scheduler else _in_pool(min(workers, len(left)))
+        started = _on_cluster(scheduler) if scheduler else _in_pool(min(workers, len(left) or 1))
         with started as (submit, died):
             futures = [submit(task, item) for item in left]
             for item, future in zip(left, futures, strict=True):

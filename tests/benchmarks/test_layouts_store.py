@@ -48,8 +48,9 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(fresh, tmp_path, workers):
     assert not multiprocessing.active_children()
     finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("[!.]*.json")}
     assert 1 <= len(finished) < len(many)
-    with judging(tmp_path) as judge:
+    with judging(tmp_path, workers) as judge:
         resumed = judge(questions)
+        judge(questions)  # nothing is left to be done
     folder, whole = fresh
     assert contents(tmp_path).items() >= contents(folder).items()
     assert all(path.stat().st_mtime_ns == time for path, time in finished.items())
