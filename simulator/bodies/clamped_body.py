@@ -105,7 +105,7 @@ class ClampedBody:
         body = self.body
         gripped = np.abs(body.normals[:, 2]) > _GRIPPED
         along = side * (body.middles[:, 0] - self._centre[0])
-        near = body.nodes_of(gripped & (along > self._half_span))
+        near = body.solid.nodes_of(body.facets[gripped & (along > self._half_span)])
         x = side * (body.solid.nodes[near, 0] - self._centre[0])
         found: Indices = near[x > self._half_span - _SAME]
         if len(found) < 3:

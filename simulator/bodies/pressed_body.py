@@ -203,7 +203,7 @@ class BodyPress:
         area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
         flat = area > _FLAT * float(extent[0] * extent[1])
         limit = low + (_LEVEL if flat else _SOCKET) * extent[2]
-        nodes = body.nodes_of(np.ones(len(body.facets), dtype=bool))
+        nodes = body.solid.nodes_of(body.facets)
         held: Indices = nodes[body.solid.nodes[nodes, 2] <= limit]
         return held
 

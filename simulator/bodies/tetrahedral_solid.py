@@ -15,6 +15,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_body
+from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -57,19 +58,8 @@ class TetrahedralSolid:
             )
         self.solid = Solid(mesh, (mechanics.gel,), None, "solid", mechanics.bulk_ratio)
         self.facets: Indices = mesh.boundary_facets().astype(np.int64)
-        corners = mesh.p.T[mesh.facets[:, self.facets].T]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self.middles: Array = corners.mean(axis=1)
-        within = mesh.p[:, mesh.t[:, mesh.f2t[0, self.facets]]].mean(axis=1).T
-        outward = np.sign(np.sum(normals * (self.middles - within), axis=1))
-        self.normals: Array = normals * (outward / np.linalg.norm(normals, axis=1))[:, None]
-
-    def nodes_of(self, chosen: NDArray[np.bool_]) -> Indices:
-        """Numbers of the nodes on boundary facets chosen by flags (facets,)."""
-        if not chosen.any():
-            return np.zeros(0, dtype=np.int64)
-        dofs = self.solid.basis.get_dofs(facets=self.facets[chosen]).flatten()
-        return np.unique(dofs).astype(np.int64)
+        self.middles: Array = mesh.p[:, mesh.facets[:, self.facets]].mean(axis=1).T
+        self.normals: Array = Face(self.solid, self.facets, 1).normals[:, 0]
 
     def field(self, x: Array) -> "TetrahedralField":
         """Displacement and mean stress of the unknowns x (n,)."""

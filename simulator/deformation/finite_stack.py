@@ -195,7 +195,7 @@ class FiniteStack:
                 "model a smaller part of the sensor"
             )
         self._size = self.solid.unknowns + presses
-        held = np.flatnonzero(body.held(self.solid.nodes))
+        held = self.solid.nodes_of(body.facets("held"))
         base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
         self._fixed = _unknowns(held)
         self._loose = _unknowns(np.setdiff1d(base, held))
@@ -241,7 +241,7 @@ class FiniteStack:
         That against the bend is left out, since on a coarse mesh it does not add up to zero.
         """
         forces = self.solid.forces(found.unknowns)[: self.solid.unknowns] - self._bend
-        held = self.body.held(self.solid.nodes)
+        held = self.solid.nodes_of(self.body.facets("held"))
         return np.asarray(self.solid.displacement(forces)[held].sum(axis=0))
 
     def _dented(self, dents: Sequence[DentField]) -> Array:
@@ -273,7 +273,7 @@ class FiniteStack:
 
     def _tractions(self, dent: DentField) -> Array:
         """Nodal forces (unknowns,) of a dent's tractions on the sides."""
-        sides = Face(self.solid, self.body.sides(), 6)
+        sides = Face(self.solid, self.body.facets("sides"), 6)
         _, G, p = dent.level(sides.points.reshape(-1, 3))
         laws = self.body.law_of_layer_at(sides.points[..., 2]).ravel()
         P = np.empty_like(G)
@@ -294,7 +294,7 @@ class FiniteStack:
             bent = self._bent.positions(self._in_design(points))
             return np.asarray(moved + bent - frame.flattened(points))
 
-        mesh, top = self.body.mesh, self.body.top()
+        mesh, top = self.body.mesh, self.body.facets("top")
         stretches = np.ones(2) if frame is None else frame.stretches
         corners = mesh.p[:2, mesh.facets[:, top]]
         centre, radius = np.array([dent.x, dent.y]), dent.contact_radius

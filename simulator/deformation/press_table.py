@@ -16,7 +16,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -271,31 +271,27 @@ def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:
 
 
 def _problem(stack: Stack, indenter: Indenter) -> Problem:
-    """Table of a stack and an indenter that are scaled to the solved thickness and modulus."""
+    """Table of a stack and an indenter, described at the solved thickness and modulus."""
     length, modulus = _scales(stack)
-    sheets = tuple(
-        Sheet(
-            sheet.thickness / length,
-            dataclasses.replace(sheet.law, shear_modulus=sheet.law.shear_modulus / modulus),
-        )
+    laws = [
+        dataclasses.replace(sheet.law, shear_modulus=sheet.law.shear_modulus / modulus)
         for sheet in stack.sheets
-    )
-    scaled = dataclasses.replace(stack, sheets=sheets)
-    scaled_indenter = _ScaledIndenter(indenter, length)
+    ]
     described = {
         "version": _VERSION,
         "sheets": [
-            [sheet.thickness, type(sheet.law).__name__, *dataclasses.astuple(sheet.law)]
-            for sheet in sheets
+            [sheet.thickness / length, type(law).__name__, *dataclasses.astuple(law)]
+            for sheet, law in zip(stack.sheets, laws, strict=True)
         ],
         "bulk_ratio": stack.bulk_ratio,
-        **indenter_samples(scaled_indenter),
+        **indenter_samples(indenter, length),
     }
-    return Problem("press", described, partial(_solved, scaled, scaled_indenter))
+    return Problem("press", described, partial(_solved, stack, indenter))
 
 
 def _solved(stack: Stack, indenter: Indenter, report: Report) -> Arrays:
-    table = solve_table(stack, stack.gel, indenter)
+    length, modulus = _scales(stack)
+    table = solve_table(stack, stack.gel, indenter).scaled(1.0 / length, 1.0 / modulus)
     report(1, 1)
     return {field.name: getattr(table, field.name) for field in fields(PressTable)}
 
@@ -304,27 +300,6 @@ def _scales(stack: Stack) -> tuple[float, float]:
     """Thickness and modulus of the conductive layer relative to the solved ones."""
     layer = stack.sheets[stack.gel]
     return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
-
-
-@dataclass(frozen=True, slots=True)
-class _ScaledIndenter(Indenter):
-    """Scaled indenter: all lengths are divided by `length`."""
-
-    indenter: Indenter
-    length: float
-
-    @property
-    def rough(self) -> bool:
-        return self.indenter.rough
-
-    @property
-    def rims(self) -> tuple[float, float]:
-        inner, outer = self.indenter.rims
-        return inner / self.length, outer / self.length
-
-    def profile(self, r: Array) -> tuple[Array, Array, Array]:
-        height, slope, bend = self.indenter.profile(r * self.length)
-        return height / self.length, slope, bend * self.length
 
 
 def solve_table(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
@@ -441,12 +416,12 @@ def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:
     return np.concatenate([np.full_like(array[:1], first), array])
 
 
-def indenter_samples(indenter: Indenter) -> dict[str, object]:
-    """Numbers that identify an indenter."""
+def indenter_samples(indenter: Indenter, length: float = 1.0) -> dict[str, object]:
+    """Numbers that identify an indenter, of lengths over `length`."""
     heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
     return {
-        "rims": indenter.rims,
+        "rims": [rim / length for rim in indenter.rims],
         "rough": indenter.rough,
-        "heights": heights.tolist(),
+        "heights": (heights / length).tolist(),
         "slopes": slopes.tolist(),
     }

@@ -175,6 +175,9 @@ def _locked(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
+        # Whoever waits for this file, or makes it anew, looks for the solution first.
+        with suppress(OSError):
+            path.with_suffix(".lock").unlink()
         lock.release()
 
 

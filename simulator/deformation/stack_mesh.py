@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import skfem
@@ -25,7 +25,6 @@ _SAMPLES, _SPARE = 4001, 1e-6
 # Largest cells over the length of the sensor: far from presses on a thin stack nothing happens.
 _FAR = 1.0 / 20.0
 _STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
-_ROUNDED = 9  # decimals, in m, by which nodes agree
 
 
 class Contact(NamedTuple):
@@ -109,43 +108,14 @@ class StackMesh:
         found: Indices = np.array(numbers, dtype=np.int64)[self.stack.layer_at(heights)]
         return found
 
-    def held(self, points: Array) -> NDArray[np.bool_]:
-        """Whether nodes at points (n, 3) of quadratic boxes are held by the support."""
-        x, _, z = points.T
-        if self.free:
-            corners = self.mesh.p[:, self.mesh.facets[:, self.sides()]]
-            around = corners.mean(axis=1)
-            edges = [0.5 * (corners[:, a] + corners[:, b]) for a, b in _pairs_of(4)]
-            rim = np.concatenate([*np.moveaxis(corners, 1, 0), around, *edges], axis=1).T
-            known = {tuple(point) for point in rim.round(_ROUNDED).tolist()}
-            return np.array([tuple(point) in known for point in points.round(_ROUNDED).tolist()])
-        low, high = self.gap
-        base: NDArray[np.bool_] = (z < _SAME) & ((x < low + _SAME) | (x > high - _SAME))
-        return base
-
-    def top(self) -> Indices:
-        """Facets of the upper face."""
-        return self._facets(self._middles()[2] > self.lines[2][-1] - _SAME)
-
-    def sides(self) -> Indices:
-        """Facets of the sides."""
-        return self._facets(self._upright())
-
-    def _upright(self) -> NDArray[np.bool_]:
-        """Whether each boundary facet is one of the sides."""
-        z = self._middles()[2]
-        upright: NDArray[np.bool_] = (z > _SAME) & (z < self.lines[2][-1] - _SAME)
-        return upright
-
-    def _middles(self) -> Array:
-        """Middles of the boundary facets, (3, facets) [m]."""
-        corners = self.mesh.facets[:, self.mesh.boundary_facets()]
-        middles: Array = self.mesh.p[:, corners].mean(axis=1)
-        return middles
-
-    def _facets(self, chosen: NDArray[np.bool_]) -> Indices:
-        found: Indices = self.mesh.boundary_facets()[chosen].astype(np.int64)
-        return found
+    def facets(self, face: Literal["top", "sides", "held"]) -> Indices:
+        """Boundary facets of the upper face, of the sides, or of what the support holds."""
+        facets = self.mesh.boundary_facets().astype(np.int64)
+        x, _, z = self.mesh.p[:, self.mesh.facets[:, facets]].mean(axis=1)
+        top, base, (low, high) = z > self.lines[2][-1] - _SAME, z < _SAME, self.gap
+        sides = ~(top | base)
+        held = sides if self.free else base & ((x < low + _SAME) | (x > high - _SAME))
+        return np.asarray(facets[{"top": top, "sides": sides, "held": held}[face]])
 
 
 def stack_mesh(
@@ -210,11 +180,6 @@ def stack_mesh(
     around = mechanics.encapsulation
     laws = (*dict.fromkeys(s.law for s in stack.sheets if s.law != around), around)
     return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free)
-
-
-def _pairs_of(count: int) -> list[tuple[int, int]]:
-    """Pairs of neighbouring corners of a facet, in a ring."""
-    return [(k, (k + 1) % count) for k in range(count)]
 
 
 def _faces(outline: PlaneOutline) -> list[list[tuple[float, float]]] | None:

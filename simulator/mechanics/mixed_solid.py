@@ -149,6 +149,12 @@ class Solid(ForceTerm):
         """Number of pressures."""
         return self.unknowns - int(self.nodes.size)
 
+    def nodes_of(self, facets: Indices) -> Indices:
+        """Numbers of the displacement nodes on boundary facets, rising."""
+        if not len(facets):
+            return np.zeros(0, dtype=np.int64)
+        return np.unique(self.basis.get_dofs(facets=facets).flatten()).astype(np.int64)
+
     def displacement(self, x: Array) -> Array:
         """Displacements of the nodes [m], (nodes, dim)."""
         return x[: self.nodes.size].reshape(self.nodes.shape)

@@ -182,39 +182,32 @@ def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, suppor
     found = stack.correction([DentField(LENGTH / 2, WIDTH / 2, PUNCH, dents[SMALL])])
     count = len(stack.solid.nodes)
     forces = stack.solid.forces(found.unknowns)[: 3 * count].reshape(count, 3)
-    held, base = stack.body.held(stack.solid.nodes), stack.solid.nodes[:, 2] < 1e-9
+    held, base = np.zeros(count, dtype=bool), stack.solid.nodes[:, 2] < 1e-9
+    held[stack.solid.nodes_of(stack.body.facets("held"))] = True
     assert stack.reaction(found)[2] == pytest.approx(dents[SMALL].force, rel=0.03)
     # The last step of Newton's method leaves its square.
     assert np.abs(forces[base & ~held]).max() < 1e-3 * np.abs(forces[held]).max()
 
 
-def area_of_sides(body: StackMesh) -> float:
-    """Area of the sides [m2]."""
-    extent = np.ptp(body.mesh.p[:, body.mesh.facets[:, body.sides()]], axis=1)
-    return float((np.maximum(extent[0], extent[1]) * extent[2]).sum())
+def area(body: StackMesh, face: str) -> float:
+    """Area of a face [m2]."""
+    corners = body.mesh.p[:, body.mesh.facets[:, body.facets(face)]]
+    return float(np.sort(np.ptp(corners, axis=1), axis=0)[1:].prod(axis=0).sum())
 
 
 def test_what_is_held_and_what_is_free_follows_the_support() -> None:
     margin = MECHANICS.margin
     length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
-    points = np.array(
-        [
-            [LENGTH / 2, Y, 0.0],
-            [LENGTH / 2 - 0.010, Y, 0.0],
-            [0.0, Y, 0.0],
-            [-margin, -margin, TOP],
-            [LENGTH + margin, WIDTH + margin, TOP],
-            [X, Y, TOP],
-        ]
-    )
+    sides = 2 * (length + width) * TOP
     for support, held in (
-        (Rigid(), [True, True, True, False, False, False]),
-        (Plates(0.020), [False, True, True, False, False, False]),
-        (Free(), [False, False, False, True, True, False]),
+        (Rigid(), length * width),
+        (Plates(0.020), (length - 0.020) * width),
+        (Free(), sides),
     ):
         body = meshed(support=support)
-        assert body.held(points).tolist() == held
-        assert area_of_sides(body) == pytest.approx(2 * (length + width) * TOP, abs=1e-9)
+        assert area(body, "held") == pytest.approx(held, abs=1e-9)
+        assert area(body, "sides") == pytest.approx(sides, abs=1e-9)
+        assert area(body, "top") == pytest.approx(length * width, abs=1e-9)
 
 
 def test_cells_of_the_margin_are_of_silicone() -> None:
