@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -117,15 +118,15 @@ class Indentations:
         return stack_mesh(outline, self.stack, self.mechanics, self.support, around, fineness)
 
     def solve(
-        self, outline: PlaneOutline, x: float, y: float, fineness: Fineness
+        self, outline: PlaneOutline, place: tuple[float, float], fineness: Fineness
     ) -> list[Correction]:
-        """Corrections of the dents at (x, y) [m], each started from the last."""
-        stack, solved = FiniteStack(self.mesh(outline, [(x, y)], fineness)), list[Correction]()
+        """Corrections of the dents at a place [m], each started from the last."""
+        stack, solved = FiniteStack(self.mesh(outline, [place], fineness)), list[Correction]()
         for number, dent in enumerate(self.dents):
             start = None
             if solved:
                 start = solved[-1].unknowns * dent.depth / self.dents[number - 1].depth
-            solved.append(stack.correction([DentField(x, y, self.indenter, dent)], start))
+            solved.append(stack.correction([DentField(*place, self.indenter, dent)], start))
         return solved
 
 
@@ -136,17 +137,53 @@ class Solved(NamedTuple):
     extra_depth: Array
 
 
-def _fitted(
-    solved: Sequence[Correction],
-    function: Callable[[Correction], Callable[[Array], Array]],
-    bases: Bases,
-    height: float,
-    degree: int,
-) -> Solved:
-    """Fields of corrections, made by `function`, on bases."""
-    fields = [Field.from_function(function(each), bases, height, degree) for each in solved]
-    extra = np.array([each.sunk[0] for each in solved])
-    return Solved(np.array([field.coefficients for field in fields]), extra)
+class Layout(NamedTuple):
+    """Press on an outline, and the field that its corrections are fitted by.
+
+    Attributes:
+        outline: of the stack.
+        place: of the press, (x, y) [m].
+        fineness: of the mesh.
+        origin: of the field's coordinates on the outline, (3,) [m].
+        bases: of the field.
+        degree: of the field over the height.
+        ends: least and greatest x and y of the field, (2,) each [m].
+    """
+
+    outline: PlaneOutline
+    place: tuple[float, float]
+    fineness: Fineness
+    origin: Sequence[float]
+    bases: Bases
+    degree: int
+    ends: tuple[Array, Array] = (np.full(2, -np.inf), np.full(2, np.inf))
+
+
+def _solved(about: Indentations, layout: Layout, far: Solved | None = None) -> Solved:
+    """Fields of presses of all depths, less those far from an end."""
+    fields, extra = [], []
+    corrections = about.solve(layout.outline, layout.place, layout.fineness)
+    for number, correction in enumerate(corrections):
+        beside = None
+        if far is not None:
+            bases = strip_bases(about.thickness, layout.outline.width)
+            strip = Field(bases, about.height, far.fields[number])
+            beside = strip.shifted(layout.place[0])
+        values = partial(_values, layout, _FADE * about.thickness, correction, beside)
+        field = Field.from_function(values, layout.bases, about.height, layout.degree)
+        fields.append(field.coefficients)
+        extra.append(correction.sunk[0])
+    return Solved(np.array(fields), np.array(extra))
+
+
+def _values(
+    layout: Layout, length: float, correction: Correction, beside: Field | None, points: Array
+) -> Array:
+    """Correction, less a field, at points (nx, ny, nz, 3) of a grid in the field's coordinates."""
+    values = correction.in_gel(points + np.array(layout.origin))
+    if beside is not None:
+        values -= beside.on_grid(points[:, 0, 0, 0], points[0, :, 0, 1], points[0, 0, :, 2])
+    return faded(values, points, layout.ends, length)
 
 
 def solve_each(
@@ -190,25 +227,13 @@ def solve_strip(
     return tabulate(about, [side, about.depth_axis], solved, width=width, least=about.least)
 
 
-def solve_end(about: Indentations, width: float, report: Report, workers: int = 1) -> SolutionTable:
-    """Differences of presses near an end of a strip to those far from it, from the end along x."""
-    about = about.to_depths(DEPTHS)
-    side, H = about.side_axis(0.5 * width), about.thickness
-    ends = about.least + H * np.array(_FROM_SIDE)
-    strips = solve_each(
-        partial(_on_strip, about, width, _AT_END), lambda *_: None, workers, side.nodes.tolist()
-    )
-    places = [(x, k) for x in ends.tolist() for k in range(len(side.nodes))]
-    solved = solve_each(
-        partial(_at_end, about, width),
-        report,
-        workers,
-        [x for x, _ in places],
-        [float(side.nodes[k]) for _, k in places],
-        [strips[k] for _, k in places],
-    )
-    end = Axis("distance_to_end", "vanishing", np.append(ends, ends[-1] + _END_VANISHED * H))
-    return tabulate(about, [end, side, about.depth_axis], solved, width=width)
+def _on_strip(about: Indentations, width: float, fineness: Fineness, y: float) -> Solved:
+    """Presses at y on a long strip."""
+    H = about.thickness
+    x, reach, bases = (STRIP_REACH + 1.0) * H, STRIP_REACH * H, strip_bases(H, width)
+    outline, origin, end = Rectangle(2.0 * x, width), [x, 0.0, 0.0], np.array([reach, np.inf])
+    layout = Layout(outline, (x, y), fineness, origin, bases, _STRIP[2] - 1, (-end, end))
+    return _solved(about, layout)
 
 
 def strip_bases(thickness: float, width: float) -> Bases:
@@ -218,43 +243,35 @@ def strip_bases(thickness: float, width: float) -> Bases:
     return along, Polynomials(0.0, width, _STRIP[1])
 
 
+def solve_end(about: Indentations, width: float, report: Report, workers: int = 1) -> SolutionTable:
+    """Differences of presses near an end of a strip to those far from it, from the end along x."""
+    about = about.to_depths(DEPTHS)
+    side, H = about.side_axis(0.5 * width), about.thickness
+    ends = about.least + H * np.array(_FROM_SIDE)
+    strips = solve_each(
+        partial(_on_strip, about, width, _AT_END), lambda *_: None, workers, side.nodes.tolist()
+    )
+    places = product(ends.tolist(), zip(side.nodes.tolist(), strips, strict=True))
+    at = [(x, y, strip) for x, (y, strip) in places]
+    solved = solve_each(partial(_at_end, about, width), report, workers, *zip(*at, strict=True))
+    end = Axis("distance_to_end", "vanishing", np.append(ends, ends[-1] + _END_VANISHED * H))
+    return tabulate(about, [end, side, about.depth_axis], solved, width=width)
+
+
+def _at_end(about: Indentations, width: float, x: float, y: float, strip: Solved) -> Solved:
+    """Difference of presses at a distance x from an end to those on an equally meshed strip."""
+    H = about.thickness
+    outline, end = Rectangle((END_LENGTH + 3.0) * H, width), np.array([END_LENGTH * H, np.inf])
+    bases, origin = end_bases(H, width), [0.0, 0.0, 0.0]
+    layout = Layout(outline, (x, y), _AT_END, origin, bases, _END[2] - 1, (-end, end))
+    near = _solved(about, layout, strip)
+    return Solved(near.fields, near.extra_depth - strip.extra_depth)
+
+
 def end_bases(thickness: float, width: float) -> Bases:
     """Bases of the field near an end of a strip, from the end along x."""
     along = Polynomials(0.0, END_LENGTH * thickness, _END[0], vanish=True)
     return along, Polynomials(0.0, width, _END[1])
-
-
-def _on_strip(about: Indentations, width: float, fineness: Fineness, y: float) -> Solved:
-    """Press at y on a long strip."""
-    H, middle = about.thickness, (STRIP_REACH + 1.0) * about.thickness
-    solved = about.solve(Rectangle(2.0 * middle, width), middle, y, fineness)
-    shift = np.array([middle, 0.0, 0.0])
-
-    def function(correction: Correction) -> Callable[[Array], Array]:
-        return faded(
-            lambda points: correction.in_gel(points + shift), (STRIP_REACH * H,), _FADE * H
-        )
-
-    return _fitted(solved, function, strip_bases(H, width), about.height, _STRIP[2] - 1)
-
-
-def _at_end(about: Indentations, width: float, x: float, y: float, strip: Solved) -> Solved:
-    """Difference of a press at a distance x from an end to that on an equally meshed strip."""
-    H = about.thickness
-    solved = about.solve(Rectangle((END_LENGTH + 3.0) * H, width), x, y, _AT_END)
-    far = iter(Field(strip_bases(H, width), about.height, each).shifted(x) for each in strip.fields)
-
-    def function(correction: Correction) -> Callable[[Array], Array]:
-        beside = next(far)
-
-        def difference(points: Array) -> Array:
-            axes = points[:, 0, 0, 0], points[0, :, 0, 1], points[0, 0, :, 2]
-            return correction.in_gel(points) - beside.on_grid(*axes)
-
-        return faded(difference, (END_LENGTH * H,), _FADE * H)
-
-    near = _fitted(solved, function, end_bases(H, width), about.height, _END[2] - 1)
-    return Solved(near.fields, near.extra_depth - strip.extra_depth)
 
 
 def solve_side(about: Indentations, report: Report, workers: int = 1) -> SolutionTable:
@@ -268,39 +285,26 @@ def solve_side(about: Indentations, report: Report, workers: int = 1) -> Solutio
     solved = solve_each(partial(_beside_side, about), report, workers, distances.tolist())
     vanished = np.append(distances, distances[-1] + _EDGE_VANISHED * H)
     side = Axis("distance_to_side", "vanishing", vanished)
-    along, inward = _side_nodes(H)
+    (along, inward), middle = _side_nodes(H)
     return tabulate(
-        about, [side, about.depth_axis], solved, along=along, inward=inward, middle=_side_middle(H)
+        about, [side, about.depth_axis], solved, along=along, inward=inward, middle=middle
     )
 
 
 def _beside_side(about: Indentations, distance: float) -> Solved:
     """Presses at a distance from the side [m]."""
-    H = about.thickness
-    x, middle = (_EDGE_REACH + _EDGE_FREE) * H, _side_middle(H)
+    H, ((along, inward), middle) = about.thickness, _side_nodes(about.thickness)
+    x, reach, depth = (_EDGE_REACH + _EDGE_FREE) * H, _EDGE_REACH * H, _EDGE_DEPTH * H - middle
     width = max(distance + _EDGE_REACH * H, (_EDGE_DEPTH + _EDGE_FREE) * H)
-    solved = about.solve(Rectangle(2.0 * x, width), x, distance, _EDGE_FINENESS)
-    shift, along, across = np.array([x, middle, 0.0]), _EDGE_REACH * H, _EDGE_DEPTH * H - middle
-
-    def function(correction: Correction) -> Callable[[Array], Array]:
-        inner = faded(lambda points: correction.in_gel(points + shift), (along,), _FADE * H)
-
-        def field(points: Array) -> Array:
-            return inner(points) * _step(across - points[..., 1], _FADE * H)[..., None]
-
-        return field
-
-    bases = CubicSplines(_side_nodes(H)[0]), CubicSplines(_side_nodes(H)[1])
-    return _fitted(solved, function, bases, about.height, _EDGE_DEGREE)
+    place, outline, origin = (x, distance), Rectangle(2.0 * x, width), [x, middle, 0.0]
+    bases = CubicSplines(along), CubicSplines(inward)
+    ends = np.array([-reach, -np.inf]), np.array([reach, depth])
+    layout = Layout(outline, place, _EDGE_FINENESS, origin, bases, _EDGE_DEGREE, ends)
+    return _solved(about, layout)
 
 
-def _side_middle(thickness: float) -> float:
-    """Distance of the middle of the fields from the side [m]."""
-    return 0.5 * (_EDGE_DEPTH + _BESIDE[0]) * thickness
-
-
-def _side_nodes(thickness: float) -> tuple[Array, Array]:
-    """Nodes of the splines along the side and into the gel [m]."""
+def _side_nodes(thickness: float) -> tuple[tuple[Array, Array], float]:
+    """Nodes of splines along the side and into the gel, and where they begin from the side [m]."""
 
     def cells(end: float) -> Array:
         even = np.arange(0.0, _EVEN + 0.5 * _NARROW, _NARROW)
@@ -310,7 +314,8 @@ def _side_nodes(thickness: float) -> tuple[Array, Array]:
     half, inner = cells(_EDGE_REACH), cells(_EDGE_DEPTH)
     inward = np.append(_BESIDE, inner[inner > _BESIDE[-1] + 0.5 * _NARROW])
     along = np.append(-half[:0:-1], half)
-    return thickness * along, thickness * inward - _side_middle(thickness)
+    middle = 0.5 * (_EDGE_DEPTH + _BESIDE[0]) * thickness
+    return (thickness * along, thickness * inward - middle), middle
 
 
 def solve_disc(
@@ -339,31 +344,18 @@ def solve_disc(
 
 def _on_disc(about: Indentations, radius: float, nodes: Array, distance: float) -> Solved:
     """Presses at a distance from the rim [m]."""
-    solved = about.solve(Disc(radius), 2.0 * radius - distance, radius, _DISC_FINENESS)
-    middle = np.array([radius, radius, 0.0])
-
-    def function(correction: Correction) -> Callable[[Array], Array]:
-        return lambda points: correction.in_gel(points + middle)
-
+    place, middle = (2.0 * radius - distance, radius), [radius, radius, 0.0]
     bases = CubicSplines(nodes), CubicSplines(nodes)
-    return _fitted(solved, function, bases, about.height, _DISC_DEGREE)
+    layout = Layout(Disc(radius), place, _DISC_FINENESS, middle, bases, _DISC_DEGREE)
+    return _solved(about, layout)
 
 
-def faded(
-    field: Callable[[Array], Array], ends: Sequence[float], length: float
-) -> Callable[[Array], Array]:
-    """Field that is faded out towards ends along x and y, from the origin, over a length [m]."""
+def faded(values: Array, points: Array, ends: tuple[Array, Array], length: float) -> Array:
+    """Values (..., k) at points (..., 3) that end smoothly at a box, over a length [m].
 
-    def fading(points: Array) -> Array:
-        values = field(points)
-        for axis, end in enumerate(ends):
-            values = values * _step(end - np.abs(points[..., axis]), length)[..., None]
-        return values
-
-    return fading
-
-
-def _step(inside: Array, length: float) -> Array:
-    """Smooth step from 0 to 1 over a length [m], of distances inside the end [m]."""
+    `ends` are the least and the greatest x and y, (2,) each [m].
+    """
+    low, high = ends
+    inside = np.minimum(points[..., :2] - low, high - points[..., :2])
     t = np.clip(inside / length, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
+    return np.asarray(values * (t * t * (3.0 - 2.0 * t)).prod(axis=-1)[..., None])

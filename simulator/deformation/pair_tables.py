@@ -1,7 +1,7 @@
 """Tables of pairs of indentations: what is solved on a wide stack and beside sides."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -86,11 +86,11 @@ def _on_wide(about: Indentations, apart: float) -> Solved:
     """Fields of pairs on a wide stack, and by how much deeper each press sinks."""
     H = about.thickness
     outline, middle = _wide(about, apart, 0.0)
-    reach = 0.5 * apart + _PAIR_REACH * H, _PAIR_REACH * H
+    end, bases = np.array([0.5 * apart, 0.0]) + _PAIR_REACH * H, pair_bases(apart, H)
     fields, extra = [], []
     for change in _changes(about, outline, middle, apart, 0.0, about.dents):
-        ending = faded(change, reach, _PAIR_FADE * H)
-        field = Field.from_function(ending, pair_bases(apart, H), about.height, _PAIR_DEGREE)
+        ending = partial(_ending, change, end, _PAIR_FADE * H)
+        field = Field.from_function(ending, bases, about.height, _PAIR_DEGREE)
         fields.append(field.coefficients)
         extra.append(change.extra_depth)
     return Solved(np.array(fields), np.array(extra))
@@ -187,10 +187,15 @@ def _beside_sides(about: Indentations, width: float, apart: float, angle: float)
             middle = (_PAIR_STRIP * H, low + part * (half - low))
             (beside,) = _changes(about, outline, middle, apart, angle, dents)
             added = partial(_added, beside, wide, np.array([0.0, middle[1], 0.0]))
-            ending = faded(added, (PAIR_AROUND * H,), _PAIR_FADE * H)
+            ending = partial(_ending, added, np.array([PAIR_AROUND * H, np.inf]), _PAIR_FADE * H)
             field = Field.from_function(ending, bases, about.height, _COUNTS_BESIDE[2] - 1)
             found[k] = field.coefficients[tuple(slice(count) for count in _COUNTS_BESIDE)]
     return Solved(found, np.zeros(len(_FROM_SIDES)))
+
+
+def _ending(field: Callable[[Array], Array], end: Array, length: float, points: Array) -> Array:
+    """Values of a field at points, faded out towards -end and end along x and y, (2,) [m]."""
+    return faded(field(points), points, (-end, end), length)
 
 
 def _added(beside: PairChange, wide: PairChange, middle: Array, points: Array) -> Array:

@@ -1,6 +1,5 @@
 """Bends between solved angles and solved sensors, and the store of solved bends."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -124,14 +123,6 @@ def test_left_mirrors_right_and_front_mirrors_back(table) -> None:
         assert there == pytest.approx(signs * here, abs=1e-14)
 
 
-def test_energy_is_the_work_of_the_moments(table) -> None:
-    """By Simpson's rule over the angle."""
-    numbers = solved(table).numbers
-    moments = numbers["moment"][2:]
-    work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
-    assert numbers["energy"][-1] == pytest.approx(work, rel=2e-3)
-
-
 @pytest.mark.slow
 def test_the_reference_sensor_bends_as_an_independent_solution_has_it() -> None:
     sim = Simulator(SensorDesign.reference(), "standard")
@@ -168,24 +159,6 @@ def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     bend_table.bend_table.cache_clear()
     again = bend_table.bend_table(design, CLAMP, materials)
     assert displacements(again) == pytest.approx(displacements(found), abs=1e-12)
-
-
-@pytest.mark.slow
-def test_tables_solved_by_several_processes_are_those_of_one(few_angles, monkeypatch) -> None:
-    design, materials = short()
-    clamps = [dataclasses.replace(CLAMP, span=span) for span in (0.02, 0.024)]
-    problems = [each for clamp in clamps for each in bend_problems(design, clamp, materials)]
-    reports: list[tuple[int, int]] = []
-    prepare([*problems, problems[0]], lambda *done: reports.append(done), workers=2)
-    assert [done / total for done, total in reports] == [0.5, 1.0]
-    assert len([*few_angles.glob("bend-*.npz")]) == 2
-    monkeypatch.setattr(bend_table, "ANGLES_DEG", ALL_ANGLES)  # as the processes have them
-    monkeypatch.setenv("EITSKIN_CACHE", str(few_angles / "one"))
-    prepare(problems)
-    for file in few_angles.glob("bend-*.npz"):
-        with np.load(few_angles / "one" / file.name) as one, np.load(file) as other:
-            for name in one.files:
-                np.testing.assert_array_equal(one[name], other[name])
 
 
 @pytest.mark.slow

@@ -6,24 +6,18 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError
-from eitskin.geometry import Disc, Plates, SensorDesign
+from eitskin.geometry import Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation import indentation_tables
 from eitskin.simulator.deformation.corrections import (
     Corrections,
     correction_problems,
     corrections,
-    is_tabulable,
 )
 from eitskin.simulator.deformation.field import CubicSplines, Field
-from eitskin.simulator.deformation.indentation_tables import Indentations, solve_disc
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import missing, prepare
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
-from eitskin.simulator.mechanics.materials import NeoHookean
 
 RADIUS, HEIGHT, DEEPEST = 0.05, 0.005, 0.003
 OUTLINE, MECHANICS, PUNCH = Disc(RADIUS), Mechanics(), Cylinder()
@@ -97,24 +91,15 @@ def turn(angle):
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def test_a_solved_press_is_the_solved_one(table) -> None:
+@pytest.mark.parametrize("depth", [0.001, 0.0015, DEEPEST])
+@pytest.mark.parametrize("aside", [0.004, 0.019, 0.04, RADIUS])
+def test_presses_are_the_solved_ones_and_interpolated_between(table, aside, depth) -> None:
     points = disc_points()
-    for k, aside in enumerate(table.nodes("distance_to_side")):
-        for j, depth in enumerate(table.nodes("depth")):
-            field, sunk = at(table, 2.0 * RADIUS - aside, RADIUS, float(depth))
-            expected = correction(points, aside, depth)
-            scale = np.abs(expected).max(axis=0)
-            assert values(field, points) / scale == pytest.approx(expected / scale, abs=1e-6)
-            assert sunk == pytest.approx(table.numbers["extra_depth"][k, j])
-
-
-@pytest.mark.parametrize("distance", [0.0, 0.01, 0.031])
-def test_a_press_between_solved_ones_is_interpolated(table, distance) -> None:
-    points, depth = disc_points(), 0.0015
-    field, _ = at(table, RADIUS + distance, RADIUS, depth)
-    expected = correction(points, RADIUS - distance, depth)
+    field, sunk = at(table, 2.0 * RADIUS - aside, RADIUS, depth)
+    expected = correction(points, aside, depth)
     scale = np.abs(expected).max(axis=0)
     assert values(field, points) / scale == pytest.approx(expected / scale, abs=1e-6)
+    assert sunk == pytest.approx(depth * (1.0 - aside / RADIUS) ** 2, abs=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.4, 2.0, math.pi, 5.0])
@@ -127,28 +112,6 @@ def test_a_press_at_an_azimuth_is_one_on_the_axis_turned(table, angle) -> None:
     expected[:, :3] = expected[:, :3] @ Q.T
     assert values(turned, points @ Q.T) == pytest.approx(expected, rel=1e-6, abs=1e-12)
     assert below == pytest.approx(sunk)
-
-
-def test_the_field_is_continuous_where_a_press_crosses_the_middle(table) -> None:
-    points = disc_points()
-    sides = [values(at(table, RADIUS + x, RADIUS, 0.002)[0], points) for x in (-1e-7, 1e-7)]
-    assert sides[0] == pytest.approx(sides[1], rel=1e-4, abs=1e-8)
-
-
-def test_the_whole_rim_moves(table) -> None:
-    angle = np.linspace(0.0, 2.0 * math.pi, 50)
-    rim = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1) * RADIUS
-    columns = rim[:, None] + np.array([RADIUS, RADIUS, 0.5 * HEIGHT])
-    field, _ = at(table, 0.06, 0.07, 0.002)
-    assert field.moved(columns)[:3, 0] == pytest.approx(field.values(columns)[:3, 0], rel=1e-6)
-
-
-def test_presses_beyond_the_table_are_refused(table) -> None:
-    at(table, 0.08, 0.07, DEEPEST)
-    with pytest.raises(ConfigurationError, match=r"tabulated to a depth .* touch_model='solved'"):
-        at(table, 0.08, 0.07, 1.05 * DEEPEST)
-    with pytest.raises(ConfigurationError, match=r"keep 4.0 mm from the edge"):
-        at(table, 0.09, 0.08, 0.001)
 
 
 def test_a_thicker_gel_has_the_field_of_a_press_as_deep_in_proportion(table) -> None:
@@ -167,30 +130,6 @@ def test_weighted_tables_add_up(table) -> None:
     expected = values(field, points)
     assert sum(values(each, points) for each in parts.fields) == pytest.approx(expected)
     assert parts.extra_depth == pytest.approx(extra)
-
-
-# Which discs, and which tables
-
-
-def test_discs_on_supports_that_are_alike_everywhere_are_tabulated() -> None:
-    small = Disc(0.010)
-    assert is_tabulable(DESIGN)
-    assert not is_tabulable(dataclasses.replace(DESIGN, support=Plates()))
-    assert not is_tabulable(SensorDesign(small, HEIGHT, uniform(small, 4)))
-
-
-def names(*sensor):
-    return {problem.name for problem in correction_problems(*sensor, pairs=False)}
-
-
-def test_specimens_share_tables_and_differ_in_their_weights() -> None:
-    thicker = dataclasses.replace(DESIGN, thickness=0.0052, encapsulated_thickness=0.01248)
-    softer, grid = Mechanics(encapsulation=NeoHookean(26e3)), SensorGrid(thickness=HEIGHT)
-    shared = names(thicker, softer, PUNCH, grid)
-    assert len(shared) == 5
-    assert names(DESIGN, MECHANICS, PUNCH) < shared
-    larger = SensorDesign(Disc(0.06), HEIGHT, uniform(Disc(0.06), 8))
-    assert not shared & names(larger, MECHANICS, PUNCH)
 
 
 def test_a_stored_table_takes_the_place_of_solving(table, tmp_path, monkeypatch) -> None:
@@ -214,60 +153,3 @@ def test_a_stored_table_takes_the_place_of_solving(table, tmp_path, monkeypatch)
     assert len(calls) == 1
     assert np.isfinite(impedance).all()
     assert found.base.modes == pytest.approx(table.modes, rel=1e-6, abs=1e-9)
-
-
-# Solved presses
-
-
-def test_presses_are_solved_from_the_rim_to_the_middle(monkeypatch) -> None:
-    seen = []
-
-    def solve(about, _outline, x, y, _fineness):
-        seen.append((x, y))
-        return [Found(x, dent.depth) for dent in about.dents]
-
-    dents = Dent(0.001), Dent(0.002)
-    monkeypatch.setattr(Indentations, "solve", solve)
-    monkeypatch.setattr(
-        Indentations, "to_depths", lambda about, _: dataclasses.replace(about, dents=dents)
-    )
-    reports = []
-    about = Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), PUNCH)
-    found = solve_disc(about, RADIUS, lambda *done: reports.append(done))
-    assert reports == [(k + 1, len(seen)) for k in range(len(seen))]
-    distances = found.nodes("distance_to_side")
-    assert [x for x, _ in seen] == pytest.approx(2.0 * RADIUS - distances)
-    assert seen[-1] == pytest.approx((RADIUS, RADIUS))
-    points, aside = disc_points(), float(distances[1])
-    field, _ = at(found, 2.0 * RADIUS - aside, RADIUS, 0.002)
-    expected = correction(points, aside, 0.002)
-    scale = np.abs(expected).max(axis=0)
-    assert values(field, points) / scale == pytest.approx(expected / scale, abs=2e-3)
-
-
-def test_an_indenter_too_large_for_the_disc_is_refused() -> None:
-    about = Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), Cylinder(0.052))
-    with pytest.raises(ConfigurationError, match=r"no room .* touch_model='solved'"):
-        solve_disc(about, RADIUS, lambda *_: None)
-
-
-@dataclasses.dataclass
-class Dent:
-    depth: float
-
-
-@dataclasses.dataclass
-class Found:
-    """Correction of `correction` on a disc that lies in the first quadrant."""
-
-    x: float
-    depth: float
-
-    @property
-    def sunk(self):
-        return np.array([0.1 * self.depth])
-
-    def in_gel(self, points):
-        flat = points.reshape(-1, 3) - np.array([RADIUS, RADIUS, 0.0])
-        found = correction(flat, 2.0 * RADIUS - self.x, self.depth)
-        return found.reshape(*points.shape[:-1], 4)

@@ -11,8 +11,12 @@ from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
 from eitskin.simulator.deformation.dents import Dents, PlacedDent
-from eitskin.simulator.deformation.press_table import PressTable, press_problems, press_table
-from eitskin.simulator.deformation.solution_store import missing, prepare
+from eitskin.simulator.deformation.press_table import (
+    PressTable,
+    load_press_table,
+    press_problems,
+    press_table,
+)
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.materials import NeoHookean
 
@@ -166,66 +170,26 @@ def test_forces_beyond_the_table_are_refused(table, force) -> None:
 # Where they are kept
 
 
-@pytest.fixture
-def solves(table, monkeypatch, tmp_path):
-    """How often presses are solved, with an empty store at tmp_path."""
-    counted = []
+def test_what_a_table_depends_on_gives_it_another_name() -> None:
+    def names(indenter=Cylinder(), **mechanics):  # noqa: B008
+        (problem,) = press_problems(DESIGN, Mechanics(**mechanics), indenter)
+        return problem.name
 
-    def solved(*arguments):
-        counted.append(arguments)
-        return table
-
-    monkeypatch.setattr(tables, "solve_table", solved)
-    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
-    monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "nothing ships")
-    press_table.cache_clear()
-    yield counted
-    press_table.cache_clear()
+    indenters = Cylinder(), Cylinder(rough=False), Cylinder(0.006), Cylinder(edge=0.1)
+    assert len({*map(names, indenters), names(bulk_ratio=1e3)}) == 5
+    assert names(margin=0.002) == names()
 
 
-def fresh(indenter=None, mechanics=REFERENCE) -> PressTable:
-    return press_table.__wrapped__(DESIGN, mechanics, indenter or Cylinder())
-
-
-def test_presses_are_solved_once_read_afterwards_and_solved_anew_if_broken(
-    solves, table, tmp_path
+def test_tables_that_are_not_stored_are_solved_at_their_own_size(
+    table, tmp_path, monkeypatch
 ) -> None:
-    first, second = fresh(), fresh()
-    assert len(solves) == 1
+    solved = []
+    monkeypatch.setattr(tables, "solve_table", lambda *of: solved.append(of) or table)
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "nothing ships")
+    stacks = [Mechanics(NeoHookean(k * 20e3), NeoHookean(k * 28e3)).stack(DESIGN) for k in (1, 2)]
+    first, harder = (load_press_table(stack, Cylinder()) for stack in stacks)
+    assert [(stack, layer) for stack, layer, _ in solved] == [(stacks[0], 1)]
     for field in dataclasses.fields(PressTable):
-        assert np.array_equal(getattr(first, field.name), getattr(second, field.name))
         assert getattr(first, field.name) == pytest.approx(getattr(table, field.name))
-    (path,) = (tmp_path / "store").glob("*.npz")
-    path.write_bytes(path.read_bytes()[:1000])
-    fresh()
-    fresh()
-    assert len(solves) == 2
-
-
-def test_what_a_kernel_depends_on_gives_another(solves) -> None:
-    for indenter in (None, Cylinder(rough=False), Cylinder(0.006), Cylinder(edge=0.1)):
-        fresh(indenter)
-    fresh(mechanics=Mechanics(bulk_ratio=1e3))
-    assert len(solves) == 5
-    fresh(mechanics=Mechanics(margin=0.002))
-    assert len(solves) == 5
-
-
-def test_all_that_sensors_lack_is_solved_once_beforehand(solves) -> None:
-    harder = dataclasses.replace(REFERENCE, gel=NeoHookean(21e3))
-    sensors = [(DESIGN, REFERENCE), (DESIGN, harder), (DESIGN, REFERENCE)]
-    reports = []
-    problems = [each for sensor in sensors for each in press_problems(*sensor, Cylinder())]
-    prepare(problems, lambda *done: reports.append(done))
-    assert not missing(problems)
-    assert reports == [(k + 1, len(solves)) for k in range(len(solves))]
-    fresh(), fresh(mechanics=harder)
-    assert len(solves) == len(reports)
-
-
-def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkeypatch) -> None:
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "file" / "below"))
-    assert fresh().largest_force > 10.0
-    assert fresh().largest_force > 10.0
-    assert len(solves) == 2
+    assert harder.forces == pytest.approx(2.0 * table.forces)

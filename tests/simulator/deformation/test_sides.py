@@ -2,16 +2,16 @@
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import Polygon, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Rigid
 from eitskin.protocol import Protocol
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.corrections import (
     Corrections,
     _resampled,
@@ -19,11 +19,10 @@ from eitskin.simulator.deformation.corrections import (
     corrections,
 )
 from eitskin.simulator.deformation.field import CubicSplines, Field
-from eitskin.simulator.deformation.indentation_tables import Indentations, solve_side
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance, sides_of
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
+from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.deformation.touches import PressedSensor, pressed_touches
 
 HEIGHT, THICKNESS, DEPTH = 0.005, 0.012, 0.002
@@ -40,10 +39,10 @@ def table() -> SolutionTable:
     return base
 
 
-def on(outline, table, *weights) -> Corrections:
-    """Corrections by sums over sides, with weights of the same table."""
+def on(outline, table) -> Corrections:
+    """Corrections by sums over sides."""
     design = SensorDesign(outline, HEIGHT, uniform(outline, 8))
-    return Corrections(design, (), table, tuple((table, weight) for weight in weights or (1.0,)))
+    return Corrections(design, (), table, ((table, 1.0),))
 
 
 def total(found, points):
@@ -56,9 +55,6 @@ def inside(outline, count=60):
     rng = np.random.default_rng(3)
     points = rng.uniform((0, 0, 0), (outline.length, outline.width, HEIGHT), (4 * count, 3))
     return points[outline.contains(points[:, :2], 1e-3)][:count]
-
-
-# Sides and corners
 
 
 @pytest.mark.parametrize("place", [(0.03, 0.02), (0.06, 0.01), (0.075, 0.05)])
@@ -84,14 +80,6 @@ def test_a_turned_outline_has_the_turned_correction(table) -> None:
     expected[:, :2] = expected[:, :2] @ turn.T
     found = total(on(turned, table).at(*(turn @ place + shift), DEPTH), moved)
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
-
-
-def test_the_correction_is_the_same_in_a_mirror(table) -> None:
-    points = inside(L_SHAPE)
-    here = total(on(L_SHAPE, table).at(0.07, 0.03, DEPTH), points)
-    there = total(on(L_SHAPE, table).at(0.03, 0.07, DEPTH), points[:, [1, 0, 2]])
-    # The mesh of the table is not quite symmetric about its presses.
-    assert np.abs(there[:, [1, 0, 2, 3]] - here).max() < 0.02 * np.abs(here).max()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -121,16 +109,6 @@ def test_sides_are_seen_within_reach_and_from_the_front() -> None:
     assert re_entrant_distance(Rectangle(0.1, 0.05), 0.05, 0.03) == math.inf
 
 
-# The table
-
-
-def test_far_from_the_side_there_is_no_correction(table) -> None:
-    far = float(table.nodes("distance_to_side")[-1])
-    (field,), numbers = table.evaluate(distance_to_side=far, depth=DEPTH)
-    assert np.abs(field).max() < 1e-12
-    assert numbers["extra_depth"] == pytest.approx(0.0, abs=1e-12)
-
-
 def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
     sizes = {
         "along": np.linspace(table.sizes["along"][0], table.sizes["along"][-1], 161),
@@ -150,84 +128,6 @@ def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
-def test_weighted_tables_add_up(table) -> None:
-    points = inside(L_SHAPE)
-    expected = on(L_SHAPE, table).at(0.03, 0.02, DEPTH)
-    found = on(L_SHAPE, table, 1.3, -0.3).at(0.03, 0.02, DEPTH)
-    assert total(found, points) == pytest.approx(total(expected, points))
-    assert found[1] == pytest.approx(expected[1])
-
-
-def test_presses_beyond_the_table_are_refused(table) -> None:
-    found, deepest = on(L_SHAPE, table), float(table.nodes("depth")[-1])
-    with pytest.raises(ConfigurationError, match=r"tabulated to a depth .* touch_model='solved'"):
-        found.at(0.03, 0.03, 1.05 * deepest)
-    with pytest.raises(ConfigurationError, match=r"keep 3.5 mm from the edge"):
-        found.at(0.098, 0.03, 0.001)
-
-
-def test_presses_are_solved_at_rising_distances_from_the_side(monkeypatch) -> None:
-    seen, reports = [], []
-
-    @dataclasses.dataclass
-    class Found:
-        depth: float
-        middle: float
-
-        @property
-        def sunk(self):
-            return np.array([0.1 * self.depth])
-
-        def in_gel(self, points):
-            away = points - np.array([self.middle, 0.0, 0.0])
-            bell = np.exp(-((away[..., :2] / 0.05) ** 2).sum(axis=-1))
-            return self.depth * bell[..., None] * np.ones(4)
-
-    def solve(about, _outline, x, y, _fineness):
-        seen.append(y)
-        return [Found(dent.depth, x) for dent in about.dents]
-
-    dents = Dent(1e-3), Dent(2e-3)
-    monkeypatch.setattr(Indentations, "solve", solve)
-    monkeypatch.setattr(
-        Indentations, "to_depths", lambda about, _: dataclasses.replace(about, dents=dents)
-    )
-    about = Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), PUNCH)
-    found = solve_side(about, lambda *done: reports.append(done))
-    assert seen == sorted(seen)
-    assert found.nodes("distance_to_side")[:-1] == pytest.approx(seen)
-    assert reports[-1] == (len(seen), len(seen))
-    (coefficients,), numbers = found.evaluate(distance_to_side=seen[2], depth=1e-3)
-    bases = CubicSplines(found.sizes["along"]), CubicSplines(found.sizes["inward"])
-    at = np.array([[[0.004, 0.01 - found.size("middle"), 0.002]]])
-    bell = math.exp(-((0.004 / 0.05) ** 2) - (0.01 / 0.05) ** 2)
-    values = Field(bases, found.size("height"), coefficients).values(at).ravel()
-    assert values == pytest.approx(1e-3 * bell * np.ones(4), rel=1e-3)
-    assert numbers["extra_depth"] == pytest.approx(1e-4)
-
-
-@dataclasses.dataclass
-class Dent:
-    depth: float
-
-
-# Which sensors, and which tables
-
-
-def test_one_table_serves_all_outlines_of_straight_sides() -> None:
-    triangle = Polygon(((0.0, 0.0), (0.12, 0.0), (0.06, 0.09)))
-    short = Rectangle(0.08, 0.05)
-
-    def names(design, *grid):
-        return {p.name for p in correction_problems(design, MECHANICS, PUNCH, *grid, pairs=False)}
-
-    (own,) = names(DESIGN)
-    for outline in (triangle, short):
-        assert names(SensorDesign(outline, HEIGHT, uniform(outline, 8))) == {own}
-    thicker = dataclasses.replace(DESIGN, thickness=0.0052, encapsulated_thickness=0.01248)
-    assert len(names(thicker, SensorGrid(thickness=HEIGHT))) == 3
-
-
 def test_presses_near_a_re_entrant_corner_come_with_a_caution() -> None:
     far, near = (
         pressed_touches((Touch(x, y, 4.0),), PressedSensor(DESIGN, MECHANICS))[0]
@@ -239,11 +139,11 @@ def test_presses_near_a_re_entrant_corner_come_with_a_caution() -> None:
     assert "re-entrant" in near.caution
 
 
-# Solved presses
-
-
 @pytest.mark.slow
-def test_the_signal_is_that_of_a_press_solved_in_the_whole_stack() -> None:
+def test_the_signal_is_that_of_a_press_solved_in_the_whole_stack(monkeypatch) -> None:
+    # Cells that grow fast away from the press, also at the ends, change 1 % of the signals.
+    coarser = partial(finite_stack.stack_mesh, fineness=Fineness(0.0, 0.0, layers=1, growth=2.0))
+    monkeypatch.setattr(finite_stack, "stack_mesh", coarser)
     small = Polygon(
         ((0, 0), (0.064, 0), (0.064, 0.036), (0.036, 0.036), (0.036, 0.064), (0, 0.064))
     )

@@ -8,8 +8,7 @@ import pytest
 
 from eitskin.geometry import Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.deformation.press_table import press_problems
-from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, StackGrid
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -44,15 +43,6 @@ def test_a_very_stiff_substrate_is_a_rigid_base(force) -> None:
     assert abs(stiff.thinning(0)) < 5e-4
 
 
-@pytest.mark.parametrize("force", [1.0, 10.0])
-def test_a_substrate_of_silicone_is_a_thicker_encapsulation(force) -> None:
-    below, *above = on(Rigid()).sheets
-    thicker = Stack((dataclasses.replace(below, thickness=0.0135), *above))
-    one, two = pressed(thicker, force), pressed(on(Substrate(0.010, 28e3)), force)
-    assert two.depth == pytest.approx(one.depth, rel=1e-3)
-    assert two.thinning(2) == pytest.approx(one.thinning(1), rel=1e-3)
-
-
 @pytest.mark.parametrize("support", [SOFT, Substrate(0.030, 300.0), Substrate(0.005, 1e6)])
 def test_small_presses_are_those_of_linear_layers(support) -> None:
     """Smooth punch: its own pressure on the layers by Hankel transform gives its displacements."""
@@ -78,14 +68,3 @@ def test_tables_between_solved_moduli_of_the_substrate_are_interpolated() -> Non
     for power in range(4):
         found = sum(np.log(mu) ** power * w for mu, (_, w) in zip(moduli, needed, strict=True))
         assert found == pytest.approx(np.log(6e3) ** power, rel=1e-9)
-
-
-def test_sensors_of_similar_thickness_share_the_tables_on_one_substrate() -> None:
-    found = []
-    for factor in (0.98, 1.03):
-        sizes = {"thickness": 0.005 * factor, "encapsulated_thickness": 0.012 * factor}
-        design = dataclasses.replace(DESIGN, support=SOFT, **sizes)
-        problems = press_problems(design, Mechanics(), Cylinder(), SensorGrid(thickness=0.005))
-        found.append(set(problems))
-    assert found[0] == found[1]
-    assert len(found[0]) == 3

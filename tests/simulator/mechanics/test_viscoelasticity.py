@@ -57,28 +57,6 @@ def test_one_term_creeps_as_the_standard_linear_solid(g):
     assert amplitude == pytest.approx(g / (1 - g), rel=1e-14)
 
 
-def test_relaxation_and_creep_convolve_to_time():
-    for prony, t in [(GEL, 0.7), (GEL, 40.0), (GEL, 900.0), (ECOFLEX, 25.0)]:
-        integral, _ = quad(
-            lambda s, prony=prony, t=t: prony.relaxation(t - s) * prony.creep(s),
-            *(0, t),
-            epsabs=1e-11 * t,
-            epsrel=1e-11,
-            limit=500,
-            points=[t * x for x in (1e-3, 1e-2, 0.1, 0.9, 0.99, 0.999)],
-        )
-        assert integral == pytest.approx(t, rel=1e-10)
-
-
-def test_the_dual_is_the_eigenproblem_of_a_diagonal_less_rank_one():
-    rates, g = 1 / np.array(GEL.times), np.array(GEL.amplitudes)
-    v = np.sqrt(g * rates)
-    values, vectors = np.linalg.eigh(np.diag(rates) - np.outer(v, v))
-    amplitudes, times = (np.array(part)[::-1] for part in GEL.dual)
-    assert np.allclose(1 / times, values, rtol=1e-12)
-    assert np.allclose(amplitudes, (v @ vectors) ** 2 / values, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     "prony",
     [
@@ -209,10 +187,3 @@ def test_layers_on_top_of_each_other_mix_to_first_order():
 def test_what_cannot_be_is_refused(make, message):
     with pytest.raises(ConfigurationError, match=message):
         make()
-
-
-@steady
-@given(spectra(4), st.floats(1e-3, 1e3))
-def test_less_lingers_of_a_shorter_press(prony, seconds):
-    longer, shorter = (elastic_force(prony, 1.0, s, released=2.0) for s in (2 * seconds, seconds))
-    assert longer >= shorter >= 0.0
