@@ -19,7 +19,7 @@ from eitskin.simulator import Protocol
 from eitskin.training import Pipeline, TrainingSettings, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
-from eitskin.training.evaluation.adaptation_curve import CurvePoint, pipeline_curve, press_curve
+from eitskin.training.evaluation.adaptation_curve import CurvePoint, press_curve
 from eitskin.training.method.interface import TwinTrial
 
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
@@ -138,29 +138,6 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     with pytest.raises(ConfigurationError, match="--replace"):
         run(*words)
     assert "touch positions from 25 frames" in run(*words, "--replace").stdout
-
-
-def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):
-    two = Dataset.from_arrays(np.ones((4, 28)), np.ones((2, 28)), specimen=[0, 0, 1, 1])
-    save_dataset(two, tmp_path / "two")
-    with pytest.raises(ConfigurationError, match="2 specimens"):
-        run("adapt", "none", tmp_path / "two", "--out", tmp_path / "a.eitmodel")
-    with pytest.raises(ConfigurationError, match="--specimen 7"):
-        run("adapt", "none", tmp_path / "two", "--specimen", 7, "--out", tmp_path / "a.eitmodel")
-    with pytest.raises(DataError, match="at least 5"):
-        run("adapt", "none", tmp_path / "two", "--specimen", 0, "--out", tmp_path / "a.eitmodel")
-    with pytest.raises(DataError, match="labelled frames"):
-        pipeline_curve(pipeline, bends.select(slice(1)))
-    presses = ("none", tmp_path / "toy", "--twin", tmp_path, "--out", tmp_path / "a.eitmodel")
-    save_dataset(toy_recording(), tmp_path / "toy")
-    with pytest.raises(ConfigurationError, match="--twin"):
-        run("adapt", *presses, "--no-table")
-    words = ("adapt", "reference.eitmodel", tmp_path / "own", "--out", tmp_path / "a.eitmodel")
-    other = Dataset.from_arrays(np.ones((4, 64)), protocol=Protocol.adjacent(8, shared=True))
-    save_dataset(other, tmp_path / "own")
-    with pytest.raises(FrameError, match="trained for pairwise:8"):
-        run(*words)
-    assert not (tmp_path / "a.eitmodel").exists()
 
 
 def test_frames_of_which_nothing_is_known_are_refused(bends, pipeline):

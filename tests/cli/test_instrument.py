@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
 
@@ -61,18 +61,6 @@ def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
     assert not frame.impedance.imag.any()
 
 
-def test_what_would_be_found_after_the_fit_is_refused_before(rig, tmp_path):
-    folder, _ = rig
-    known = (folder / "flat.npz", "--values", "u", "--protocol", folder / "ring.csv")
-    fitted = ("--out", tmp_path / "rig.toml")
-    with pytest.raises(ConfigurationError, match=r"20 flat frames to judge on; give fewer"):
-        raise run(folder, *known, *fitted, "--first", 20).exception
-    with pytest.raises(ConfigurationError, match="there is no folder"):
-        raise run(folder, *known, "--out", tmp_path / "no" / "rig.toml").exception
-    with pytest.raises(DataError, match=r"no dataset and no file .*missing"):
-        raise run(folder, tmp_path / "missing", *fitted).exception
-
-
 def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path):
     folder, flat = rig
     state = np.array([State.TOUCH, State.IDLE])
@@ -84,12 +72,3 @@ def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path
     assert "not identifiable" in result.stdout  # one load has no way back
     save_dataset(Dataset.from_arrays(frames, protocol=RING, state=state[[0, 0]]), tmp_path / "x")
     assert isinstance(run(folder, tmp_path / "x", *options).exception, DataError)
-
-
-@pytest.mark.slow
-def test_protocols_that_are_not_known_or_do_not_fit_are_refused(rig, tmp_path):
-    folder, _ = rig
-    values = (folder / "flat.npz", "--values", "u", "--out", tmp_path / "rig.toml")
-    for protocol in ((), ("--protocol", "adjacent:6")):
-        error = run(folder, *values, *protocol).exception
-        assert isinstance(error, ConfigurationError | DataError), error

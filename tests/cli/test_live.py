@@ -14,7 +14,7 @@ from eitskin.cli.commands.live import session as cli
 from eitskin.cli.commands.live.session import Recording, touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
-from eitskin.errors import ConfigurationError, DeviceError, PartialError
+from eitskin.errors import PartialError
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.streams import bad_channels, reading_record
 from eitskin.simulator import Status
@@ -88,13 +88,6 @@ def test_the_seed_is_the_virtual_boards(run, tmp_path):
     first = recorded("a", "--board", "virtual:?speed=max", "--seed", "5")
     assert np.array_equal(first, recorded("b", "--board", "virtual:?speed=max&seed=5"))
     assert not np.array_equal(first, recorded("c", "--board", "virtual:?speed=max"))
-
-
-@pytest.mark.parametrize(
-    ("uri", "error"), [("serial:/dev/none", DeviceError), ("nothing", ConfigurationError)]
-)
-def test_errors_keep_their_kind(run, uri, error):
-    assert isinstance(run(FakePipeline(), "--board", uri).exception, error)
 
 
 # ---- long runs ----

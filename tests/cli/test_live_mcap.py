@@ -13,7 +13,7 @@ from eitskin.cli.commands.live import session as live
 from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.options import Output
 from eitskin.datasets import open_dataset
-from eitskin.errors import ConfigurationError, DeviceError, PartialError
+from eitskin.errors import DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.ros2.mcap import McapWriter
 
@@ -80,18 +80,6 @@ def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatc
     assert left.read_bytes().startswith(b"\x89MCAP0\r\n")
 
 
-def test_a_file_that_cannot_be_finished_is_said_in_the_end(run, tmp_path, monkeypatch):
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Writer, "close", full)
-    result = run(FakePipeline(), *BOARD, "--frames", "2", "--mcap", str(tmp_path / "run.mcap"))
-    assert isinstance(result.exception, PartialError)
-    assert "run.mcap.unfinished" in str(result.exception)
-    assert "2 frames processed" in result.stderr
-    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap.unfinished"]
-
-
 @pytest.mark.parametrize(
     ("ending", "raised"),
     [(KeyboardInterrupt(), PartialError), (DeviceError("the board is gone"), DeviceError)],
@@ -130,18 +118,3 @@ def test_after_a_failure_nothing_more_is_written(tmp_path, monkeypatch):
     assert session.processed == 2
     assert "No space left" in recording.loss
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap.unfinished"]
-
-
-def test_a_file_that_is_there_is_not_replaced_and_nothing_else_is_made(run, tmp_path):
-    path = tmp_path / "run.mcap"
-    path.write_text("a recording")
-    result = run(FakePipeline(), *BOARD, "--mcap", str(path), "--record", str(tmp_path / "r"))
-    assert isinstance(result.exception, ConfigurationError)
-    assert "run.mcap exists" in str(result.exception)
-    assert list(tmp_path.iterdir()) == [path]
-    assert path.read_text() == "a recording"
-
-
-def test_a_board_that_is_not_there_leaves_no_file(run, tmp_path):
-    run(FakePipeline(), "--board", "serial:/dev/none", "--mcap", str(tmp_path / "run.mcap"))
-    assert not list(tmp_path.iterdir())

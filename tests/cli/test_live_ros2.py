@@ -54,12 +54,6 @@ def test_every_reading_is_published_and_the_node_closed(monkeypatch, nodes):
     assert "2 ROS 2 messages found no room" in result.stderr
 
 
-def test_an_option_goes_before_the_environment(monkeypatch, nodes):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    run_command(monkeypatch, FakePipeline(), *BOARD, "--ros2", "--ros2-domain", "9")
-    assert nodes[0].domain == 9
-
-
 def test_without_the_option_there_is_no_node(monkeypatch, nodes):
     assert run_command(monkeypatch, FakePipeline(), *BOARD).exit_code == 0
     assert not nodes

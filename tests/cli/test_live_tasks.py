@@ -277,11 +277,3 @@ def test_addresses_with_tokens_are_told_once_and_whole(monkeypatch, tmp_path, qu
     for line in (tmp_path / "tokens").read_text().splitlines():
         (told,) = [each for each in ran.stderr.splitlines() if line.split()[1] in each]
         assert f"/#{line.split()[1]}" in told
-
-
-def test_a_wrong_page_is_told_before_the_board_is_opened(monkeypatch, tmp_path):
-    (tmp_path / "tokens").write_text("none")
-    for wrong in (("--page-host", "no.invalid"), ("--page-token-file", str(tmp_path / "tokens"))):
-        board = ("--board", "serial:/dev/none", "--page", *wrong)
-        ran = run_command(monkeypatch, FakePipeline(), *board)
-        assert isinstance(ran.exception, ConfigurationError)

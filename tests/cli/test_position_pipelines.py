@@ -8,7 +8,6 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.virtual import virtual_board
 from eitskin.simulator import Protocol
@@ -65,12 +64,6 @@ def run(*arguments, code=0):
     return result
 
 
-def refused(*arguments):
-    result = CliRunner().invoke(app, [*map(str, arguments)])
-    assert isinstance(result.exception, ConfigurationError)
-    return str(result.exception)
-
-
 @pytest.mark.slow
 def test_evaluate_and_train_write_a_report(folder, tmp_path):
     model, data = folder / "mine.eitmodel", folder / "mine"
@@ -125,17 +118,3 @@ def test_mcap_has_the_estimates(folder, tmp_path):
     told = run("export", "mcap", folder / "mine", "--model", folder / "mine.eitmodel",
                "--out", out, "--json", "-q")  # fmt: skip
     assert json.loads(told.stdout)["estimates"] == 60
-
-
-def test_positions_cannot_be_calibrated(folder, tmp_path):
-    model = folder / "mine.eitmodel"
-    said = refused("calibrate", model, "--board", BOARD, "--out", tmp_path / "b.eitmodel")
-    assert "bend angle" in said
-
-
-def test_onnx_says_what_replaces_it(folder):
-    assert "eitskin[live]" in refused("export", "onnx", folder / "mine.eitmodel", "--out", "graphs")
-
-
-def test_pictures_need_no_pipeline(folder):
-    assert "need no trained pipeline" in refused("reconstruct", folder / "mine.eitmodel")

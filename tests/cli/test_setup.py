@@ -85,30 +85,6 @@ def test_a_board_that_is_typed_keeps_its_capitals_and_a_wrong_number_is_told(tmp
     assert said.count("/dev/ttyNONE") > 1, "typed, and in what opening it says"
 
 
-def test_frames_and_pipelines_of_a_set_up_before_are_not_replaced_unasked(tmp_path):
-    """With --replace the next step is reached: here one that finds no steps to take."""
-    mine, frames = tmp_path / "mine.eitmodel", tmp_path / "mine-frames"
-    words = ("reference.eitmodel", "--out", mine, "--board", BOARD)
-    frames.mkdir()
-    with pytest.raises(ConfigurationError, match=r"mine-frames exists.*adapt.*--replace"):
-        raise run(*words, code=None).exception
-    with pytest.raises(ConfigurationError, match="nothing was kept"):
-        raise run(*words, "--replace", typed="s\n" * 4, code=None).exception
-    assert frames.is_dir()
-
-
-@pytest.mark.parametrize("command", ["train", "adapt", "calibrate", "setup"])
-def test_no_command_replaces_a_pipeline_unasked(tmp_path, command):
-    mine = tmp_path / "mine.eitmodel"
-    mine.mkdir()
-    (mine / "SHA256SUMS").write_text("that of a pipeline")
-    words = {"train": ["set"], "adapt": ["none", "set"]}.get(command, ["reference.eitmodel"])
-    board = ["--board", BOARD] if command in ("calibrate", "setup") else []
-    ran = CliRunner().invoke(app, [command, *words, "--out", str(mine), *board])
-    assert isinstance(ran.exception, ConfigurationError)
-    assert "--replace" in str(ran.exception)
-
-
 def test_skipping_every_step_keeps_nothing(tmp_path):
     mine = tmp_path / "mine.eitmodel"
     with pytest.raises(ConfigurationError, match="nothing was kept"):

@@ -1,4 +1,4 @@
-"""`eitskin simulate`: numbers, protocols, touches, and what is refused."""
+"""`eitskin simulate` and `mesh`: numbers, protocols, touches, and the examples of their page."""
 
 import json
 import re
@@ -62,10 +62,6 @@ def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
     moved = [a - b for a, b in zip(one["change_ohm"], quieter["change_ohm"], strict=True)]
     assert 0.05 < max(map(abs, moved)) < 1.0  # 0.15 ohm of noise are gone
     assert one["status"] == [0] * 28
-    with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
-        simulate(flat, "--instrument", "ad")
-    with pytest.raises(ConfigurationError, match=r"snr_db.*20 to 120"):
-        simulate(flat, "--noise", "10")
 
 
 def test_changes_are_from_the_flat_sensor_on_the_same_meter(scene, tmp_path) -> None:
@@ -103,14 +99,6 @@ def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path
     assert abs(found["change_ohm"][0]) > 1e-3
 
 
-def test_an_unknown_protocol_is_refused(scene) -> None:
-    with pytest.raises(ConfigurationError, match="expected a protocol"):
-        simulate(scene, "--protocol", "neighbours")
-
-
-# Touches
-
-
 def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
     scene = written(
         tmp_path / "two.toml",
@@ -134,13 +122,8 @@ def test_a_touch_by_itself_has_no_neighbour_and_its_corrections_are_tabulated(sc
 
 
 def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
-    with pytest.raises(ConfigurationError, match=r"--support: support: .*'plates'.*got 'plate'"):
-        run(scene, "--support", "plate")
     free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())
     assert simulate(free, "--support", "rigid")["touches"] == simulate(scene)["touches"]
-
-
-# Mechanics and fixture from files
 
 
 @pytest.mark.slow
@@ -163,53 +146,12 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
         assert found["touches"][0]["depth_m"] > simulate(scene)["touches"][0]["depth_m"]
 
 
-def test_files_that_are_no_fixture_or_mechanics_are_refused(scene, tmp_path) -> None:
-    wrong = str(written(tmp_path / "wrong.toml", "spam = 0.05\n"))
-    with pytest.raises(ConfigurationError, match=r"wrong.toml.*Hinge.*'span'"):
-        simulate(scene, "--fixture", wrong)
-    with pytest.raises(ConfigurationError, match=r"wrong.toml.*'spam'"):
-        simulate(scene, "--mechanics", wrong)
-    with pytest.raises(ConfigurationError, match="cannot read"):
-        simulate(scene, "--fixture", str(tmp_path / "none.toml"))
-    with pytest.raises(ConfigurationError, match="not valid TOML"):
-        simulate(scene, "--fixture", str(written(tmp_path / "broken.toml", "span =")))
-
-
-# Pictures
-
-
 @pytest.mark.slow
 def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
     path = tmp_path / "scene.png"
     ran = run(scene, "--view", str(path), "--colour", "strain")
     assert path.stat().st_size > 10_000
     assert "picture: " in ran.stderr
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--colour", "strain"), "name the picture with --view"),
-        (("--drive", "0-4"), "name the picture with --view"),
-        (("--view", "a.png", "--colour", "red"), r"conductance, strain, current.*'red'"),
-        (("--view", "a.png", "--drive", "0-4"), r"--drive.*--colour current"),
-        (("--view", "a.png", "--colour", "current", "--drive", "0-8"), r"--drive.*0 to 7"),
-        (("--view", "a.png", "--colour", "current", "--drive", "4"), "as 0-4, got '4'"),
-        (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
-        (("--view", "a.gif"), "PNG"),
-        (("--view", "no/such/a.png"), "folder"),
-        (("--touch-model", "exact"), r"tabulated, solved.*'exact'"),
-        (("--resolution", "finest"), r"fast, standard, fine.*'finest'"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, message) -> None:
-    monkeypatch.chdir(scene.parent)
-    with pytest.raises(ConfigurationError, match=message):
-        run(scene, *options)
-    assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
-
-
-# The page on scenes
 
 
 def examples(kind) -> list[str]:
@@ -245,3 +187,19 @@ def test_the_mistakes_of_the_page_are_answered_as_it_says(tmp_path) -> None:
         said = str(error.value).replace("`", "'")
         for part in re.findall(r"`(.*?)`", message):
             assert part in said, (text, said)
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
+def test_the_numbers_of_a_mesh_are_those_of_the_reference_sensor(kind) -> None:
+    found = command_line.printed_json("mesh", "--cells", kind, "--resolution", "fast")
+    assert (found["kind"], found["electrodes"]) == (kind, 8)
+    assert found["volume"] == pytest.approx(0.150 * 0.060 * 0.005)
+    assert found["electrode_area_error"] < 1e-9
+    assert found["cells"] > 100
+    assert 0.0 < found["scaled_jacobian"] <= 1.0 + 1e-12
+
+
+def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
+    text = "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\n"
+    disc = written(tmp_path / "disc.toml", text)
+    assert command_line.printed_json("mesh", "--sensor", disc)["kind"] == "prisms"

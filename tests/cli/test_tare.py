@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.cli.commands.tare import reference_frame
 from eitskin.cli.main import app
 from eitskin.datasets import ShardWriter
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import Frame, Protocol, Simulator
 from eitskin.training import StoredReference, Zero
@@ -55,6 +54,14 @@ def test_the_reference_knows_its_board_and_zero(reference):
     assert 0 < stored.noise < 2e-3
 
 
+def test_the_reference_may_be_that_of_a_dataset(tmp_path):
+    path, flat = tmp_path / "r.json", np.linspace(400.0, 800.0, 28)
+    with ShardWriter(tmp_path / "run") as writer:
+        writer.append(Frame(flat, Protocol.pairwise(8)))
+    run("tare", "reference.eitmodel", "--dataset", tmp_path / "run", "--mounted", "--out", path)
+    np.testing.assert_allclose(StoredReference.read(path).impedance, flat, rtol=1e-6)
+
+
 def test_a_bent_sensor_is_no_flat_reference_but_a_mounted_one(bent, tmp_path):
     path = tmp_path / "mounted.json"
     with pytest.raises(DataError, match="--mounted"):
@@ -85,22 +92,6 @@ def test_live_estimates_a_bent_start_by_its_reference(bent, reference):
     known = json.loads(lines[-1])
     assert (known["state"], known["zero"], known["problems"]) == ("touch", "flat", [])
     assert known["bend_angle_deg"] == pytest.approx(30.0, abs=4.0)
-
-
-def test_the_reference_of_a_dataset_and_none(tmp_path):
-    path = tmp_path / "r.json"
-    flat = np.linspace(400.0, 800.0, 28)
-    with ShardWriter(tmp_path / "run") as writer:
-        writer.append(Frame(flat, Protocol.pairwise(8)))
-    frame = reference_frame(tmp_path / "run", 0)
-    np.testing.assert_allclose(frame.impedance, flat, rtol=1e-6)
-    with pytest.raises(DataError, match="expected specimen 7"):
-        reference_frame(tmp_path / "run", 7)
-    with pytest.raises(ConfigurationError, match="--dataset"):
-        raise run("tare", "reference.eitmodel", "--out", path, code=1).exception
-    lost = ("--board", FLAT, "--out", tmp_path / "no" / "r.json")
-    with pytest.raises(ConfigurationError, match="there is no folder"):
-        raise run("tare", "reference.eitmodel", *lost, code=1).exception
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """`eitskin train --report` and `evaluate --out`: the report folders of the paper's stages."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -10,7 +9,6 @@ from matplotlib.figure import Figure
 
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
-from eitskin.errors import ConfigurationError
 
 from small_dataset import make
 
@@ -83,26 +81,3 @@ def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
     assert first["losses"] == again["losses"]
     assert first["pictures"].keys() == again["pictures"].keys()
     assert {"machine", "versions", "date"} <= again["provenance"].keys()
-
-
-@pytest.mark.slow
-def test_a_place_for_no_report_is_refused_before_the_work(trained, tmp_path):
-    data, model = trained / "data", trained / "some.eitmodel"
-    with pytest.raises(ConfigurationError, match="no report"):
-        train.command(data, out=tmp_path / "new.eitmodel", report=data)
-    with pytest.raises(ConfigurationError, match="no report"):
-        train.evaluate(model, data, out=data)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
-def test_touch_positions_alone_make_a_report(dataset, tmp_path):
-    recording = dataclasses.replace(dataset, design=None).select(dataset.state == State.TOUCH)
-    recording.touch_x[:, 0] += np.linspace(0.0, 0.05, len(recording))  # pressed at one place before
-    data, model = tmp_path / "data", tmp_path / "skin.eitmodel"
-    save_dataset(recording, data)
-    train.command(data, out=model, report=tmp_path / "trained", quiet=True)
-    train.evaluate(model, data, out=tmp_path / "evaluated", quiet=True)
-    for folder in ("trained", "evaluated"):
-        assert "mm" in (tmp_path / folder / "report.md").read_text()

@@ -264,11 +264,6 @@ def test_a_port_in_use_is_named(page, connection) -> None:
         LivePage(connection, DESIGN, port=port_of(page))
 
 
-def test_only_this_machine_is_served(page) -> None:
-    assert page.url.startswith("http://127.0.0.1:")
-    assert page.server.access.host == "127.0.0.1"
-
-
 def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
     folder = resources.files("eitskin.cli.page") / "web"
     for name in (entry.name for entry in folder.iterdir()):

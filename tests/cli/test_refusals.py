@@ -1,0 +1,146 @@
+"""What every command refuses: each call with the kind of its error and a word of the remedy."""
+
+import numpy as np
+import pytest
+from command_line import run
+
+from eitskin.datasets import Dataset, save_dataset
+from eitskin.errors import ConfigurationError, DataError, DeviceError, FrameError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol
+
+import small_dataset
+
+MODEL, VIRTUAL = "reference.eitmodel", ("--board", "virtual:?speed=max")
+DISC = "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\n"
+RECIPE = 'name = "cheap"\nscenes = [{ state = "bend", count = 8, angle_deg = [10, 10] }]\n'
+USAGE, DATA, FRAME = ConfigurationError, DataError, FrameError
+REFUSALS = [
+    # simulate and mesh
+    ("simulate touch.toml --protocol neighbours", USAGE, "expected a protocol"),
+    ("simulate touch.toml --support plate", USAGE, r"--support.*'plates'.*got 'plate'"),
+    ("simulate touch.toml --fixture wrong.toml", USAGE, r"wrong.toml.*Hinge.*'span'"),
+    ("simulate touch.toml --mechanics wrong.toml", USAGE, r"wrong.toml.*'spam'"),
+    ("simulate touch.toml --fixture none.toml", USAGE, "cannot read"),
+    ("simulate touch.toml --fixture broken.toml", USAGE, "not valid TOML"),
+    ("simulate touch.toml --instrument ad", USAGE, "'ad5940', got 'ad'"),
+    ("simulate touch.toml --noise 10", USAGE, r"snr_db.*20 to 120"),
+    ("simulate touch.toml --colour strain", USAGE, "name the picture with --view"),
+    ("simulate touch.toml --drive 0-4", USAGE, "name the picture with --view"),
+    ("simulate touch.toml --view a.png --colour red", USAGE, r"strain, current.*'red'"),
+    ("simulate touch.toml --view a.png --drive 0-4", USAGE, r"--drive.*--colour current"),
+    ("simulate touch.toml --view a.png --colour current --drive 0-8", USAGE, "0 to 7"),
+    ("simulate touch.toml --view a.gif", USAGE, "PNG"),
+    ("simulate touch.toml --view no/such/a.png", USAGE, "folder"),
+    ("simulate touch.toml --touch-model exact", USAGE, r"tabulated, solved.*'exact'"),
+    ("simulate touch.toml --resolution finest", USAGE, r"fast, standard, fine.*'finest'"),
+    ("mesh --cells cubes", USAGE, r"--cells.*hexahedra, prisms, tetrahedra"),
+    ("mesh --drive 0,4", USAGE, "name the picture with --view"),
+    ("mesh --drive 0 --view a.png", USAGE, "as 0-4"),
+    ("mesh --drive 3,3 --view a.png", USAGE, "two different electrodes"),
+    # reconstruct
+    ("reconstruct set --method best", USAGE, "--method must be one of back-projection"),
+    ("reconstruct set --lambda small", USAGE, "expected a rule for lambda"),
+    ("reconstruct set --difference none", USAGE, "--difference must be one of relative"),
+    ("reconstruct set --frames 9", USAGE, "from 0 to 5, got '9'"),
+    ("reconstruct set --frames x", USAGE, "expected frames as"),
+    ("reconstruct set --out a.jpg", USAGE, "as .png, .npz or .csv"),
+    ("reconstruct set --out no/a.png", USAGE, "there is no folder"),
+    ("reconstruct set --pixels 1", USAGE, "pixels must be"),
+    ("reconstruct set --page", USAGE, "--page is for one method on a board"),
+    ("reconstruct replay:set --page --method all", USAGE, "--page is for one method"),
+    ("reconstruct set --sensor disc.toml", USAGE, "protocol of 6 electrodes"),
+    ("reconstruct set --protocol adjacent", FRAME, r"pairwise:8.*leave --protocol out"),
+    ("reconstruct bare", DATA, "name the design"),
+    ("reconstruct bare --sensor eight.toml", DATA, "--protocol, such as adjacent"),
+    ("reconstruct bare --sensor eight.toml --protocol adjacent", FRAME, "40 measurements"),
+    ("reconstruct replay:set --average 6 --method noser", DATA, "got none"),
+    (f"reconstruct {MODEL}", USAGE, "need no trained pipeline"),
+    # datasets
+    ("generate absent.toml --out new", USAGE, "absent.toml"),
+    ("generate nothing --out new", USAGE, "'nothing'"),
+    ("generate cheap.toml --out cheap.toml", USAGE, "cheap.toml"),
+    ("generate cheap.toml --out .", USAGE, "is not empty"),
+    ("generate cheap.toml --out new --scheduler x", USAGE, "'x'"),
+    ("generate cheap.toml --out new --shard 3", USAGE, r"0 to 0.*shard 3"),
+    ("import log.csv --out new --column force", USAGE, "LABEL=PLACE"),
+    ("export vtu touch.toml --out set", USAGE, "not empty"),
+    (f"export onnx {MODEL} --out graphs", USAGE, r"eitskin\[live\]"),
+    # pipelines of one's own sensor
+    ("train set --out made.eitmodel", USAGE, "--replace"),
+    ("train set --out a.eitmodel --report set", USAGE, "no report"),
+    (f"evaluate {MODEL} set --out set", USAGE, "no report"),
+    ("adapt none set --out made.eitmodel", USAGE, "--replace"),
+    ("adapt none two --out a.eitmodel", USAGE, "2 specimens"),
+    ("adapt none two --specimen 7 --out a.eitmodel", USAGE, "--specimen 7"),
+    ("adapt none two --specimen 0 --out a.eitmodel", DATA, "at least 5"),
+    ("adapt none bare --twin . --specimen 0 --out a.eitmodel", USAGE, "--twin"),
+    (f"adapt {MODEL} ring --out a.eitmodel", FRAME, "trained for pairwise:8"),
+    (f"calibrate {MODEL} --board virtual: --out made.eitmodel", USAGE, "--replace"),
+    (f"calibrate {MODEL} --board virtual: --angles a --out a.eitmodel", USAGE, "by commas"),
+    (f"setup {MODEL} --board virtual: --out made.eitmodel", USAGE, "--replace"),
+    (f"setup {MODEL} --board virtual: --out my.eitmodel", USAGE, r"my-frames exists.*adapt"),
+    (f"tare {MODEL} --out r.json", USAGE, "--dataset"),
+    (f"tare {MODEL} --board virtual: --out no/r.json", USAGE, "there is no folder"),
+    (f"tare {MODEL} --dataset set --specimen 7 --out r.json", DATA, "expected specimen 7"),
+    (f"check {MODEL} --recording set", USAGE, "without a model"),
+    ("check --protocol adjacent", USAGE, "describe a --recording"),
+    (f"live {MODEL} --board nothing", USAGE, "board"),
+    (f"live {MODEL} --board serial:/dev/none", DeviceError, "/dev/none"),
+    (f"live {MODEL} --board serial:/dev/none --page --page-host no.invalid", USAGE, "address"),
+    (
+        f"live {MODEL} --board serial:/dev/none --page --page-token-file log.csv",
+        USAGE,
+        "view TOKEN",
+    ),
+    (f"live {MODEL} --board virtual: --mcap log.csv --record new", USAGE, "mcap"),
+    # fits
+    ("instrument fit flat.toml ring --out a.toml --first 2", USAGE, "frames to judge on"),
+    ("instrument fit flat.toml ring --out no/a.toml", USAGE, "there is no folder"),
+    ("instrument fit flat.toml missing --out a.toml", DATA, r"no dataset and no file .*missing"),
+    ("instrument fit disc.toml ring --out a.toml", USAGE, "design of the sensor"),
+    ("instrument fit flat.toml bare --out a.toml", USAGE, "--protocol"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Files and datasets that the calls name."""
+    made = tmp_path_factory.mktemp("refused")
+    texts = {
+        "touch.toml": "[[touches]]\nx = 0.05\ny = 0.02\n",
+        "wrong.toml": "spam = 0.05\n",
+        "broken.toml": "span =",
+        "disc.toml": DISC,
+        "eight.toml": DISC.replace("6\n", "8\n"),
+        "cheap.toml": RECIPE,
+        "log.csv": "v0,v1\n1,2\n",
+    }
+    for name, text in texts.items():
+        (made / name).write_text(text)
+    SensorDesign.reference().to_toml(made / "flat.toml")
+    sound = np.zeros((6, 28))
+    save_dataset(small_dataset.make(n=6, status=sound), made / "set")
+    save_dataset(small_dataset.make(n=6, design=None, protocol=None), made / "bare")
+    two = Dataset.from_arrays(np.ones((4, 28)), np.ones((2, 28)), specimen=[0, 0, 1, 1])
+    save_dataset(two, made / "two")
+    ring = Dataset.from_arrays(np.ones((2, 64)), protocol=Protocol.adjacent(8, shared=True))
+    save_dataset(ring, made / "ring")
+    (made / "made.eitmodel").mkdir()
+    (made / "made.eitmodel" / "SHA256SUMS").write_text("that of a pipeline")
+    (made / "my-frames").mkdir()
+    return made
+
+
+@pytest.mark.parametrize(("call", "error", "remedy"), REFUSALS)
+def test_a_command_refuses_in_words_and_leaves_nothing(folder, monkeypatch, call, error, remedy):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(error, match=remedy):
+        run(*call.split())
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("call", ["generate quick --out a --workers 0", "live", "nothing"])
+def test_options_that_are_none_are_usage_errors(call):
+    assert run(*call.split()).exit_code == 2
