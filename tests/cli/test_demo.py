@@ -1,5 +1,6 @@
 """The demo: one report, whole in itself, and the same after every interruption."""
 
+import io
 import json
 import re
 import shutil
@@ -8,18 +9,23 @@ from importlib import import_module
 from itertools import count
 
 import msgspec
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 from rich.console import Console
 
 from eitskin.cli.demo import command as demo
 from eitskin.cli.demo import pictures, stages
-from eitskin.cli.demo.command import marked_number, run_demo
+from eitskin.cli.demo.command import run_demo
 from eitskin.cli.demo.stages import SETS, STAGES, Demo
 from eitskin.cli.options import Output
+from eitskin.cli.page.drawing import GelShape
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.errors import ConfigurationError, PartialError
+from eitskin.errors import PartialError
+from eitskin.geometry import SensorDesign
 from eitskin.training import Report
 from eitskin.training.evaluation.report import table_rows
 
@@ -110,23 +116,16 @@ def numbers(folder):
 
 
 class Page(HTMLParser):
-    """Contents and references of a page."""
+    """Addresses, marked numbers and rows of a page."""
 
     def __init__(self, text):
         super().__init__()
-        self.references, self.images, self.marked, self.rows = [], [], [], []
-        self.style, self.open, self.folded = "", [], []
+        self.addresses, self.marked, self.rows = [], [], []
         self.feed(text)
-        self.close()
 
     def handle_starttag(self, tag, attributes):
         given = dict(attributes)
-        if tag not in ("meta", "img"):
-            self.open.append(tag)
-        self.references += [given[name] for name in ("src", "href", "srcset") if name in given]
-        if tag == "img":
-            self.images.append(given)
-            self.folded.append("details" in self.open)
+        self.addresses += [given[name] for name in ("src", "href", "srcset") if name in given]
         if tag == "data":
             self.marked.append((given["data-from"], given["value"]))
         if tag == "tr":
@@ -134,42 +133,20 @@ class Page(HTMLParser):
         if tag in ("td", "th"):
             self.rows[-1].append("")
 
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
     def handle_data(self, data):
-        if self.open and self.open[-1] == "style":
-            self.style += data
-        elif self.rows and {"td", "th"} & set(self.open):
-            self.rows[-1][-1] += data
-
-
-@pytest.fixture(scope="module")
-def report(finished):
-    return Page((finished / "report.html").read_text())
+        if self.rows and self.rows[-1]:
+            self.rows[-1][-1] += data.strip()
 
 
 @pytest.mark.slow
-def test_the_report_refers_to_nothing_outside_itself(finished, report):
-    assert all(each.startswith("data:image/") for each in report.references)
-    assert not re.search(r"url\(|@import", report.style)
-    text = re.sub(r'src="data:[^"]*"', "", (finished / "report.html").read_text())
-    assert not re.search(r"<(script|link|iframe|object|embed|base)\b|\bon\w+=", text)
-    assert not re.search(r"https?:", text)
-    assert not report.open
-
-
-@pytest.mark.slow
-def test_every_picture_of_a_stage_is_shown_once_with_a_text(report):
-    assert len(report.images) >= 13
-    assert report.folded == [False] * 6 + [True] * (len(report.images) - 6)  # the film, and five
-    assert all(len(image["alt"]) > 10 for image in report.images)
-    shown = [image["src"] for image in report.images]
-    assert all(shown.count(source) == 1 for source in shown if "image/svg" in source)
-
-
-@pytest.mark.slow
-def test_the_numbers_shown_are_those_of_the_document(finished, report):
+def test_the_report_is_whole_in_itself_and_shows_the_numbers_of_the_document(finished):
+    text = (finished / "report.html").read_text()
+    report = Page(text)
+    assert len(report.addresses) >= 13
+    assert all(each.startswith("data:image/") for each in report.addresses)
+    text = re.sub(r'src="data:[^"]*"', "", text)
+    outside = r"url\(|@import|<(script|link|iframe|object|embed|base)\b|\bon\w+=|https?:"
+    assert not re.search(outside, text)
     document = json.loads((finished / "report.json").read_text())
     assert len(report.marked) > 60
     for path, shown in report.marked:
@@ -181,10 +158,6 @@ def test_the_numbers_shown_are_those_of_the_document(finished, report):
         for name, _, here in table_rows(msgspec.convert(document[stage], Report)):
             shown = [name.strip(), here.replace("+-", "±")]
             assert any([row[0], row[column]] == shown for row in report.rows if row[3:])
-
-
-def test_a_number_that_is_not_known_is_shown_as_none():
-    assert "none" in marked_number({"a": [{"b": None}]}, "a.0.b", ".1f")
 
 
 @pytest.mark.slow
@@ -219,12 +192,6 @@ def test_text_of_files_is_escaped(finished, tmp_path):
     assert "&lt;b&gt;&amp;recordings" in page
 
 
-def test_a_folder_that_cannot_be_used_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigurationError):
-        space(tmp_path / "file")
-
-
 @pytest.mark.parametrize("cause", [KeyboardInterrupt, PartialError])
 def test_a_demo_that_was_stopped_names_the_command_that_goes_on(
     cause, tmp_path, monkeypatch, capsys
@@ -238,8 +205,35 @@ def test_a_demo_that_was_stopped_names_the_command_that_goes_on(
     assert f"eitskin demo --out '{tmp_path}/a b' --workers 5 --seed 3\n" in capsys.readouterr().err
 
 
-def test_missing_packages_are_named_before_anything_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "jinja2" else 1)
-    with pytest.raises(ImportError, match=r"jinja2.*eitskin\[demo\]"):
-        demo.command(out=tmp_path / "demo")
-    assert not (tmp_path / "demo").exists()
+@pytest.mark.slow
+def test_the_film_has_every_moment_and_begins_with_the_fullest():
+    places, true = (
+        [[40.0, 20.0], [110.0, 40.0]],
+        [[], [[40.0, 20.0], [110.0, 40.0]], [[40.0, 20.0]]],
+    )
+    rows = [
+        {
+            "states": [state] * 2,
+            "angles_deg": [angle] * 2,
+            "true_angle_deg": 20.0,
+            "found_mm": [places[: len(touches)]] * 2,
+            "true_touches_mm": touches,
+        }
+        for state, angle, touches in zip(
+            ("idle", "touch", "bend"), (0.0, 20.0, np.nan), true, strict=True
+        )
+    ]
+    film = Image.open(io.BytesIO(pictures.episode_film(rows, SensorDesign.reference())))
+    assert film.n_frames == 6
+    first = np.asarray(film.convert("RGB"))
+    film.seek(4)
+    assert np.abs(first - np.asarray(film.convert("RGB")).astype(float)).max() > 100
+
+
+def test_touches_are_drawn_on_the_bent_face():
+    axes, shape = Figure().add_subplot(projection="3d"), GelShape.of(SensorDesign.reference())
+    pictures.draw_touches(axes, shape, 30.0, [[40.0, 20.0], [110.0, 40.0]])
+    shown = np.stack(axes.collections[0]._offsets3d, 1)
+    flat = np.array([(40.0, 20.0, 5.0), (110.0, 40.0, 5.0)])
+    assert np.allclose(shown, 1e3 * shape.bent(30.0, [], 1e-3 * flat))
+    assert not np.allclose(shown, flat, atol=1.0)

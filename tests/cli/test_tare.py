@@ -12,7 +12,7 @@ from eitskin.datasets import ShardWriter
 from eitskin.errors import DataError
 from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import Frame, Protocol, Simulator
-from eitskin.training import StoredReference, Zero
+from eitskin.training import Pipeline, StoredReference, Zero
 
 FLAT = "virtual:?speed=max"
 kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
@@ -55,7 +55,7 @@ def test_the_reference_knows_its_board_and_zero(reference):
 
 
 def test_the_reference_may_be_that_of_a_dataset(tmp_path):
-    path, flat = tmp_path / "r.json", np.linspace(400.0, 800.0, 28)
+    path, flat = tmp_path / "r.json", 1.1 * Pipeline.load("reference.eitmodel").layout.reference
     with ShardWriter(tmp_path / "run") as writer:
         writer.append(Frame(flat, Protocol.pairwise(8)))
     run("tare", "reference.eitmodel", "--dataset", tmp_path / "run", "--mounted", "--out", path)

@@ -323,6 +323,7 @@ def test_ctrl_c_while_the_commands_load_says_so(monkeypatch, capsys):
         ("bench accuracy", "bench"),
         ("bench all", "training,bench"),
         ("train data --out a.eitmodel", "training"),
+        ("demo", "training,view"),
     ],
 )
 def test_all_that_is_missing_is_named_before_the_work(arguments, extras, monkeypatch, tmp_path):
