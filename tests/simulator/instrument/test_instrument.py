@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import truncnorm
 
 from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Instrument, Protocol, Scene, Status
-from eitskin.simulator.instrument.ad5940 import EXCITATIONS
 from eitskin.simulator.instrument.session import DRIFT_TIME, RandomWalk
 
 PAIRS = Protocol.pairwise(8)
@@ -42,6 +41,7 @@ def test_with_every_term_off_nothing_changes():
     np.testing.assert_array_equal(measured, Z)
     assert not status.any()
     assert not OFF.offsets(PAIRS).any()
+    np.testing.assert_allclose(Instrument.ad5940().offsets(PAIRS), 10.6e-3 * np.arange(28))
     # White noise alone is the default, and the board has every term.
     assert Instrument() == only(snr_db=75.0)
     board = Instrument.ad5940()
@@ -52,19 +52,18 @@ def test_with_every_term_off_nothing_changes():
 # ---- noise ----
 
 
-@pytest.mark.parametrize("snr_db", [60.0, 75.0, 90.0])
-def test_white_noise_lies_below_full_scale_in_both_quadratures(snr_db):
+def test_white_noise_lies_below_full_scale_in_both_quadratures():
     frames = np.tile(FLAT, (1000, 1))
-    session = started(only(snr_db=snr_db))
+    session = started(only(snr_db=60.0))
     noise = session.measure(frames, np.zeros(1000), np.random.default_rng(3))[0] - FLAT
-    expected = FULL_SCALE * 10 ** (-snr_db / 20)
+    expected = FULL_SCALE * 10 ** (-60 / 20)
     # 28,000 values: four standard errors of a standard deviation are 1.7 %.
     assert noise.real.std() == pytest.approx(expected, rel=0.017)
     assert noise.imag.std() == pytest.approx(expected, rel=0.017)
     assert abs(np.corrcoef(noise.real.ravel(), noise.imag.ravel())[0, 1]) < 0.024
 
 
-@pytest.mark.parametrize("excitation", EXCITATIONS)
+@pytest.mark.parametrize("excitation", [0.607, 0.015])
 def test_floor_is_a_voltage_over_the_current(excitation):
     session = started(only(floor=1.9e-6, excitation=excitation))
     frames = np.tile(FLAT, (2000, 1))
@@ -122,15 +121,8 @@ def test_the_gel_drifts_before_the_stray_capacitance_and_the_electronics_after_i
 # ---- gain, phase, reciprocity ----
 
 
-def cut_deviation(deviation, limit):
-    """Standard deviation of a normal distribution cut off at +-limit."""
-    a = limit / deviation
-    return deviation * np.sqrt(1 - 2 * a * norm.pdf(a) / (2 * norm.cdf(a) - 1))
-
-
 @pytest.mark.parametrize(
-    ("term", "deviation", "limit"),
-    [*(("gain", d, 0.0125) for d in (0.002, 0.0125)), *(("phase_deg", d, 0.3) for d in (0.1, 0.3))],
+    ("term", "deviation", "limit"), [("gain", 0.0125, 0.0125), ("phase_deg", 0.1, 0.3)]
 )
 def test_gain_and_phase_have_their_deviation_and_end_at_their_limit(term, deviation, limit):
     factors = np.array([read(only(**{term: deviation}), seed=s)[0] / FLAT for s in range(1000)])
@@ -141,7 +133,8 @@ def test_gain_and_phase_have_their_deviation_and_end_at_their_limit(term, deviat
     else:
         found = np.angle(factors[:, 0], deg=True)
         np.testing.assert_allclose(np.abs(factors), 1.0, rtol=1e-12)
-    assert found.std() == pytest.approx(cut_deviation(deviation, limit), rel=0.09)
+    expected = deviation * truncnorm.std(-limit / deviation, limit / deviation)
+    assert found.std() == pytest.approx(expected, rel=0.09)
     assert np.abs(found).max() <= limit
     assert abs(found.mean()) < 4 * deviation / np.sqrt(1000)
 
@@ -165,19 +158,11 @@ def test_100_pF_is_39_8_kohm_at_40_kHz_and_turns_1_kohm_by_1_4_deg():
     w = 2 * np.pi * 40e3
     assert 1 / (w * 100e-12) == pytest.approx(39.8e3, rel=1e-3)
     (Z,), _ = read(only(stray_capacitance=(1e-10, 1e-10)), [1000.0], protocol=Protocol.pairwise(2))
+    drawn = read(only(stray_capacitance=(40e-12, 100e-12)))[0]
+    capacitance = (1 / drawn).imag / w
+    assert (capacitance.min(), capacitance.max()) == pytest.approx((42e-12, 98e-12), abs=2.1e-12)
     assert Z == pytest.approx(1 / (1 / 1000.0 + 1j * w * 100e-12), rel=1e-12)
     assert np.angle(Z, deg=True) == pytest.approx(-1.4397, abs=1e-4)
-
-
-def test_each_drive_pair_draws_a_capacitance_from_the_range():
-    instrument = only(stray_capacitance=(40e-12, 100e-12))
-    readings = np.array([read(instrument, seed=seed)[0] for seed in range(200)])
-    found = (1 / readings).imag / (2 * np.pi * 40e3)
-    assert 40e-12 <= found.min() < 40.1e-12
-    assert 99.9e-12 < found.max() <= 100e-12
-    assert found.mean() == pytest.approx(70e-12, rel=0.015)
-    assert found.std() == pytest.approx(60e-12 / np.sqrt(12), rel=0.03)
-    assert len(np.unique(found[0])) == 28
 
 
 def test_measurements_that_share_a_drive_pair_share_its_capacitance_and_current():
@@ -206,12 +191,6 @@ def test_terms_that_need_the_drive_pairs_impedance_ask_for_it():
 
 
 # ---- together ----
-
-
-def test_measurements_of_a_frame_follow_each_other_by_10_6_ms():
-    offsets = Instrument.ad5940().offsets(PAIRS)
-    np.testing.assert_allclose(offsets, 10.6e-3 * np.arange(28))
-    np.testing.assert_array_equal(only(measurement_time=0.02).offsets(PAIRS)[:3], [0, 0.02, 0.04])
 
 
 def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
@@ -269,22 +248,10 @@ def test_a_simulator_takes_each_frame_in_a_session_of_its_own_and_passes_the_sta
     ("terms", "message"),
     [
         ({"snr_db": 19.9}, r"snr_db.*20 to 120 dB.*19.9"),
-        ({"snr_db": 121.0}, "snr_db"),
-        ({"snr_db": np.nan}, "snr_db"),
         ({"floor": 1.9}, r"floor.*0 to 0.001 V.*1.9"),
-        ({"drift": 0.2}, "drift"),
-        ({"drift": -0.1}, "drift"),
-        ({"gel_drift": 1.0}, "gel_drift"),
-        ({"gain": 0.013}, r"gain.*0 to 0.0125"),
-        ({"phase_deg": 0.31}, r"phase_deg.*0 to 0.3 deg"),
-        ({"reciprocity": 0.4}, "reciprocity"),
+        ({"drift": np.nan}, "drift"),
         ({"excitation": 0.5}, r"excitation.*0, 0.607, 0.121, 0.075, 0.015, got 0.5"),
-        ({"pga_range": 1.0}, "pga_range"),
-        ({"rtia": 0.0}, r"rtia.*200"),
-        ({"stray_capacitance": (100e-12, 40e-12)}, "stray_capacitance"),
-        ({"stray_capacitance": (-1e-12, 40e-12)}, "stray_capacitance"),
-        ({"stray_capacitance": (40.0, 100.0)}, "up to 1e-09 F"),
-        ({"measurement_time": 10.6}, "measurement_time"),
+        ({"stray_capacitance": (100e-12, 40e-12)}, "stray_capacitance.*up to 1e-09 F"),
         ({"snr_db": 10.0, "gain": 1.0, "rtia": 1.0}, "snr_db.*gain.*rtia"),  # all at once
     ],
 )

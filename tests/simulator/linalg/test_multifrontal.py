@@ -24,13 +24,19 @@ def grid(n, m):
     return cells.reshape(-1, 4), middles.reshape(-1, 2).astype(float)
 
 
+def positions(cells):
+    """Rows and columns of the lower triangle of a sum of cells."""
+    i, j = np.tril_indices(cells.shape[1])
+    first, second = cells[:, i].ravel(), cells[:, j].ravel()
+    return np.maximum(first, second), np.minimum(first, second)
+
+
 def assembled(cells, parts):
-    """Rows, columns and values of the lower triangle of a sum of cells, and the dense matrix."""
+    """Values at these positions, and the dense matrix."""
     A = np.zeros((cells.max() + 1,) * 2, dtype=parts.dtype)
     np.add.at(A, (cells[:, :, None], cells[:, None]), parts)
     i, j = np.tril_indices(cells.shape[1])
-    first, second = cells[:, i].ravel(), cells[:, j].ravel()
-    return np.maximum(first, second), np.minimum(first, second), parts[:, i, j].ravel(), A
+    return parts[:, i, j].ravel(), A
 
 
 def blocks_of(order, rows, columns, cells, middles):
@@ -52,7 +58,7 @@ def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch)
     if kind == "complex":
         more = rng.normal(size=parts.shape)
         parts = parts + 1j * (more + more.swapaxes(1, 2))
-    rows, columns, values, A = assembled(cells, parts)
+    (rows, columns), (values, A) = positions(cells), assembled(cells, parts)
     solver = MultifrontalSolver(rows, columns, blocks_of(order, rows, columns, cells, middles))
     B = rng.normal(size=(len(A), 3))
     factors, wanted = solver.factorise(values), np.linalg.solve(A, B)
@@ -72,7 +78,7 @@ def indefinite(rng):
     cells = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
     parts = rng.normal(size=(len(cells), 12, 12))
     parts += parts.swapaxes(1, 2)
-    A = np.pad(assembled(cells, parts)[3], (0, 1))
+    A = np.pad(assembled(cells, parts)[1], (0, 1))
     A[-1, :-1] = A[:-1, -1] = rng.normal(size=len(A) - 1)
     blocks = dissection(cells, middles)
     return A, [*blocks, Block(np.array([len(A) - 1]), (len(blocks) - 1,))]
@@ -96,24 +102,12 @@ def test_a_singular_matrix_is_refused() -> None:
         factorised(csc_array(A), blocks)
 
 
-@pytest.mark.parametrize("order", ["strips", "dissected"])
-def test_each_unknown_is_eliminated_once(order, monkeypatch) -> None:
-    monkeypatch.setattr(elimination_order, "_LEAF", 10)
-    cells, middles = grid(9, 9)
-    rows, columns, _, _ = assembled(cells, np.zeros((81, 4, 4)))
-    solver = MultifrontalSolver(rows, columns, blocks_of(order, rows, columns, cells, middles))
-    ends = [(front.own.start, front.own.stop) for front in solver.fronts]
-    assert [first for first, _ in ends] == [0, *(last for _, last in ends[:-1])]
-    assert ends[-1][1] == 100
-    assert len(ends) >= 9
-
-
 def test_factors_grow_as_n_log_n(monkeypatch) -> None:
     monkeypatch.setattr(elimination_order, "_LEAF", 20)
 
     def entries(n):
         cells, middles = grid(n, n)
-        rows, columns, _, _ = assembled(cells, np.zeros((n * n, 4, 4)))
+        rows, columns = positions(cells)
         fronts = MultifrontalSolver(rows, columns, dissection(cells, middles)).fronts
         return sum(front.size * (front.size + front.outer) for front in fronts)
 
@@ -124,21 +118,15 @@ def test_the_order_suits_the_shape() -> None:
     names = []
     for n, m in ((80, 4), (200, 200)):
         cells, middles = grid(n, m)
-        rows, columns, _, _ = assembled(cells, np.zeros((n * m, 4, 4)))
         first = np.flatnonzero(middles[:, 0] == 0.0)
-        names.append(choose_order(None, (rows, columns), cells, middles, first)[0])
+        names.append(choose_order(None, positions(cells), cells, middles, first)[0])
     assert names == ["block Cholesky", "nested dissection"]
 
 
-def test_a_body_in_two_parts_is_refused() -> None:
-    """Two elements that share no unknown: from the first, nothing reaches the second."""
-    with pytest.raises(ConfigurationError, match="parts"):
-        level_structure(np.array([[0, 1], [2, 3]]), np.array([0]))
-
-
-def test_sparse_lu_is_served_by_nested_dissection() -> None:
+def test_orders_that_are_deprecated_and_bodies_in_parts() -> None:
     cells, middles = grid(3, 3)
-    rows, columns, _, _ = assembled(cells, np.zeros((9, 4, 4)))
     with pytest.warns(DeprecationWarning, match="nested dissection"):
-        name, _ = choose_order("sparse LU", (rows, columns), cells, middles, np.array([0]))
+        name, _ = choose_order("sparse LU", positions(cells), cells, middles, np.array([0]))
     assert name == "nested dissection"
+    with pytest.raises(ConfigurationError, match="parts"):  # two elements that share no unknown
+        level_structure(np.array([[0, 1], [2, 3]]), np.array([0]))

@@ -54,16 +54,13 @@ def test_a_ball_presses_with_its_weight_where_it_lies(simulator) -> None:
     assert touch.force == pytest.approx(0.5 * WEIGHT, rel=1e-3)
     assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-5), pytest.approx(0.02, abs=1e-5))
     assert touch.indenter == Cylinder()
-    own = MujocoSkin(simulator, model, "skin", rules=TouchRules(indenter=None))
-    assert own.touches(data)[0].indenter == Sphere(0.0075)
-
-
-def test_the_corners_of_a_box_are_one_touch_in_its_middle(simulator) -> None:
-    model, data = loaded(weight('type="box" size=".004 .003 .01"', -0.03, 0.005, 0.017, 0.4))
-    assert data.ncon == 4
-    (touch,) = MujocoSkin(simulator, model, "skin").touches(data)
+    box, boxed = loaded(weight('type="box" size=".004 .003 .01"', -0.03, 0.005, 0.017, 0.4))
+    assert boxed.ncon == 4  # its corners are one touch in its middle
+    (touch,) = MujocoSkin(simulator, box, "skin").touches(boxed)
     assert touch.force == pytest.approx(0.4 * WEIGHT, rel=1e-3)
     assert (touch.x, touch.y) == (pytest.approx(0.045, abs=1e-4), pytest.approx(0.035, abs=1e-4))
+    own = MujocoSkin(simulator, model, "skin", rules=TouchRules(indenter=None))
+    assert own.touches(data)[0].indenter == Sphere(0.0075)
 
 
 def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulator) -> None:

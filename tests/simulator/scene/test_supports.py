@@ -14,7 +14,6 @@ from eitskin.geometry import (
     Hinge,
     Plates,
     Rigid,
-    Roll,
     SensorDesign,
     Substrate,
     Twist,
@@ -61,7 +60,6 @@ def test_the_support_of_a_scene_takes_the_place_of_the_design() -> None:
     ("scene", "fixture", "message"),
     [
         (Scene(Bend(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
-        (Scene(roll=Roll(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
         (Scene(twist=Twist(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
         (Scene(Bend(5.0), support=Plates(0.03)), None, "0.03 m apart, .* fixture 0.04 m"),
         (Scene(Bend(5.0), support=Plates()), FreeArc(0.1), "needs the clamp of the plates"),

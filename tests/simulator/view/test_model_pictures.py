@@ -47,18 +47,6 @@ def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["hexahedra", "prisms", "tetrahedra"])
-def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(kind) -> None:
-    if kind == "tetrahedra":
-        pytest.importorskip("pytetwild")
-    mesh = mesh_design(BAR, COARSE, kind)
-    assert shapes.volume(mesh).volume == pytest.approx(0.040 * 0.010 * 0.005, rel=1e-5)
-    assert shapes.electrode_plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
-    _, normal = shapes.electrode_corners(mesh, 1)
-    assert normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
-
-
-@pytest.mark.slow
 def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
     electrodes = (
         Electrode(0.060, 0.030),

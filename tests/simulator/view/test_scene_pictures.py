@@ -99,26 +99,6 @@ def test_the_current_in_a_bent_bar_falls_with_the_radius() -> None:
     assert np.ptp(r) > 0.1 * r.mean()
 
 
-def test_all_current_passes_every_section_of_a_bent_pressed_sensor(sim) -> None:
-    """Through flat sections x = const, of which the deformed ones are the images."""
-    model = ForwardModel(sim.design, ((1, 1), Grading(2.5e-3, 2.5e-3, 1.0, 2)))
-    scene = Scene(Bend(30.0), (Touch(0.100, 0.030),))
-    deformation = sim.deformation(scene)
-    j = deformed_current_density(
-        model, deformation, (7, 3), sim.conductivity(scene), sim.area_ratio(scene)
-    )
-    corners = model.mesh.points[model.mesh.cells]
-    F = deformation.gradient(corners.mean(axis=1))
-    # The area of the image of a section is J F^-T e_x (Nanson).
-    through = np.einsum("ci,ci->c", np.linalg.inv(F)[:, 0], j) * np.linalg.det(F)
-    volumes = np.prod(np.ptp(corners, axis=1), axis=1)
-    middles = corners[..., 0].mean(axis=1)
-    for x in (0.05, 0.100):
-        near = np.abs(middles - x) < 0.010
-        length = np.ptp(corners[near][..., 0])
-        assert (through * volumes)[near].sum() / length == pytest.approx(1.0, rel=1e-3)
-
-
 def test_the_pair_that_changes_most_is_found(sim) -> None:
     scene = Scene(touches=(Touch(0.13, 0.03),))
     change = np.abs(sim.measure(scene).impedance / sim.measure(Scene()).impedance - 1.0)
@@ -127,12 +107,10 @@ def test_the_pair_that_changes_most_is_found(sim) -> None:
     assert set(best) <= {2, 3, 4}  # at the end that is pressed
     flat = sim.measure(Scene()).impedance.real
     assert most_changed(sim, Scene()) == sim.protocol.table[int(np.argmax(flat))][:2]
-
-
-def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> None:
+    # Values that are zero by symmetry are not those that change most.
     symmetric = Protocol(((1, 5, 3, 7), (0, 4, 0, 4)), 8)
-    sim = Simulator(SensorDesign.reference(), "fast", protocol=symmetric)
-    assert most_changed(sim, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
+    other = Simulator(SensorDesign.reference(), "coarse", protocol=symmetric)
+    assert most_changed(other, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
 
 
 # Drawing
@@ -183,11 +161,10 @@ def few_cells(monkeypatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
-@pytest.mark.parametrize("colour", ["strain", "current"])
-def test_a_bent_pressed_sensor_is_drawn_whole(sim, colour, tmp_path) -> None:
+def test_a_bent_pressed_sensor_is_drawn_whole(sim, tmp_path) -> None:
     path = tmp_path / "scene.png"
     scene = Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
-    draw_scenes(sim, [("bent and pressed", scene)], path, colour)
+    draw_scenes(sim, [("bent and pressed", scene)], path, "strain")
     pixels = colours(path)
     assert (pixels.min(axis=2) < 250).mean() > 0.15
     rim = np.concatenate([pixels[-3:].reshape(-1, 3), pixels[:, -3:].reshape(-1, 3)])

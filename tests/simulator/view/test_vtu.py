@@ -10,11 +10,10 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.kinematics import largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.simulator.view import shapes
 from eitskin.simulator.view.scene_pictures import deformed_current_density
 from eitskin.simulator.view.vtu import (
     BODY,
@@ -102,17 +101,6 @@ def test_fields_are_those_of_the_model(sim, written) -> None:
         assert ends[of == plus][0] - ends[of == minus][0] == pytest.approx(value, rel=1e-9)
 
 
-def test_potentials_of_body_and_electrodes_count_from_one_place(sim, written) -> None:
-    """An electrode without current has the mean potential of what it touches."""
-    body, electrodes = written
-    facets = sim.model.mesh.contacts.facets
-    for electrode in (1, 2, 5, 6):
-        under = body["potential_0_4_V_per_A"][np.unique(facets[electrode])]
-        said = electrodes["potential_0_4_V_per_A"][electrodes["electrode"] == electrode]
-        assert np.ptp(said) == 0.0
-        assert under.min() < said[0] < under.max()
-
-
 @pytest.mark.slow
 def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
     design = SensorDesign.reference()
@@ -180,20 +168,6 @@ def test_cells_are_as_small_as_asked_and_folders_must_be_there(tmp_path) -> None
             field_resolution(design, wrong)
     with pytest.raises(ConfigurationError, match="cannot write"):
         write_grids({BODY: pyvista.Sphere()}, tmp_path / "nowhere")
-
-
-@pytest.mark.slow
-def test_other_cells_are_written_too(tmp_path) -> None:
-    """A disc, of prisms."""
-    (tmp_path / "disc.toml").write_text(
-        "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"
-    )
-    design = SensorDesign.from_toml(tmp_path / "disc.toml")
-    sim = Simulator(design, field_resolution(design, 0.006), Hinge())
-    write_grids(scene_grids(sim, Scene(bend=Bend(10.0)), [(0, 3)]), tmp_path)
-    body = pyvista.read(tmp_path / BODY)
-    assert np.array_equal(body.cells_dict[13], shapes.volume(sim.model.mesh).cells_dict[13])
-    assert body["displacement_m"].any()
 
 
 # The command
