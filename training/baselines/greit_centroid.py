@@ -82,7 +82,9 @@ class GreitMethod(Method):
         thresholds = np.array([best_threshold(size_of(dynamic), touched), bent_above])
         progress(cls.KIND, 1, 1)
         radius = float(np.nanmedian(data.touch_radius))
-        sign = sign_of(np.tensordot(dynamic[touched], matrix, 1))
+        shown = np.tensordot(dynamic[touched], matrix, 1).reshape(int(touched.sum()), -1)
+        largest = np.take_along_axis(shown, np.abs(shown).argmax(axis=1)[:, None], axis=1)
+        sign = 1.0 if np.mean(largest > 0) >= 0.5 else -1.0  # of most pictures' largest value
         return cls(sign * matrix, still, moving, thresholds, spec, radius, states)
 
     @property
@@ -98,9 +100,12 @@ class GreitMethod(Method):
         state = np.where(touched, State.TOUCH, np.where(bent, State.BEND, State.IDLE))
         probabilities = np.full((len(state), len(State)), np.nan)
         probabilities[:, self.states] = state[:, None] == self.states
-        found = {row: self._touches(dynamic[row]) for row in np.flatnonzero(touched).tolist()}
-        most = max(map(len, found.values()), default=0)
-        placed = np.full((len(state), most, 3), np.nan)
+        found = {}
+        for row in np.flatnonzero(touched).tolist():
+            picture = np.tensordot(dynamic[row], self.matrix, 1)
+            scaled = picture / max(float(picture.max()), 1e-300)
+            found[row] = find_touches(scaled, self.spec.outline, HALF)
+        placed = np.full((len(state), max(map(len, found.values()), default=0), 3), np.nan)
         for row, touches in found.items():
             placed[row, : len(touches)] = touches
         return Predictions.of(
@@ -111,11 +116,6 @@ class GreitMethod(Method):
             strength=placed[..., 2],
             radius=self.radius,
         )
-
-    def _touches(self, difference: Array) -> Array:
-        """Touches (k, 3) of x [m], y [m] and strength of one frame's dV (C,)."""
-        picture = np.tensordot(difference, self.matrix, 1)
-        return find_touches(picture / max(float(picture.max()), 1e-300), self.spec.outline, HALF)
 
     def arrays(self) -> Arrays:
         return field_arrays(self)
@@ -134,13 +134,6 @@ def size_of(difference: Array) -> Array:
     """Norms (n,) of dV (n, C)."""
     size: Array = np.linalg.norm(difference, axis=1)
     return size
-
-
-def sign_of(pictures: Array) -> float:
-    """Sign of the largest values of pictures (n, rows, columns), of most of them."""
-    flat = pictures.reshape(len(pictures), -1)
-    largest = flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)]
-    return 1.0 if np.sum(largest > 0) >= len(flat) / 2 else -1.0
 
 
 def best_threshold(sizes: Array, above: NDArray[np.bool_]) -> float:

@@ -1,6 +1,5 @@
 """Regressions of the baselines: ridge regression, multilayer perceptrons, randomised trees."""
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -49,7 +48,7 @@ class RidgeMethod(TableMethod):
         seed: int,  # noqa: ARG003  nothing is random
         progress: Progress,  # noqa: ARG003  done at once
     ) -> dict[str, Array]:
-        table = with_squares(features) if options.squares else features
+        table = np.hstack([features, features**2]) if options.squares else features
         middle = table.mean(axis=0)
         U, s, Vt = np.linalg.svd(table - middle, full_matrices=False)
         projected, rest = U.T @ truth, np.sum(truth**2)
@@ -65,14 +64,10 @@ class RidgeMethod(TableMethod):
     @staticmethod
     def apply(arrays: Mapping[str, NDArray[Any]], features: Array) -> Array:
         weights, middle = arrays["weights"], arrays["middle"]
-        table = with_squares(features) if len(weights) > features.shape[1] else features
+        squared = len(weights) > features.shape[1]
+        table = np.hstack([features, features**2]) if squared else features
         values: Array = (table - middle) @ weights
         return values
-
-
-def with_squares(features: Array) -> Array:
-    """Features (n, F) and their squares, (n, 2 F)."""
-    return np.hstack([features, features**2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,19 +107,17 @@ class MlpMethod(TableMethod):
     ) -> dict[str, NDArray[np.float32]]:
         require("torch", "training")
         import torch
-        from torch.nn import Linear, ReLU, Sequential
 
-        from eitskin.training.method.network_training import seeded_network, train_network
+        from eitskin.training.method.network_training import (
+            as_tensor,
+            dense_layers,
+            seeded_network,
+            train_network,
+        )
 
-        widths = [features.shape[1], *[options.width] * options.layers]
-        pairs = list(itertools.pairwise(widths))
-
-        def layers() -> Sequential:
-            hidden = [layer for a, b in pairs for layer in (Linear(a, b), ReLU())]
-            return Sequential(*hidden, Linear(widths[-1], truth.shape[1]))
-
-        network = seeded_network(layers, seed)
-        inputs, wanted = (torch.as_tensor(a, dtype=torch.float32) for a in (features, truth))
+        sizes = [features.shape[1], *[options.width] * options.layers, truth.shape[1]]
+        network = seeded_network(lambda: dense_layers(sizes, torch.nn.ReLU), seed)
+        inputs, wanted = as_tensor(features), as_tensor(truth)
         with one_torch_thread():  # networks this small are slower on several
             train_network(
                 network,

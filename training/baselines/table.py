@@ -30,6 +30,7 @@ from eitskin.training.method.stored_fields import (
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames, most_probable
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 FEWEST = 20  # frames of a table
 SOFT = 3.0  # noises below which the direction of a difference fades
@@ -68,33 +69,14 @@ class Features(StoredFields):
 
     def apply(self, observations: Observations) -> Array:
         """Table of features (n, F)."""
-        static, dynamic = (
-            self.static.fill(observations.static),
-            self.dynamic.fill(observations.dynamic),
-        )
+        static = self.static.fill(observations.static)
+        dynamic = self.dynamic.fill(observations.dynamic)
         floor = self.noise * np.sqrt(static.shape[1])
         sizes = [np.linalg.norm(dV, axis=1, keepdims=True) for dV in (static, dynamic)]
         direction = dynamic / np.hypot(sizes[1], SOFT * floor)
         logs = [np.log1p(size / floor) for size in sizes]
         table: Array = (np.hstack([static, direction, *logs]) - self.mean) / self.scale
         return table
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One regression of a method.
-
-    Attributes:
-        name: "state" and "count" are indicators of classes (regression on an indicator matrix,
-            Hastie et al. 2009, section 4.2), "angle" is [deg], and "touch2" x and y [m] and, where
-            known, force [N] of two touches, in the order of x.
-        rows: frames (m,) that have labels.
-        truth: (m, K).
-    """
-
-    name: str
-    rows: NDArray[np.int64]
-    truth: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,14 +124,13 @@ class TableMethod(Method):
         features = Features.fit(frames)
         table, data = features.apply(frames.observations), frames.dataset
         tasks, found = list(_tasks(data, frames.targets)), {}
-        for number, task in enumerate(tasks):
+        for number, (name, rows, truth) in enumerate(tasks):
             progress(cls.KIND, number, len(tasks))
-            mean, scale = task.truth.mean(axis=0), task.truth.std(axis=0)
+            mean, scale = truth.mean(axis=0), truth.std(axis=0)
             scale = np.where(scale > 0, scale, 1.0)
-            learned = cls.learn(
-                table[task.rows], (task.truth - mean) / scale, options, settings.seed, progress
-            )
-            found[task.name] = {**learned, "mean": mean, "scale": scale}
+            wanted = (truth - mean) / scale
+            learned = cls.learn(table[rows], wanted, options, settings.seed, progress)
+            found[name] = {**learned, "mean": mean, "scale": scale}
         progress(cls.KIND, len(tasks), len(tasks))
         if not found:
             raise DataError(
@@ -174,7 +155,8 @@ class TableMethod(Method):
         count, targets = len(table), self.targets
         probabilities = np.full((count, len(State)), np.nan)
         if self.states:
-            probabilities[:, self.states] = _shares(self._values(STATE, table))
+            positive = np.clip(self._values(STATE, table), 1e-6, None)
+            probabilities[:, self.states] = positive / positive.sum(axis=1, keepdims=True)
         placed = np.full((count, max(self.counts, default=0), 3), np.nan)
         touched = np.flatnonzero(most_probable(probabilities) == State.TOUCH)
         if targets.touches and len(touched):
@@ -219,23 +201,24 @@ class TableMethod(Method):
         return cls(**restored_fields(cls, arrays, tasks=tasks, spec=spec))
 
 
-def _shares(values: Array) -> Array:
-    """Probabilities (n, K) from regressed indicators: at least 0, adding up to 1."""
-    positive = np.clip(values, 1e-6, None)
-    shares: Array = positive / positive.sum(axis=1, keepdims=True)
-    return shares
+def _tasks(data: Dataset, targets: Targets) -> Iterator[tuple[str, Rows, Array]]:
+    """Regressions that a dataset has at least `FEWEST` frames for.
 
-
-def _tasks(data: Dataset, targets: Targets) -> Iterator[Task]:
-    """Regressions that a dataset has at least `FEWEST` frames for."""
+    Yields:
+        name: "state" and "count" are indicators of classes (regression on an indicator matrix,
+            Hastie et al. 2009, section 4.2), "angle" is [deg], and "touch2" x and y [m] and, where
+            known, force [N] of two touches, in the order of x.
+        rows: frames (m,) that have labels.
+        truth: (m, K).
+    """
     if targets.states:
         rows = np.flatnonzero(data.state != UNKNOWN_STATE)
         classes = [STATE_NAMES.index(name) for name in targets.states]
-        yield Task(STATE, rows, (data.state[rows, None] == classes).astype(float))
+        yield STATE, rows, (data.state[rows, None] == classes).astype(float)
     angle = data.bend_angle_deg.astype(float)
     rows = np.flatnonzero(np.isfinite(angle))
     if targets.angle and len(rows) >= FEWEST:
-        yield Task(ANGLE, rows, angle[rows, None])
+        yield ANGLE, rows, angle[rows, None]
     if "touch" not in targets.states or not targets.touches:
         return
     columns = [data.touch_x, data.touch_y, *([data.touch_force] if targets.force else [])]
@@ -245,9 +228,9 @@ def _tasks(data: Dataset, targets: Targets) -> Iterator[Task]:
     counts = [int(n) for n in np.unique(known[known > 0]) if np.sum(known == n) >= FEWEST]
     if len(counts) > 1:
         rows = np.flatnonzero(np.isin(known, counts))
-        yield Task(COUNT, rows, (known[rows, None] == counts).astype(float))
+        yield COUNT, rows, (known[rows, None] == counts).astype(float)
     for number in counts:
         rows = np.flatnonzero(known == number)
         order = np.argsort(values[rows, :, 0], axis=1)[:, :number]  # NaN last
         ordered = np.take_along_axis(values[rows], order[..., None], axis=1)
-        yield Task(f"{TOUCH}{number}", rows, ordered.reshape(len(rows), -1))
+        yield f"{TOUCH}{number}", rows, ordered.reshape(len(rows), -1)

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol as Interface
 
@@ -250,19 +250,17 @@ def _reference_rows(angles: Array, free: Mask, row: int) -> list[int]:
         row: of the frame.
     """
     fits = free & (np.isnan(angles[row]) | (np.abs(angles[row] - angles) <= FLAT_DEG))
-
-    def run(rows: Iterable[int]) -> list[int]:
-        """The first in succession that fit, all of one angle."""
-        found: list[int] = []
+    for rows in (range(row - 1, -1, -1), range(row + 1, len(angles))):
+        found: list[int] = []  # the first in succession that fit, all of one angle
         for other in rows:
             with_first = not found or abs(angles[found[0]] - angles[other]) <= FLAT_DEG
             if fits[other] and with_first:
                 found.append(other)
             elif found:
                 break
-        return found
-
-    return run(range(row - 1, -1, -1)) or run(range(row + 1, len(angles)))
+        if found:
+            return found
+    return []
 
 
 def _touches(labels: Sequence[FrameLabel], spec: InputSpec) -> Array:

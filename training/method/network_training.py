@@ -51,11 +51,11 @@ def linear_layers(
     return tuple(as_array(x.weight) for x in linear), tuple(as_array(x.bias) for x in linear)
 
 
-def dense_layers(sizes: Sequence[int]) -> nn.Sequential:
-    """Linear layers of these sizes, with SiLU between."""
+def dense_layers(sizes: Sequence[int], between: type[nn.Module] = nn.SiLU) -> nn.Sequential:
+    """Linear layers of these sizes, with a function between them."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.SiLU()]
+        layers += [nn.Linear(inputs, outputs), between()]
     return nn.Sequential(*layers[:-1])
 
 

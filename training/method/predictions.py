@@ -206,14 +206,12 @@ class Predictions:
     @classmethod
     def joined(cls, parts: "Sequence[Predictions]") -> "Predictions":
         """Concatenate the frames of all parts, in their order."""
-        return cls(
-            np.concatenate([part.probabilities for part in parts]),
-            np.concatenate([part.bend_angle_deg for part in parts]),
-            np.concatenate([part.bend_deviation_deg for part in parts]),
-            np.concatenate([part.touch_map for part in parts]),
-            tuple(touches for part in parts for touches in part.touches),
-            tuple(problems for part in parts for problems in part.problems),
-        )
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")
+        }
+        touches = tuple(touches for part in parts for touches in part.touches)
+        return cls(**joined, touches=touches, problems=sum((p.problems for p in parts), ()))
 
     @property
     def state(self) -> NDArray[np.int64]:

@@ -127,18 +127,6 @@ def with_implied_labels(dataset: Dataset) -> Dataset:
     return dataclasses.replace(dataset, state=state, bend_angle_deg=angle)
 
 
-def with_usual_radius(dataset: Dataset) -> Dataset:
-    """The dataset with the median radius of its indenters where a touch has none.
-
-    `NOMINAL_RADIUS` where no radius is known.
-    """
-    radius = dataset.touch_radius
-    known = radius[np.isfinite(radius)]
-    usual = float(np.median(known)) if known.size else NOMINAL_RADIUS
-    lacking = np.isfinite(dataset.touch_x) & ~np.isfinite(radius)
-    return dataclasses.replace(dataset, touch_radius=np.where(lacking, usual, radius))
-
-
 def require_targets(dataset: Dataset) -> Targets:
     """Quantities that a dataset has labels for; raises DataError where there are none."""
     targets = Targets.of(dataset)
@@ -194,6 +182,8 @@ class TrainingFrames:
 def learnable(dataset: Dataset) -> tuple[Dataset, SensorDesign, Protocol]:
     """The dataset with labels that follow from others, its sensor and its table of measurements.
 
+    A touch without a radius has the median of the others, or else `NOMINAL_RADIUS`.
+
     Raises DataError for a dataset without design, protocol or labels, or with positions of touches
     alone.
     """
@@ -202,7 +192,13 @@ def learnable(dataset: Dataset) -> tuple[Dataset, SensorDesign, Protocol]:
             "expected a dataset that names its sensor's design and table of measurements, got "
             "one without; learn touch positions from it, or save it with a design"
         )
-    complete = with_usual_radius(with_implied_labels(dataset))
+    radius = dataset.touch_radius
+    known = radius[np.isfinite(radius)]
+    usual = float(np.median(known)) if known.size else NOMINAL_RADIUS
+    lacking = np.isfinite(dataset.touch_x) & ~np.isfinite(radius)
+    complete = dataclasses.replace(
+        with_implied_labels(dataset), touch_radius=np.where(lacking, usual, radius)
+    )
     if require_targets(complete).positions_only:
         raise DataError(
             "expected untouched frames beside the touched ones, got positions of touches alone;"

@@ -10,16 +10,18 @@ import pytest
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings, hold_out
 from eitskin.training.method.targets import (
     NOMINAL_RADIUS,
     Targets,
+    learnable,
     most_probable,
     require_targets,
     with_implied_labels,
-    with_usual_radius,
 )
 
 TRUE = np.geomspace(1e-3, 1e-1, 8)
@@ -131,12 +133,14 @@ def test_states_and_angles_follow_from_other_labels():
 
 
 def test_an_unknown_radius_is_the_usual_one():
-    data = frames([1, 1, 1], touched=[0, 1, 2])
-    assert with_usual_radius(data).touch_radius[:, 0] == pytest.approx([NOMINAL_RADIUS] * 3)
+    design, protocol = SensorDesign.reference(), Protocol.pairwise(4)
+    data = frames([1, 1, 1, 0], touched=[0, 1, 2], design=design, protocol=protocol)
+    complete = learnable(data)[0]
+    assert complete.touch_radius[:3, 0] == pytest.approx([NOMINAL_RADIUS] * 3)
     radius = data.touch_radius.copy()
     radius[0, 0] = 0.003
-    known = with_usual_radius(dataclasses.replace(data, touch_radius=radius))
-    assert known.touch_radius[:, 0] == pytest.approx([0.003] * 3)
+    known = learnable(dataclasses.replace(data, touch_radius=radius))[0]
+    assert known.touch_radius[:3, 0] == pytest.approx([0.003] * 3)
     assert np.isnan(known.touch_radius[:, 1:]).all()
 
 
