@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
+from eitskin.training import Pipeline, TrainingSettings
 
 from small_dataset import make
 
@@ -54,6 +55,8 @@ def read(folder):
 def test_training_writes_a_report_with_curves_and_reconstructions(trained, dataset):
     report = read(trained / "report")
     assert report["report"]["frames"] == 12
+    settings = Pipeline.load(trained / "some.eitmodel").settings
+    assert settings == TrainingSettings.preset("quick").with_epochs(1)
     assert set(report["losses"]) == {"state classifier", "touch map"}
     assert all(len(losses["training"]) == 1 for losses in report["losses"].values())
     assert all(len(losses["validation"]) == 1 for losses in report["losses"].values())

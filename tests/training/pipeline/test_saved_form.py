@@ -11,7 +11,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from eitskin.cli.commands import train
-from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.datasets import Dataset, State
 from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
@@ -175,24 +175,6 @@ def test_a_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
         pipeline.save(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
-
-
-@pytest.mark.slow
-def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
-    data, out = tmp_path / "data", tmp_path / "some.eitmodel"
-    save_dataset(dataset, data)
-    train.command(data, out=out, epochs=1, preset="quick", seed=4, as_json=True, quiet=True)
-    trained = json.loads(capsys.readouterr().out)
-    assert trained["frames"] == 36
-    assert Pipeline.load(out).settings == TrainingSettings.preset("quick", 4).with_epochs(1)
-    train.evaluate(out, data, as_json=True)
-    report = json.loads(capsys.readouterr().out)
-    assert report["frames"] == 12
-    kept = trained["metrics"]
-    assert (report["states"], report["bend"]) == (kept["states"], kept["bend"])
-    train.evaluate(out, data)
-    table = capsys.readouterr().out
-    assert all(figure in table for figure in ("4.8 +- 2.8 mm", "0.94", "> 97 %", "606.6 ms"))
 
 
 @pytest.mark.slow
