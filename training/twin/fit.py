@@ -7,17 +7,16 @@ posterior.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.errors import ConfigurationError, EitskinError
-from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_with
-from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
+from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
@@ -36,148 +35,6 @@ _HALVINGS = 8
 _DONE = 0.05  # length of the last step, in standard deviations of the posterior
 _FIRST_ERROR = 0.1  # first guess of the unexplained part, over the values
 _LEAST_FREEDOM = 0.1  # share of the values that counts as free whatever is fitted
-
-
-class TwinForward:
-    """Readings of scenes as a function of standard normal coordinates.
-
-    Attributes:
-        nominal: sensor whose mesh and factors all others share.
-        parameters: that the coordinates belong to: of the sensor, its gain, terms of the meter.
-        terms: numbers of the terms of the meter among the parameters.
-        protocol: of the readings.
-        reads: what the readings are.
-    """
-
-    def __init__(
-        self,
-        nominal: Specimen,
-        parameters: Sequence[Parameter],
-        protocol: Protocol,
-        reads: Quantity,
-        resolution: Resolution,
-    ) -> None:
-        """Keep the problem; nothing is solved yet."""
-        self.nominal, self.parameters = nominal, tuple(parameters)
-        self.protocol, self.reads, self._resolution = protocol, reads, resolution
-        gain = [each.name for each in parameters].index("gain")
-        self._sensor, self.terms = np.arange(gain), np.arange(gain + 1, len(parameters))
-        self._solved: dict[tuple[bytes, Scene], Array] = {}
-
-    def specimen(self, x: Array) -> Specimen:
-        """Sensor, fixture and materials at coordinates (parameters,).
-
-        Raises ConfigurationError for a sensor that cannot be.
-        """
-        numbers = {
-            (self.parameters[k].name, self.parameters[k].electrode): self.parameters[k].number(x[k])
-            for k in self._sensor.tolist()
-        }
-        return with_numbers(self.nominal, numbers)
-
-    def meter(self, x: Array) -> FourTerminalMeter:
-        """Meter at coordinates (parameters,)."""
-        gain = len(self._sensor)
-        start = meter_with(
-            FourTerminalMeter(reads=self.reads),
-            self.parameters[gain + 1 :],
-            x[self.terms],
-            self.protocol.n_electrodes,
-        )
-        scale = self.parameters[gain].number(float(x[gain]))
-        return dataclasses.replace(start, scale=scale, offset=scale * start.offset)
-
-    def readings(self, x: Array, scenes: Sequence[Scene]) -> Array:
-        """Readings of the scenes, (scenes, measurements).
-
-        Raises ConfigurationError for numbers or scenes that cannot be.
-        """
-        return self._read(self.impedances(x, scenes), x)
-
-    def impedances(self, x: Array, scenes: Sequence[Scene]) -> Array:
-        """Electrode impedance matrices [ohm], (scenes, electrodes, electrodes); kept."""
-        key = np.asarray(x)[self._sensor].tobytes()
-        absent = [scene for scene in scenes if (key, scene) not in self._solved]
-        if absent:
-            found = np.real(self._simulator(x).impedances(absent))
-            if len(self._solved) > _KEPT * max(len(scenes), 64):
-                self._solved.clear()
-                absent, found = list(scenes), np.real(self._simulator(x).impedances(scenes))
-            self._solved |= {(key, scene): Z for scene, Z in zip(absent, found, strict=True)}
-        return np.array([self._solved[key, scene] for scene in scenes])
-
-    def jacobian(self, x: Array, scenes: Sequence[Scene]) -> Array:
-        """Derivatives of the readings by the coordinates, (scenes, measurements, parameters)."""
-        Z = self.impedances(x, scenes)
-        slopes = self.impedance_slopes(x, scenes)
-        found = np.empty((len(scenes), len(self.protocol), len(self.parameters)))
-        for k, each in enumerate(self.parameters):
-            if k in slopes:
-                moved = [self._read(Z + h * slopes[k], x) for h in (_METER_STEP, -_METER_STEP)]
-                width = 2.0 * _METER_STEP
-            else:
-                ends = np.clip([x[k] + _METER_STEP, x[k] - _METER_STEP], *each.bounds)
-                moved = [self._read(Z, _with(x, k, end)) for end in ends]
-                width = ends[0] - ends[1]
-            found[..., k] = (moved[0] - moved[1]) / width
-        return found
-
-    def impedance_slopes(self, x: Array, scenes: Sequence[Scene]) -> dict[int, Array]:
-        """Derivatives of the impedances [ohm] by each coordinate of sensor and fixture.
-
-        By the adjoint method for conductivity and contacts, else by central differences. Each has
-        the shape (scenes, electrodes, electrodes); numbers are those of the parameters.
-        """
-        contacts = self._simulator(x).contact_sensitivities(scenes)
-        z = np.real(self.specimen(x).design.contact_impedance)
-        by_log_contact = contacts * z
-        found = {}
-        for k in self._sensor.tolist():
-            each = self.parameters[k]
-            if each.name == "contact_impedance":
-                found[k] = by_log_contact[..., each.electrode] * np.log(each.spread)
-            elif each.name == "conductivity":
-                # Z (c sigma, z) = Z (sigma, c z) / c.
-                slope = by_log_contact.sum(axis=-1) - self.impedances(x, scenes)
-                found[k] = slope * np.log(each.spread)
-            else:
-                found[k] = self._difference(x, k, scenes)
-        return found
-
-    def _difference(self, x: Array, k: int, scenes: Sequence[Scene]) -> Array:
-        """Central difference of the impedances by coordinate k, zero where they do not depend."""
-        n = self.protocol.n_electrodes
-        found = np.zeros((len(scenes), n, n))
-        moved = [i for i, scene in enumerate(scenes) if _depends(self.parameters[k], scene)]
-        if not moved:
-            return found
-        asked = [scenes[i] for i in moved]
-        ends = np.clip([x[k] + STEP, x[k] - STEP], *self.parameters[k].bounds)
-        one, other = (np.real(self._simulator(_with(x, k, end)).impedances(asked)) for end in ends)
-        found[moved] = (one - other) / (ends[0] - ends[1])
-        return found
-
-    def _read(self, Z: Array, x: Array) -> Array:
-        meter = self.meter(x)
-        reading, _ = meter.reading(meter.transfer_impedance(Z, self.protocol))
-        return np.asarray(reading.real)
-
-    def _simulator(self, x: Array) -> Simulator:
-        return self.specimen(x).simulator(self.nominal.design, self._resolution, self.protocol)
-
-
-def _depends(parameter: Parameter, scene: Scene) -> bool:
-    """Whether a number changes the impedances of a scene."""
-    if parameter.name not in MECHANICAL:
-        return True
-    bent = bool(scene.bend.angle_deg)
-    return bent or (parameter.name.endswith("modulus") and bool(scene.touches))
-
-
-def _with(x: Array, k: int, value: float) -> Array:
-    changed = np.array(x, dtype=float)
-    changed[k] = value
-    return changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,28 +58,144 @@ class Laplace:
     log_evidence: float
 
 
-@dataclass(slots=True)
-class Problem:
-    """Posterior of a twin's coordinates given labelled frames.
+class TwinProblem:
+    """Readings of labelled scenes as a function of standard normal coordinates, and their fit.
 
     Attributes:
-        forward: from coordinates to readings.
-        frames: measured.
-        progress: called before each Gauss-Newton step with its number.
+        nominal: sensor whose mesh and factors all others share.
+        parameters: that the coordinates belong to: of the sensor, its gain, terms of the meter.
+        terms: numbers of the terms of the meter among the parameters.
+        frames: measured rows, and the scenes that they show.
+        resolution: of the simulator.
     """
 
-    forward: TwinForward
-    frames: LabelledFrames
-    progress: Callable[[int], None] = lambda _: None
-    _slopes: tuple[Array, Array] | None = field(default=None, init=False)
+    def __init__(
+        self,
+        nominal: Specimen,
+        parameters: Sequence[Parameter],
+        frames: LabelledFrames,
+        resolution: Resolution,
+    ) -> None:
+        """Keep the problem; nothing is solved yet."""
+        self.nominal, self.parameters = nominal, tuple(parameters)
+        self.frames, self.resolution = frames, resolution
+        gain = [each.name for each in parameters].index("gain")
+        self._sensor, self.terms = np.arange(gain), np.arange(gain + 1, len(parameters))
+        self._solved: dict[tuple[bytes, Scene], Array] = {}
+
+    def of_frames(self, frames: LabelledFrames) -> "TwinProblem":
+        """The same for other frames, with the solutions so far."""
+        other = TwinProblem(self.nominal, self.parameters, frames, self.resolution)
+        other._solved = self._solved
+        return other
+
+    def specimen(self, x: Array) -> Specimen:
+        """Sensor, fixture and materials at coordinates (parameters,).
+
+        Raises ConfigurationError for a sensor that cannot be.
+        """
+        numbers = {
+            (self.parameters[k].name, self.parameters[k].electrode): self.parameters[k].number(x[k])
+            for k in self._sensor.tolist()
+        }
+        return with_numbers(self.nominal, numbers)
+
+    def meter(self, x: Array) -> FourTerminalMeter:
+        """Meter at coordinates (parameters,)."""
+        gain = len(self._sensor)
+        start = meter_with(
+            FourTerminalMeter(reads=self.frames.reads),
+            self.parameters[gain + 1 :],
+            x[self.terms],
+            self.frames.protocol.n_electrodes,
+        )
+        scale = self.parameters[gain].number(float(x[gain]))
+        return dataclasses.replace(start, scale=scale, offset=scale * start.offset)
+
+    def readings(self, x: Array) -> Array:
+        """Readings of the scenes, (scenes, measurements).
+
+        Raises ConfigurationError for numbers or scenes that cannot be.
+        """
+        return self._read(self.impedances(x), x)
+
+    def impedances(self, x: Array) -> Array:
+        """Electrode impedance matrices [ohm], (scenes, electrodes, electrodes); kept."""
+        scenes, key = self.frames.scenes, np.asarray(x)[self._sensor].tobytes()
+        absent = [scene for scene in scenes if (key, scene) not in self._solved]
+        if absent and len(self._solved) > _KEPT * max(len(scenes), 64):
+            self._solved.clear()
+            absent = list(scenes)
+        if absent:
+            solved = np.real(self._simulator(x).impedances(absent))
+            self._solved |= {(key, scene): Z for scene, Z in zip(absent, solved, strict=True)}
+        return np.array([self._solved[key, scene] for scene in scenes])
+
+    def jacobian(self, x: Array) -> Array:
+        """Derivatives of the readings by the coordinates, (scenes, measurements, parameters)."""
+        Z, slopes = self.impedances(x), self._impedance_slopes(x)
+        found = np.empty((len(Z), len(self.frames.protocol), len(self.parameters)))
+        for k, each in enumerate(self.parameters):
+            if k in slopes:
+                moved = [self._read(Z + h * slopes[k], x) for h in (_METER_STEP, -_METER_STEP)]
+                width = 2.0 * _METER_STEP
+            else:
+                ends = np.clip([x[k] + _METER_STEP, x[k] - _METER_STEP], *each.bounds)
+                moved = [self._read(Z, _with(x, k, end)) for end in ends]
+                width = ends[0] - ends[1]
+            found[..., k] = (moved[0] - moved[1]) / width
+        return found
+
+    def _impedance_slopes(self, x: Array) -> dict[int, Array]:
+        """Derivatives of the impedances [ohm] by each coordinate of sensor and fixture.
+
+        By the adjoint method for conductivity and contacts, else by central differences. Each has
+        the shape (scenes, electrodes, electrodes); numbers are those of the parameters.
+        """
+        contacts = self._simulator(x).contact_sensitivities(self.frames.scenes)
+        by_log_contact = contacts * np.real(self.specimen(x).design.contact_impedance)
+        found = {}
+        for k in self._sensor.tolist():
+            each = self.parameters[k]
+            if each.name == "contact_impedance":
+                found[k] = by_log_contact[..., each.electrode] * np.log(each.spread)
+            elif each.name == "conductivity":
+                # Z (c sigma, z) = Z (sigma, c z) / c.
+                slope = by_log_contact.sum(axis=-1) - self.impedances(x)
+                found[k] = slope * np.log(each.spread)
+            else:
+                found[k] = self._difference(x, k)
+        return found
+
+    def _difference(self, x: Array, k: int) -> Array:
+        """Central difference of the impedances by coordinate k, zero where they do not depend."""
+        scenes, n = self.frames.scenes, self.frames.protocol.n_electrodes
+        found = np.zeros((len(scenes), n, n))
+        moved = [i for i, scene in enumerate(scenes) if _depends(self.parameters[k], scene)]
+        if not moved:
+            return found
+        asked = [scenes[i] for i in moved]
+        ends = np.clip([x[k] + STEP, x[k] - STEP], *self.parameters[k].bounds)
+        one, other = (np.real(self._simulator(_with(x, k, end)).impedances(asked)) for end in ends)
+        found[moved] = (one - other) / (ends[0] - ends[1])
+        return found
+
+    def _read(self, Z: Array, x: Array) -> Array:
+        meter = self.meter(x)
+        reading, _ = meter.reading(meter.transfer_impedance(Z, self.frames.protocol))
+        return np.asarray(reading.real)
+
+    def _simulator(self, x: Array) -> Simulator:
+        design, protocol = self.nominal.design, self.frames.protocol
+        return self.specimen(x).simulator(design, self.resolution, protocol)
 
     def predicted(self, x: Array) -> Array:
         """Rows at coordinates (parameters,), (rows, channels)."""
-        return self.frames.changes(self.forward.readings(x, self.frames.scenes))
+        return self.frames.changes(self.readings(x))
 
     def slopes(self, x: Array) -> Array:
         """Derivatives of the rows by the coordinates, (rows, channels, parameters)."""
-        J = self.forward.jacobian(x, self.frames.scenes)
+        J = self.jacobian(x)
         flat = self.frames.changes(J.reshape(len(J), -1))
         return flat.reshape(len(flat), *J.shape[1:])
 
@@ -239,23 +212,29 @@ class Problem:
             return np.inf
         return 0.5 * float((left**2).sum() + x @ x)
 
-    def estimate(self, start: Array, steps: int = MOST_STEPS) -> Laplace:
+    def estimate(
+        self,
+        start: Array,
+        steps: int = MOST_STEPS,
+        progress: Callable[[int], None] = lambda _: None,
+    ) -> Laplace:
         """MAP estimate from a starting point, after a number of steps at most.
 
         The standard deviation of each kind of row is that of what the twin leaves, at least the
         noise of the frames: residuals over the degrees of freedom, found again before each step.
+        `progress` is called before each step with its number.
 
         Raises ConfigurationError where the starting point itself cannot be.
         """
         x, taken = np.array(start, dtype=float), []
         error = self._first_error()
-        low, high = np.array([each.bounds for each in self.forward.parameters]).T.astype(float)
+        low, high = np.array([each.bounds for each in self.parameters]).T.astype(float)
         x = np.clip(x, low, high)
         if not np.isfinite(self.objective(x, self._deviation(error))):
             raise ConfigurationError("the design's own numbers cannot be simulated")
         J = at = None
         for step_number in range(steps):
-            self.progress(step_number)
+            progress(step_number)
             left = self.frames.values - self.predicted(x)
             if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
                 J, at = self.slopes(x), x.copy()
@@ -331,6 +310,20 @@ class Problem:
             freedom = max(size - leverage[own].sum(), _LEAST_FREEDOM * size)
             found[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
         return found
+
+
+def _depends(parameter: Parameter, scene: Scene) -> bool:
+    """Whether a number changes the impedances of a scene."""
+    if parameter.name not in MECHANICAL:
+        return True
+    bent = bool(scene.bend.angle_deg)
+    return bent or (parameter.name.endswith("modulus") and bool(scene.touches))
+
+
+def _with(x: Array, k: int, value: float) -> Array:
+    changed = np.array(x, dtype=float)
+    changed[k] = value
+    return changed
 
 
 def _information(J: Array, deviation: Array) -> Array:

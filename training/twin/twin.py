@@ -1,6 +1,5 @@
 """Twin of one sensor: its physical numbers, fitted to labelled frames, and presses on it."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +23,8 @@ from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_met
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene, Touch
-from eitskin.training.twin.fit import Laplace, Problem, TwinForward
-from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
+from eitskin.training.twin.fit import Laplace, TwinProblem
+from eitskin.training.twin.labelled_frames import LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
     TwinPrior,
     centred,
@@ -108,20 +107,18 @@ class Twin:
                 f"{len(design.electrodes)}; give the design of the sensor that was recorded"
             )
         wide = data.quantity not in ("impedance", "magnitude")
-        forward = _forward(nominal, frames, terms, prior or TwinPrior(), resolution, wide)
-        start = _start(forward, frames, terms, seed)
-        posterior = Problem(forward, frames, progress).estimate(start)
-        twin = cls(
+        problem = _problem(nominal, frames, terms, prior or TwinPrior(), resolution, wide)
+        posterior = problem.estimate(_start(problem, terms, seed), progress=progress)
+        return cls(
             nominal,
-            forward.specimen(posterior.x),
-            forward.meter(posterior.x),
-            forward.parameters,
+            problem.specimen(posterior.x),
+            problem.meter(posterior.x),
+            problem.parameters,
             posterior,
             frames,
-            {},
+            agreements(posterior.predicted, frames),
             resolution,
         )
-        return dataclasses.replace(twin, agreements=agreements(posterior.predicted, frames))
 
     @property
     def values(self) -> Array:
@@ -159,10 +156,8 @@ class Twin:
 
     def predicted(self, frames: LabelledFrames) -> Array:
         """Rows of other labelled frames as this twin has them, (rows, channels)."""
-        forward = TwinForward(
-            self.nominal, self.parameters, frames.protocol, frames.reads, self.resolution
-        )
-        return frames.changes(forward.readings(self.posterior.x, frames.scenes))
+        other = TwinProblem(self.nominal, self.parameters, frames, self.resolution)
+        return other.predicted(self.posterior.x)
 
     def judged(self, data: Dataset) -> dict[str, Agreement]:
         """Agreement with frames that were not fitted, by kind."""
@@ -251,55 +246,51 @@ def agreements(predicted: Array, frames: LabelledFrames) -> dict[str, Agreement]
     }
 
 
-def _forward(
+def _problem(
     nominal: Specimen,
     frames: LabelledFrames,
     terms: Sequence[str],
     prior: TwinPrior,
     resolution: Resolution,
     wide: bool,
-) -> TwinForward:
-    """Forward model with all parameters; the gain is centred where the flat frame says."""
+) -> TwinProblem:
+    """Problem with all parameters; the gain is centred where the flat frame says."""
     sensor = sensor_parameters(nominal, prior)
     parameters = (*sensor, twin_parameter("gain", 1.0, prior.gain))
-    alone = TwinForward(nominal, parameters, frames.protocol, frames.reads, resolution)
-    x = np.zeros(len(alone.parameters))
-    Z = alone.impedances(x, [FLAT])[0]
+    alone = TwinProblem(nominal, parameters, frames.only_flat(), resolution)
+    x = np.zeros(len(parameters))
     gain = 1.0
     if wide:
-        nominally, flat = alone.readings(x, [FLAT])[0], frames.values[0]
+        nominally, flat = alone.readings(x)[0], frames.values[0]
         gain = float(nominally @ flat / (nominally @ nominally)) or 1.0
-    n = frames.protocol.n_electrodes
-    typical = float(np.median(np.abs(np.diag(Z))))
-    meter = instrument_parameters(terms, n, prior, typical)
+    typical = float(np.median(np.abs(np.diag(alone.impedances(x)[0]))))
+    meter = instrument_parameters(terms, frames.protocol.n_electrodes, prior, typical)
     spread = _UNIT_GAIN if wide else prior.gain
     parameters = (*sensor, twin_parameter("gain", gain, spread), *meter)
-    return TwinForward(nominal, parameters, frames.protocol, frames.reads, resolution)
+    return TwinProblem(nominal, parameters, frames, resolution)
 
 
-def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], seed: int) -> Array:
+def _start(problem: TwinProblem, terms: Sequence[str], seed: int) -> Array:
     """Start of the fit: the best fit to the flat frame alone, which takes little time.
 
     It starts from the prior's middle and, where terms of the meter are fitted, also from the meter
     that suits the nominal sensor, and from meters of chance.
     """
-    x = np.zeros(len(forward.parameters))
+    flat = problem.of_frames(problem.frames.only_flat())
+    x, meter, frames = np.zeros(len(problem.parameters)), problem.terms, flat.frames
     starts = [x]
-    meter = forward.terms
     if len(meter) and len(meter) + 2 < len(frames.protocol):
-        Z = forward.impedances(x, [FLAT])[0]
-        flat = frames.values[:1]
-        found = fit_meter(Z, frames.protocol, flat, terms, frames.reads, seed, starts=_METER_STARTS)
+        Z, values = flat.impedances(x)[0], frames.values
+        fit = fit_meter(Z, frames.protocol, values, terms, frames.reads, seed, starts=_METER_STARTS)
         own = x.copy()
-        for k, value in zip(meter, found.values, strict=True):
-            own[k] = forward.parameters[k].coordinate(float(value))
+        for k, value in zip(meter, fit.values, strict=True):
+            own[k] = problem.parameters[k].coordinate(float(value))
         starts.append(own)
     rng = np.random.default_rng(seed)
     for _ in range(_DRAWN * bool(len(meter))):
         drawn = x.copy()
         drawn[meter] = np.abs(rng.standard_normal(len(meter)))
         starts.append(drawn)
-    flat_alone = Problem(forward, frames.only_flat())
-    fits = [flat_alone.estimate(start, _FIRST_STEPS) for start in starts]
+    fits = [flat.estimate(start, _FIRST_STEPS) for start in starts]
     best = max(fits, key=lambda each: each.log_evidence)
-    return flat_alone.estimate(best.x).x
+    return flat.estimate(best.x).x

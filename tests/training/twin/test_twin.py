@@ -18,8 +18,8 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.training import PressedTwin
 from eitskin.training.twin.files import as_plain, recipe, write_twin
-from eitskin.training.twin.fit import Problem, TwinForward
-from eitskin.training.twin.labelled_frames import FLAT, labelled_frames
+from eitskin.training.twin.fit import TwinProblem
+from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
     TwinPrior,
     centred,
@@ -40,8 +40,15 @@ PARAMETERS = (
 )
 
 
-def forward(parameters=PARAMETERS, protocol=ADJACENT):
-    return TwinForward(NOMINAL, parameters, protocol, "signed", "coarse")
+def forward(scenes=(FLAT,), parameters=PARAMETERS, protocol=ADJACENT):
+    """Problem of scenes without measured values, each row one of them."""
+    n = np.arange(len(scenes))
+    nothing = np.zeros((len(n), len(protocol)))
+    kind = np.zeros(len(n), int)
+    frames = LabelledFrames(
+        protocol, "signed", tuple(scenes), n, n - 1 - n, kind, nothing, kind + 1.0, 0.0, 0, 0
+    )
+    return TwinProblem(NOMINAL, parameters, frames, "coarse")
 
 
 def hidden(seed):
@@ -62,7 +69,7 @@ def hidden(seed):
 
 def flat_frames(parameters, x, snr_db=75.0, count=10):
     rng = np.random.default_rng(3)
-    clean = forward(parameters).readings(x, [FLAT])[0]
+    clean = forward(parameters=parameters).readings(x)[0]
     noise = np.abs(clean).max() * 10 ** (-snr_db / 20) * rng.standard_normal((count, len(clean)))
     states = np.full(count, State.IDLE)
     return Dataset.from_arrays(clean + noise, protocol=ADJACENT, state=states, quantity="impedance")
@@ -109,14 +116,14 @@ def test_every_step_lowers_the_objective(fitted):
 
 @pytest.mark.slow
 def test_readings_change_as_their_derivatives_say():
-    x, scenes = hidden(1), [FLAT]
+    x = hidden(1)
     model = forward()
-    J = model.jacobian(x, scenes)
+    J = model.jacobian(x)
     names = [str(each) for each in PARAMETERS]
     for name in ("conductivity", "contact_impedance[2]", "electrode_place[4]", "gain", "idle"):
         k, h = names.index(name), 0.01
         ends = [np.where(np.arange(len(x)) == k, x + sign * h, x) for sign in (1, -1)]
-        one, other = (forward().readings(end, scenes) for end in ends)
+        one, other = (forward().readings(end) for end in ends)
         assert J[..., k] == pytest.approx(
             (one - other) / (2 * h), abs=2e-3 * np.abs(J[..., k]).max()
         )
@@ -187,10 +194,11 @@ def test_span_and_offset_are_found_from_known_angles():
     pairs = Protocol.pairwise(8)
     free = ("span", "offset", "electrode_place", "contact_impedance")
     parameters = tuple(each for each in PARAMETERS if each.name not in TERMS)
-    model, rng = forward(parameters, pairs), np.random.default_rng(5)
+    rng = np.random.default_rng(5)
     x = np.array([0.2 * rng.standard_normal() if each.name in free else 0 for each in parameters])
     angles = np.array([0.0] * 10 + [-10.0, 20.0, 40.0])
-    clean = model.readings(x, [Scene(bend=Bend(float(angle))) for angle in angles])
+    scenes = [Scene(bend=Bend(float(angle))) for angle in angles]
+    clean = forward(scenes, parameters, pairs).readings(x)
     noise = 1.8e-4 * clean.max() * rng.standard_normal(clean.shape)
     state = np.where(angles == 0.0, State.IDLE, State.BEND)
     data = Dataset.from_arrays(
@@ -202,7 +210,7 @@ def test_span_and_offset_are_found_from_known_angles():
     names = [each.name for each in twin.parameters]
     assert twin.narrowing[names.index("span")] < 0.1
     assert twin.narrowing[names.index("offset")] < 0.1
-    assert Problem(model, labelled_frames(data)).predicted(x).shape == (4, 28)
+    assert twin.predicted(labelled_frames(data)).shape == (4, 28)
 
 
 # ---- pressed twin ----
