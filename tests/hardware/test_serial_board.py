@@ -21,13 +21,21 @@ from eitskin.simulator import Scene
 
 from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
 
-# ---- what goes wrong on the wire ----
 
-
-def test_silence_for_three_periods_is_a_stale_stream():
+@pytest.fixture
+def running():
+    """A board that has given its first frame, its port, and the frames to come."""
     board, port = connected(firmware())
     frames = board.frames()
     next(frames)
+    return board, port, frames
+
+
+# ---- what goes wrong on the wire ----
+
+
+def test_silence_for_three_periods_is_a_stale_stream(running):
+    _board, port, frames = running
     port.firmware.streaming = False
     began = port.now
     with pytest.raises(DeviceError, match=r"stale.*0\.890 s"):
@@ -35,10 +43,8 @@ def test_silence_for_three_periods_is_a_stale_stream():
     assert 3 * 0.2968 <= port.now - began < 3 * 0.2968 + 0.1
 
 
-def test_a_flood_of_events_hides_no_frame_and_fills_no_memory():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_a_flood_of_events_hides_no_frame_and_fills_no_memory(running):
+    board, port, frames = running
     port.waiting += encode(pack(Event(2, 1, "again"), 0)) * 20_000
     assert [next(frames).number for _ in range(3)] == [1, 2, 3]
     assert len(board.events) == 20
@@ -51,10 +57,8 @@ def test_a_firmware_that_tells_of_an_hour_between_frames_is_not_waited_for():
     assert longest_silence(float("nan")) == longest_silence(-0.0) == float("inf")
 
 
-def test_a_restart_with_another_table_is_an_error():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_a_restart_with_another_table_is_an_error(running):
+    _board, port, frames = running
     port.firmware.info = dataclasses.replace(port.firmware.info, table_crc32=1)
     port.waiting += port.firmware.boot()
     with pytest.raises(DeviceError, match=r"expected board .*table"):
@@ -147,10 +151,8 @@ def test_a_table_that_contradicts_info_is_an_error(changes):
         connected(firmware(**changes))
 
 
-def test_a_frame_of_another_length_is_dropped():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_a_frame_of_another_length_is_dropped(running):
+    board, port, frames = running
     short = FrameData(1, 0.0, 0.0, np.ones(3, np.complex64), np.zeros(3, np.uint8))
     port.waiting += encode(pack(short, 0))
     assert next(frames).number == 1
@@ -170,10 +172,8 @@ def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
 
 @pytest.mark.parametrize("error", [serial.SerialException("gone"), OSError(5, "gone"), TypeError()])
 @pytest.mark.parametrize("method", ["read", "in_waiting"])
-def test_each_way_a_port_dies_is_the_same_error(error, method, monkeypatch):
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_each_way_a_port_dies_is_the_same_error(running, error, method, monkeypatch):
+    board, port, frames = running
 
     def die(*_):
         raise error
@@ -230,72 +230,51 @@ GONE = DeviceError("went away")
 
 
 def test_frames_go_on_after_the_board_has_been_away():
-    waits = []
-    board = Flaky([[1, 2, GONE], [3, GONE], [4]], failures=2)
-    connection = Connection(board, wait=waits.append)
-    assert list(connection.frames()) == [1, 2, 3, 4]
-    assert board.tries == 4
-    assert waits == pytest.approx([0.1, 0.2, 0.4, 0.1])
-
-
-def test_the_pause_grows_to_its_longest_and_the_reason_is_told():
     waits, reasons = [], []
 
     def wait(seconds):
         waits.append(seconds)
         reasons.append(connection.problem)
 
-    connection = Connection(Flaky([[GONE], [1]], failures=9), wait=wait)
-    frames = connection.frames()
-    assert next(frames) == 1
-    assert waits[0] == FIRST_PAUSE
-    assert waits[-1] == max(waits) == LONGEST_PAUSE
+    board = Flaky([[1, 2, GONE], [GONE], [3, GONE], [4]], failures=7)
+    connection = Connection(board, wait=wait)
+    assert list(connection.frames()) == [1, 2, 3, 4]
+    assert board.tries == 10
     assert reasons[:2] == ["went away", "not there yet"]
     assert connection.problem == ""
+    # Doubled up to the longest, also where it goes away at once; anew after a frame.
+    assert waits[:3] == pytest.approx([FIRST_PAUSE, 0.2, 0.4])
+    assert waits[7:] == [LONGEST_PAUSE, LONGEST_PAUSE, FIRST_PAUSE]
 
 
-def test_a_board_that_goes_away_at_once_again_is_not_hammered():
-    waits = []
-    connection = Connection(Flaky([[GONE]] * 6 + [[1]]), wait=waits.append)
-    assert list(connection.frames()) == [1]
-    assert waits == sorted(set(waits))
-
-
-def test_frames_that_the_board_numbered_meanwhile_are_lost_and_counted():
-    board, port = connected(firmware())
-    first = take(board, 3)[-1].number
+def skip_five(board):
     for _ in range(5):
-        port.firmware.skip()
-    board.reconnect()
-    after = take(board, 2)
-    assert [frame.number for frame in after] == [first + 6, first + 7]
-    assert (board.lost, board.counts.reconnections) == (5, 1)
-    assert after[0].session == 1
+        board.skip()
 
 
-def test_a_board_that_started_anew_meanwhile_is_a_new_session_and_nothing_is_lost():
+def count_anew(board):
+    board.number = 0
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "expected", "lost"),
+    [
+        (skip_five, [(1, 8), (1, 9)], 5),  # frames that the board numbered are lost
+        (lambda board: board.boot(), [(2, 0), (2, 1)], 0),  # a new session
+        (count_anew, [(1, 0), (1, 1)], 0),  # a board that does not say so is believed
+    ],
+)
+def test_frames_after_a_board_was_away(meanwhile, expected, lost):
     board, port = connected(firmware())
     take(board, 3)
-    port.firmware.boot()
+    meanwhile(port.firmware)
     board.reconnect()
-    after = take(board, 2)
-    assert [(frame.session, frame.number) for frame in after] == [(2, 0), (2, 1)]
-    assert board.lost == 0
+    assert [(frame.session, frame.number) for frame in take(board, 2)] == expected
+    assert (board.lost, board.counts.reconnections, board.counts.dropped) == (lost, 1, {})
 
 
-def test_a_board_that_counts_anew_without_saying_so_is_believed():
-    board, port = connected(firmware())
-    take(board, 3)
-    port.firmware.number = 0
-    board.reconnect()
-    assert [frame.number for frame in take(board, 2)] == [0, 1]
-    assert (board.lost, board.counts.dropped) == (0, {})
-
-
-def test_half_a_packet_from_before_does_not_spoil_what_comes_after():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_half_a_packet_from_before_does_not_spoil_what_comes_after(running):
+    board, port, frames = running
     port.waiting += port.firmware.frame() + port.firmware.frame()[:100]
     next(frames)
     board.reconnect()
@@ -336,21 +315,17 @@ def test_a_link_leads_to_the_board_before_and_after(tmp_path):
     assert not link.is_symlink()
 
 
-def test_a_link_that_another_board_took_over_is_left_to_it(tmp_path):
-    link = tmp_path / "ttyEIT"
-    first = virtual_terminal(simulator=FakeSimulator(), link=link)
-    second = virtual_terminal(simulator=FakeSimulator(), link=link)
+def test_a_link_is_left_to_a_file_and_to_a_board_that_took_it_over(tmp_path):
+    link, notes = tmp_path / "ttyEIT", tmp_path / "notes"
+    first, second = (virtual_terminal(simulator=FakeSimulator(), link=link) for _ in range(2))
     first.close()
     assert str(link.readlink()) == second.path
     second.close()
     assert not link.is_symlink()
-
-
-def test_a_link_does_not_replace_a_file(tmp_path):
-    (tmp_path / "notes").write_text("kept")
+    notes.write_text("kept")
     with pytest.raises(ConfigurationError, match="no link"):
-        virtual_terminal(simulator=FakeSimulator(), link=tmp_path / "notes")
-    assert (tmp_path / "notes").read_text() == "kept"
+        virtual_terminal(simulator=FakeSimulator(), link=notes)
+    assert notes.read_text() == "kept"
 
 
 @pytest.mark.slow
@@ -372,10 +347,8 @@ def test_unplugging_and_replugging_leaves_nothing_behind():
     assert board.counts.reconnections == 3
 
 
-def test_a_board_that_starts_anew_again_and_again_is_a_stale_stream():
-    board, port = connected(firmware())
-    frames = board.frames()
-    next(frames)
+def test_a_board_that_starts_anew_again_and_again_is_a_stale_stream(running):
+    _board, port, frames = running
     port.firmware.frame = port.firmware.boot
 
     def start(data, receive=port.firmware.receive):
