@@ -105,16 +105,6 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
     assert about[0]["frequency_Hz"] == data.frequency
 
 
-def test_what_is_not_estimated_has_no_topic(tmp_path) -> None:
-    unknown = {"bend_angle_deg": None, "bend_deviation_deg": None, "touch_map": None}
-    estimate = an_estimate(state=None, probabilities=np.full(3, UNKNOWN), **unknown, touches=None)
-    found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.004, 3.3))
-    assert set(found) == {"/eitskin/sensor", "/eitskin/impedance", "/diagnostics"}
-    _, text, values = values_of(found["/diagnostics"][0][1], "eitskin: sensor")
-    assert text == "state not estimated"
-    assert not {"state", "bend angle [deg]", "probability 0"} & values.keys()
-
-
 def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     estimate = an_estimate(problems=("channel 0-1 is left out",))
     path = tmp_path / "run.mcap"
@@ -146,20 +136,33 @@ def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     assert (values["unusable frames"], values["probability 1"]) == ("2", "0.98")
 
 
-def test_a_frame_without_touches_has_an_empty_cloud_and_no_doubts(tmp_path) -> None:
-    estimate = an_estimate(state=State.IDLE, touches=())
-    found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.0, UNKNOWN))
-    touches = found["/eitskin/touches"][0][1]
-    assert (touches.width, len(touches.data)) == (0, 0)
-    assert "/tf" not in found
-    assert values_of(found["/diagnostics"][0][1], "eitskin: sensor")[:2] == (0, "idle")
+NOTHING = {"bend_angle_deg": None, "bend_deviation_deg": None, "touch_map": None, "touches": None}
+NO_TOUCHES = {"state": State.IDLE, "touches": ()}
+UNKNOWN_STATE = {"state": None, "probabilities": np.full(3, UNKNOWN), **NOTHING}
 
 
-def test_a_frame_that_was_too_damaged_says_why(tmp_path) -> None:
-    reading = Reading(a_frame(), None, 0.0, UNKNOWN, unusable=1, problem="too few channels")
+@pytest.mark.parametrize(
+    ("changes", "problem", "status", "topics"),
+    [
+        (UNKNOWN_STATE, "", (0, "state not estimated"), set()),
+        (NO_TOUCHES, "", (0, "idle"), {"bend", "touch_map", "touches"}),
+        (None, "too few channels", (2, "too few channels"), set()),
+    ],
+)
+def test_what_is_not_estimated_has_no_topic(changes, problem, status, topics, tmp_path) -> None:
+    estimate = None if changes is None else an_estimate(**changes)
+    reading = Reading(a_frame(), estimate, 0.0, UNKNOWN, unusable=1, problem=problem)
     found = written(tmp_path / "run.mcap", reading)
-    assert values_of(found["/diagnostics"][0][1], "eitskin: sensor")[:2] == (2, "too few channels")
-    assert "/eitskin/bend" not in found
+    assert set(found) - {"/diagnostics"} == {
+        f"/eitskin/{topic}" for topic in {"sensor", "impedance", *topics}
+    }
+    *said, values = values_of(found["/diagnostics"][0][1], "eitskin: sensor")
+    assert tuple(said) == status
+    known = {"state", "bend angle [deg]", "probability 0"} & values.keys()
+    assert bool(known) == (changes is NO_TOUCHES)
+    if topics:
+        touches = found["/eitskin/touches"][0][1]
+        assert (touches.width, len(touches.data)) == (0, 0)
 
 
 def test_the_page_names_every_topic_type_and_field() -> None:

@@ -113,12 +113,38 @@ def test_an_instrument_may_be_named_where_the_board_is():
     assert (frame.impedance.imag < -0.5).all()  # 40 pF are 99 kohm: 1.6 ohm beside 400
 
 
-def test_the_virtual_board_measures_what_the_simulator_does():
-    scene = Scene(touches=(Touch(0.05, 0.02),))
-    with open_board("virtual:?speed=max&resolution=fast&snr_db=inf", scene=scene) as board:
+def own_sensor(folder):
+    """URI's options for a sensor of its own, and the simulator that it names."""
+    design = SensorDesign(Rectangle(0.1, 0.05), 0.004, uniform(Rectangle(0.1, 0.05), 6))
+    design.to_toml(folder / "own sensor.toml")
+    return f"resolution=coarse&sensor={folder}/own sensor.toml", Simulator(design, "coarse")
+
+
+@pytest.mark.parametrize(
+    ("options", "scene"),
+    [
+        (lambda _: ("resolution=coarse", Simulator(SensorDesign.reference(), "coarse")), Scene()),
+        (
+            lambda _: ("resolution=fast", Simulator(SensorDesign.reference(), "fast")),
+            Scene(touches=(Touch(0.05, 0.02),)),
+        ),
+        (own_sensor, Scene()),
+        (
+            lambda _: (
+                "resolution=coarse&protocol=adjacent",
+                Simulator(SensorDesign.reference(), "coarse", protocol=Protocol.adjacent(8)),
+            ),
+            Scene(),
+        ),
+    ],
+    ids=["reference", "touch", "own sensor", "protocol"],
+)
+def test_the_virtual_board_measures_what_the_simulator_does(options, scene, tmp_path):
+    said, simulator = options(tmp_path)
+    with open_board(f"virtual:?speed=max&snr_db=inf&{said}", scene=scene) as board:
+        assert board.protocol == simulator.protocol
         (frame,) = take(board, 1)
-    expected = Simulator(SensorDesign.reference(), resolution="fast").measure(scene)
-    assert np.allclose(frame.impedance, expected.impedance, rtol=1e-6)
+    assert frame.impedance == pytest.approx(simulator.measure(scene).impedance, rel=1e-6)
 
 
 def test_a_virtual_board_is_paced_as_its_info_says():
@@ -148,36 +174,8 @@ def test_firmware_ignores_garbage():
     assert firmware().receive(b"\0\x03AT\r\n\0") == b""
 
 
-def test_a_board_of_another_sensor_measures_its_pairs(tmp_path):
-    design = SensorDesign(Rectangle(0.1, 0.05), 0.004, uniform(Rectangle(0.1, 0.05), 6))
-    path = tmp_path / "own sensor.toml"
-    design.to_toml(path)
-    with open_board(f"virtual:?sensor={path}&speed=max&snr_db=inf") as board:
-        assert board.protocol == Protocol.pairwise(6)
-        frame = next(board.frames())
-    expected = Simulator(design, resolution="fast").measure(Scene()).impedance
-    assert frame.impedance == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_board_measures_by_the_protocol_that_is_named():
-    with open_board("virtual:?protocol=adjacent&speed=max&resolution=coarse&snr_db=inf") as board:
-        assert board.protocol == Protocol.adjacent(8)
-        frame = next(board.frames())
-    assert frame.impedance.shape == (40,)
-
-
-class LargeSimulator:
-    """32 electrodes, adjacent: frames of 928 measurements."""
-
-    protocol = Protocol.adjacent(32)
-
-    def impedance_matrix(self, scene):
-        root = np.random.default_rng(0).standard_normal((32, 32))
-        return root @ root.T * (1.0 + scene.bend.angle_deg)
-
-
 def test_a_board_of_large_frames_refuses_the_whole_table():
-    large = firmware(protocol=LargeSimulator.protocol)
+    large = firmware(protocol=Protocol.adjacent(32))
     assert answers(large, pack(GetTable(), 3)) == [Ack(3, MessageType.GET_TABLE, 4)]
     assert answers(large, pack(GetTable(928), 3)) == [Ack(3, MessageType.GET_TABLE, 2)]
 
@@ -300,16 +298,22 @@ def test_delays_pass_by_the_clock_and_an_idle_line_makes_its_reader_wait():
         assert clock.now - before == pytest.approx(3 * 0.2968, abs=0.051)
 
 
-def test_a_frame_that_takes_long_to_simulate_is_no_stale_stream():
-    clock = Clock()
-    slow = line(clock=clock)
+def slow_line(clock, seconds, **options):
+    """Line to a board that takes so long to simulate a frame."""
+    slow = line(clock=clock, **options)
     measured = slow.firmware.frame
 
     def frame():
-        clock.wait(60.0)
+        clock.wait(seconds)
         return measured()
 
     slow.firmware.frame = frame
+    return slow
+
+
+def test_a_frame_that_takes_long_to_simulate_is_no_stale_stream():
+    clock = Clock()
+    slow = slow_line(clock, 60.0)
     with VirtualBoard(slow, clock=slow.now) as board:
         assert [each.number for each in take(board, 3)] == [0, 1, 2]
     assert slow.now() < clock.now
@@ -353,14 +357,7 @@ def test_a_paced_board_skips_frames_that_its_host_has_no_room_for():
 
 def test_a_frame_that_takes_long_to_simulate_moves_the_clock_of_a_paced_board():
     clock = Clock()
-    slow = line(clock=clock, period=0.3)
-    measured = slow.firmware.frame
-
-    def frame():
-        clock.wait(2.0)
-        return measured()
-
-    slow.firmware.frame = frame
+    slow = slow_line(clock, 2.0, period=0.3)
     with VirtualBoard(slow, clock=slow.now) as board:
         times = [each.time for each in take(board, 3)]
     period = slow.firmware.info.period

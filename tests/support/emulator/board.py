@@ -74,11 +74,10 @@ class EmulatedBoard:
         folder: folder that QEMU runs in.
     """
 
-    def __init__(self, afe=None, line=None, options=(), crystal=True):
+    def __init__(self, afe=None, line=None, crystal=True):
         require(EMULATOR)
         self.chip = Chip(afe or SimulatedAfe(sensor()), line)
         self.chip.crystal = crystal
-        self._options = options
         self._decoder, self._seq = Decoder(), 0
         self._stack = contextlib.ExitStack()
 
@@ -98,7 +97,7 @@ class EmulatedBoard:
                 *("-icount", "shift=0,sleep=off", "-semihosting-config", "enable=on,target=native"),
                 *("-kernel", images / "eitskin-f411.elf"),
                 *("-device", f"loader,file={images / 'monitor.elf'},cpu-num=0"),
-                *("-serial", "null", "-serial", f"unix:{folder}/host", *self._options),
+                *("-serial", "null", "-serial", f"unix:{folder}/host"),
             ],
             cwd=folder,
         )
