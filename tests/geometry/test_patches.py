@@ -96,22 +96,6 @@ def test_pieces_are_parallelograms_where_faces_fit_and_triangles_where_not():
     assert np.bincount(both.electrode, both.areas) == pytest.approx([area, slanted.area])
 
 
-@pytest.mark.parametrize(("kind", "width"), [(8, 4), (6, 3), (4, 3)])
-def test_round_pads_and_facets_of_top_electrodes(kind, width):
-    points, cells = cut_blocks.block(kind, COUNTS, SIZE)
-    turn = np.arange(32) * 2 * np.pi / 32
-    outward = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
-    centre, inradius = np.array([0.0137, 0.0091, 0.0]), 0.004
-    planes = np.column_stack([outward, outward @ centre + inradius])
-    area = 32 * np.tan(np.pi / 32) * inradius**2
-    patch = Patch((Region(planes, np.array([0.0, 0.0, 1.0])),), area)
-    contacts = electrode_contacts(points, cells, [patch])
-    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
-    assert moments(contacts.corners)[1][:2] == pytest.approx(centre[:2], abs=1e-12)
-    assert contacts.facets[0].shape[1] == width
-    assert (points[contacts.facets[0], 2] == SIZE[2]).all()
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("corner", "a", "b"),
@@ -132,17 +116,6 @@ def test_sheets_are_counted_once_wherever_they_lie(kind, corner, a, b):
     bottom = points[cells[contacts.cell]][:, :, 2].min(axis=1)
     assert (bottom < sheet[:, 2].max() - 1e-9).all()
     assert len(contacts.facets[0]) == 0
-
-
-def test_neighbouring_regions_share_faces_without_counting_them_twice():
-    points, cells = cut_blocks.block(4, COUNTS, SIZE)
-    left = box_region((0.004, -1e-3, 0.001), (0.0099, 1e-3, 0.004), (0, -1, 0))
-    right = box_region((0.0099, -1e-3, 0.001), (0.0151, 1e-3, 0.004), (0, -1, 0))
-    area = (0.0151 - 0.004) * 0.003
-    contacts = electrode_contacts(points, cells, [Patch((left, right), area)])
-    assert contacts.areas.sum() == pytest.approx(area, rel=1e-9)
-    facets = np.sort(contacts.facets[0], axis=1)
-    assert len(np.unique(facets, axis=0)) == len(facets)
 
 
 def test_electrodes_off_the_body_are_named():

@@ -64,112 +64,90 @@ def pads(x, *apart, on="top", z=None):
 
 
 FAR = Electrode(0.1, 0.025)
-REFUSALS = {
-    "no length": (lambda: Rectangle(0.0, 0.1), r"outline.length.*got 0.0"),
-    "millimetres": (lambda: Rectangle(150, 60), r"outline.length.*1 um and 10 m.*150 m"),
-    "off the rim": (lambda: SLAB.locate(0.02, 0.01), r"0\.01 m off .* is \(0\.02, 0\) m"),
-    "two points": (lambda: Polygon(((0, 0), (1, 0))), r"outline.points.*3 to 4096.*2"),
-    "three numbers": (lambda: Polygon(((0, 0), (1, 0, 0), (0, 1))), "must be pairs"),
-    "shifted": (lambda: Polygon(((0.1, -0.2), (1, 0), (0.5, 1))), r"\(-0\.1, 0\.2\)"),
-    "crossed": (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), r"point 0 .*point 2"),
-    "touching": (
-        lambda: Polygon(((0, 0), (2, 0), (2, 1), (1, 0), (0, 1))),
-        r"crosses itself.*point 3",
-    ),
-    "flat": (lambda: Polygon(((0, 0), (1, 0), (2, 0), (2, 1e-8))), "along y"),
-    "twice": (lambda: Polygon(((0, 0), (1, 0), (1, 0), (0, 1))), r"1 and 2 .*same"),
+REFUSALS = [
+    (lambda: Rectangle(0.0, 0.1), r"outline.length.*got 0.0"),
+    (lambda: Rectangle(150, 60), r"outline.length.*1 um and 10 m.*150 m"),
+    (lambda: SLAB.locate(0.02, 0.01), r"0\.01 m off .* is \(0\.02, 0\) m"),
+    (lambda: Polygon(((0, 0), (1, 0))), r"outline.points.*3 to 4096.*2"),
+    (lambda: Polygon(((0, 0), (1, 0, 0), (0, 1))), "must be pairs"),
+    (lambda: Polygon(((0.1, -0.2), (1, 0), (0.5, 1))), r"\(-0\.1, 0\.2\)"),
+    (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), r"point 0 .*point 2"),
+    (lambda: Polygon(((0, 0), (2, 0), (2, 1), (1, 0), (0, 1))), "point 3"),
+    (lambda: Polygon(((0, 0), (1, 0), (2, 0), (2, 1e-8))), "along y"),
+    (lambda: Polygon(((0, 0), (1, 0), (1, 0), (0, 1))), r"1 and 2 .*same"),
     # supports, layers, designs
-    "plates that touch": (lambda: Plates(0.0), "support span.*positive"),
-    "plates apart": (
-        lambda: changed(support=Plates(0.15)),
-        "less than the sensor's length of 0.15 m, got 0.15 m; .*'free'",
-    ),
-    "soft thickness": (lambda: Substrate(NAN, 1e3), "support thickness.*got nan"),
-    "soft modulus": (lambda: Substrate(0.01, 0.0), "support shear_modulus.*Pa, got 0"),
-    "no thickness": (lambda: changed(thickness=0.0), r"thickness.*positive"),
-    "insulator": (lambda: changed(conductivity=0.0), r"conductivity.*positive.*S/m"),
-    "sums": (lambda: changed(layers=(Layer(0.002, 1.0),) * 2), r"0.005 m.*0.004 m"),
-    "both": (
-        lambda: changed(layers=(Layer(0.005, 1.0),), conductivity=2.0),
-        "conductivity or lay",
-    ),
-    "no layer": (lambda: Layer(0.0, 1.0), r"layer .*positive"),
-    "one electrode": (lambda: placed(Electrode(0.02, 0.0)), r"electrodes.*2 to 1024.*1"),
-    "edges": (lambda: REFERENCE.edges(NAN), "spacing"),
+    (lambda: Plates(0.0), "support span.*positive"),
+    (lambda: changed(support=Plates(0.15)), r"length of 0.15 m, got 0.15 m.*'free'"),
+    (lambda: Substrate(NAN, 1e3), "support thickness.*got nan"),
+    (lambda: Substrate(0.01, 0.0), "support shear_modulus.*Pa, got 0"),
+    (lambda: changed(thickness=0.0), r"thickness.*positive"),
+    (lambda: changed(conductivity=0.0), r"conductivity.*positive.*S/m"),
+    (lambda: changed(layers=(Layer(0.002, 1.0),) * 2), r"0.005 m.*0.004 m"),
+    (lambda: changed(layers=(Layer(0.005, 1.0),), conductivity=2.0), "conductivity or lay"),
+    (lambda: Layer(0.0, 1.0), r"layer .*positive"),
+    (lambda: placed(Electrode(0.02, 0.0)), r"electrodes.*2 to 1024.*1"),
+    (lambda: REFERENCE.edges(NAN), "spacing"),
     # electrodes
-    "width": (lambda: electrode(width=5e3), r"electrode width.*1 um and 10 m"),
-    "height": (lambda: electrode(height=-1.0), r"electrode height.*positive"),
-    "position": (lambda: electrode(y=-1e308), "electrode position must be within 10 m"),
-    "face": (lambda: electrode(on="rim"), r"electrode on.*'side', 'top', .*'rim'"),
-    "shape": (lambda: electrode(shape="oval"), r"electrode shape.*'rectangle', 'round'.*'oval'"),
-    "round side": (lambda: electrode(shape="round"), r"side.*rectangle"),
-    "z of all": (lambda: electrode(z=0.001), r"height.*leave out z"),
-    "z on top": (lambda: electrode(on="top", z=0.001), r"height.*top"),
-    "no z inside": (lambda: electrode(on="inside"), r'"inside".*height z'),
-    "no contact": (lambda: electrode(contact_impedance=0.0), "positive real part"),
-    "lossless": (lambda: electrode(contact_impedance=1e-11), r"1e-10 and 1e[+]06.*1e-11"),
+    (lambda: electrode(width=5e3), r"electrode width.*1 um and 10 m"),
+    (lambda: electrode(height=-1.0), r"electrode height.*positive"),
+    (lambda: electrode(y=-1e308), "electrode position must be within 10 m"),
+    (lambda: electrode(on="rim"), r"electrode on.*'side', 'top', .*'rim'"),
+    (lambda: electrode(shape="oval"), r"electrode shape.*'rectangle', 'round'.*'oval'"),
+    (lambda: electrode(shape="round"), r"side.*rectangle"),
+    (lambda: electrode(z=0.001), r"height.*leave out z"),
+    (lambda: electrode(on="top", z=0.001), r"height.*top"),
+    (lambda: electrode(on="inside"), r'"inside".*height z'),
+    (lambda: electrode(contact_impedance=0.0), "positive real part"),
+    (lambda: electrode(contact_impedance=1e-11), r"1e-10 and 1e[+]06.*1e-11"),
     # places of electrodes
-    "inland": (lambda: placed(Electrode(0.02, 0.01), FAR), r"electrode 0.*\(0.02, 0.01\).*0.01 m"),
-    "all around": (lambda: placed(Electrode(0.02, 0.0, 0.4), FAR), r"0.4 m .*0.3 m"),
-    "too high": (
-        lambda: placed(part(0.02, 0.0035, 0.002), FAR),
-        "from z = 0.0025 to 0.0045 m, beyond .* 0.004",
-    ),
-    "on the lid": (
+    (lambda: placed(Electrode(0.02, 0.01), FAR), r"electrode 0.*\(0.02, 0.01\).*0.01 m"),
+    (lambda: placed(Electrode(0.02, 0.0, 0.4), FAR), r"0.4 m .*0.3 m"),
+    (lambda: placed(part(0.02, 0.0035, 0.002), FAR), "0.0025 to 0.0045 m, beyond .* 0.004"),
+    (
         lambda: placed(Electrode(0.02, 0.01, z=0.004, on="inside"), FAR),
-        r'above 0 .*below 0.004 m.*0.004.*on = "top" or "bottom"',
+        r'below 0.004 m.*on = "top" or "bottom"',
     ),
-    "over the rim": (lambda: placed(Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
-    "over a gap": (
-        lambda: placed(Electrode(0.0035, 0.03, 0.0065, on="top"), FAR, outline=FORK),
-        "m beyond",
-    ),
-    "surface": (lambda: placed(electrode(z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
-    "beside": (
-        lambda: placed(FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)),
-        r"1 and 2 .*3 mm",
-    ),
-    "above": (lambda: placed(part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
-    "pads": (lambda: placed(*pads(0.02, 0.003)), r"overlap.*2 mm"),
+    (lambda: placed(Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
+    (lambda: placed(Electrode(0.0035, 0.03, 0.0065, on="top"), FAR, outline=FORK), "m beyond"),
+    (lambda: placed(electrode(z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
+    (lambda: placed(FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
+    (lambda: placed(part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
+    (lambda: placed(*pads(0.02, 0.003)), r"overlap.*2 mm"),
     # layouts
-    "one": (lambda: uniform(SLAB, 1), r"count.*2 to 1024.*1"),
-    "start": (lambda: uniform(SLAB, 8, start=NAN), r"start.*finite"),
-    "no rows": (lambda: grid(SLAB, 0, 3, 0.001), r"rows.*1 to 1024.*0"),
-    "too many": (lambda: grid(SLAB, 100, 11, 0.001), r"100 rows.*1 to 10.*11"),
-    "no room": (lambda: grid(Rectangle(0.15, 0.06), 2, 3, 0.04), r"0.03 m.*0.04 m"),
-    "no pad": (lambda: grid(Disc(0.01), 1, 1, 0.019), "no pad"),
+    (lambda: uniform(SLAB, 1), r"count.*2 to 1024.*1"),
+    (lambda: uniform(SLAB, 8, start=NAN), r"start.*finite"),
+    (lambda: grid(SLAB, 0, 3, 0.001), r"rows.*1 to 1024.*0"),
+    (lambda: grid(SLAB, 100, 11, 0.001), r"100 rows.*1 to 10.*11"),
+    (lambda: grid(Rectangle(0.15, 0.06), 2, 3, 0.04), r"0.03 m.*0.04 m"),
+    (lambda: grid(Disc(0.01), 1, 1, 0.019), "no pad"),
     # fixtures and deformations
-    "angle": (lambda: Bend(NAN), r"angle_deg.*finite.*got nan"),
-    "hinge span": (lambda: Hinge(span=0.0), r"span.*got 0"),
-    "hinge offset": (lambda: Hinge(offset=math.inf), r"offset.*inf"),
-    "transition": (lambda: Hinge(transition=0.021), r"transition.*0\.02 m"),
-    "contraction": (lambda: Hinge(contraction=1.1), r"contraction.*0 to 1"),
-    "arc": (lambda: FreeArc(-0.1), r"arc length.*got -0.1"),
-    "longer arc": (lambda: FreeArc(0.2).flexure(REFERENCE, Bend(9.0)), "length"),
-    "past a circle": (lambda: FreeArc(0.15).flexure(REFERENCE, Bend(361.0)), r"360\.0 deg"),
-    "crossed ends": (
-        lambda: FreeArc(0.06).flexure(REFERENCE, Bend(350.0)),
-        "last possible angle",
-    ),
-    "too far back": (lambda: HINGE.flexure(REFERENCE, Bend(-85.0)), r"-\d+"),
-    "inside out": (lambda: Displaced(lambda x: -2.0 * x).gradient(np.ones((1, 3))), "inside out"),
+    (lambda: Bend(NAN), r"angle_deg.*finite.*got nan"),
+    (lambda: Hinge(span=0.0), r"span.*got 0"),
+    (lambda: Hinge(offset=math.inf), r"offset.*inf"),
+    (lambda: Hinge(transition=0.021), r"transition.*0\.02 m"),
+    (lambda: Hinge(contraction=1.1), r"contraction.*0 to 1"),
+    (lambda: FreeArc(-0.1), r"arc length.*got -0.1"),
+    (lambda: FreeArc(0.2).flexure(REFERENCE, Bend(9.0)), "length"),
+    (lambda: FreeArc(0.15).flexure(REFERENCE, Bend(361.0)), r"360\.0 deg"),
+    (lambda: FreeArc(0.06).flexure(REFERENCE, Bend(350.0)), "last possible angle"),
+    (lambda: HINGE.flexure(REFERENCE, Bend(-85.0)), r"-\d+"),
+    (lambda: Displaced(lambda x: -2.0 * x).gradient(np.ones((1, 3))), "inside out"),
     # meshes
-    "sizes": (lambda: Grading(2e-3, 1e-3, 0.5), r"finest <= coarsest.*growth.*finest=0.002"),
-    "no layers": (lambda: Grading(1e-3, 2e-3, 0.5, 0), r"layer.*0"),
-    "memory": (
+    (lambda: Grading(2e-3, 1e-3, 0.5), r"finest <= coarsest.*growth.*finest=0.002"),
+    (lambda: Grading(1e-3, 2e-3, 0.5, 0), r"layer.*0"),
+    (
         lambda: structured_mesh(REFERENCE, Grading(1e-5, 1e-5, 1.0, 300)),
         r"2.7e\+10 points.*4.2e\+04 GB",
     ),
-    "triangles": (
+    (
         lambda: triangulated(SLAB, np.array([0.05]), lambda x: np.full(len(x), 1e-5)),
         r"500000 points.*finest",
     ),
-}
+]
 
 
-@pytest.mark.parametrize("case", REFUSALS)
-def test_what_cannot_be_is_refused(case) -> None:
-    make, words = REFUSALS[case]
+@pytest.mark.parametrize(("make", "words"), REFUSALS)
+def test_what_cannot_be_is_refused(make, words) -> None:
     with pytest.raises(ConfigurationError, match=words):
         make()
 

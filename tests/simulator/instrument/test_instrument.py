@@ -1,13 +1,11 @@
 """The instrument: each term alone against its closed form, then all of them together."""
 
 import dataclasses
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Instrument, Protocol, Scene, Status
 from eitskin.simulator.instrument.session import DRIFT_TIME, RandomWalk
@@ -86,20 +84,8 @@ def test_a_walk_has_its_deviation_after_4_h_and_grows_as_the_root_of_time():
     assert np.abs(np.corrcoef(steps.T) - np.eye(3)).max() < 0.064
 
 
-def test_a_walk_is_a_function_of_time_however_it_is_asked():
-    walk = RandomWalk(0.002, 7)
-    times = np.array([0.0, 3.0, 10.0, 7000.0, 14400.0])
-    together = walk(times)
-    assert together[0] == 0.0
-    assert together[1] == pytest.approx(0.3 * together[2])
-    one_by_one = [walk(np.array([time]))[0] for time in times[::-1]]
-    np.testing.assert_array_equal(one_by_one[::-1], together)
-    assert walk(np.zeros(0)).shape == (0,)
-
-
-@pytest.mark.parametrize("term", ["drift", "gel_drift"])
-def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start(term):
-    instrument = only(**{term: 0.002})
+def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start():
+    instrument = only(drift=0.002)
     np.testing.assert_array_equal(read(instrument)[0], FLAT)
     factor = read(instrument, time=DRIFT_TIME)[0] / FLAT
     assert np.ptp(factor) == pytest.approx(0.0, abs=1e-15)
@@ -270,26 +256,3 @@ def test_times_that_no_session_has_and_frames_that_do_not_fit_are_refused():
             session.measure(np.ones(shape, complex), np.zeros(times), rng)
     with pytest.raises(FrameError, match="finite"):
         session.measure(np.full((1, 28), np.nan + 0j), np.zeros(1), rng)
-
-
-# ---- in files ----
-
-
-@dataclass(frozen=True)
-class Holder:
-    """A file with an instrument in it, as recipes are."""
-
-    instrument: Instrument = field(default_factory=Instrument)
-
-
-def test_an_instrument_survives_writing():
-    for instrument in (OFF, Instrument(), ALL):
-        assert parse_toml(Holder, to_toml(Holder(instrument))).instrument == instrument
-
-
-def test_a_file_may_name_a_board_and_change_terms_of_it():
-    text = '[instrument]\nboard = "ad5940"\ngain = 0.0\n'
-    expected = dataclasses.replace(Instrument.ad5940(), gain=0.0)
-    assert parse_toml(Holder, text).instrument == expected
-    with pytest.raises(ConfigurationError, match=r"instrument\.board: .*'ad5940', got 'ad'"):
-        parse_toml(Holder, '[instrument]\nboard = "ad"\n')

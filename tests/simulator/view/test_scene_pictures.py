@@ -8,7 +8,6 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
-from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.flexure import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Displaced, largest_strain
 from eitskin.geometry.meshing.grading import Grading
@@ -25,7 +24,7 @@ from eitskin.simulator.view.scene_pictures import (
 )
 
 from alternatives import pulled_back
-from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes, colours
+from pictured_bar import THICKNESS, WIDTH, bar_between_electrodes, colours
 
 BAR = bar_between_electrodes()
 FEW = ((2, 1), Grading(2e-3, 2e-3, 1.0, 2))  # functions and cells, where currents are not looked at
@@ -67,36 +66,6 @@ def test_the_current_in_a_stretched_and_turned_block_is_uniform() -> None:
     found = deformed_current_density(model, affine, (0, 1), tensor)
     area = 0.9 * WIDTH * 0.7 * THICKNESS
     assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
-
-
-@pytest.mark.slow
-def test_the_current_in_a_bent_bar_falls_with_the_radius() -> None:
-    arc, angle = FreeArc(LENGTH), 60.0
-    sim = Simulator(BAR, FEW, arc)
-    scene = Scene(Bend(angle))
-    bent = sim.deformation(scene)
-    model = ForwardModel(BAR, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
-    j = deformed_current_density(
-        model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene)
-    )
-    # The centre of the arc: the ends are `angle` apart, symmetrical about the middle.
-    half = math.radians(0.5 * angle)
-    inner, outer = (
-        np.hypot(*np.ptp(bent.positions(np.array([[0, 0, z], [LENGTH, 0, z]])), axis=0)[[0, 2]])
-        / (2.0 * math.sin(half))
-        for z in (0.0, THICKNESS)
-    )
-    top = bent.positions(np.array([0.5 * LENGTH, 0.0, THICKNESS]))
-    across = bent.positions(model.mesh.points[model.mesh.cells].mean(axis=1))[:, [0, 2]]
-    radial = across - (top - [0.0, 0.0, outer])[[0, 2]]
-    r = np.linalg.norm(radial, axis=1)
-    # An annular sector between straight ends: j = I / (w r ln(r2 / r1)), along the arc.
-    assert np.linalg.norm(j, axis=1) == pytest.approx(
-        1.0 / (WIDTH * r * math.log(outer / inner)), rel=2e-3
-    )
-    along = np.einsum("ck,ck->c", j[:, [0, 2]], radial)
-    assert np.abs(along).max() < 2e-3 * np.linalg.norm(j, axis=1).max() * outer
-    assert np.ptp(r) > 0.1 * r.mean()
 
 
 def test_the_pair_that_changes_most_is_found(sim) -> None:

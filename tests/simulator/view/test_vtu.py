@@ -13,7 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.kinematics import largest_strain
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Protocol, Scene, Simulator, Touch
+from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.view.scene_pictures import deformed_current_density
 from eitskin.simulator.view.vtu import (
     BODY,
@@ -25,7 +25,6 @@ from eitskin.simulator.view.vtu import (
 )
 
 from on_demand import OnDemand
-from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes
 
 pyvista = OnDemand("pyvista")
 
@@ -120,31 +119,6 @@ def test_every_name_ends_in_its_unit_and_is_on_the_page(written) -> None:
         for name in grid.array_names:
             assert name == "electrode" or name.endswith(UNITS), name
             assert f"| `{re.sub('_[0-7]_[0-7]_', '_A_B_', name)}` |" in page
-
-
-# Closed forms
-
-
-@pytest.fixture(scope="module")
-def bar() -> Simulator:
-    """Between electrodes that cover its ends, without contact impedance to speak of."""
-    design = bar_between_electrodes(conductivity=CONDUCTIVITY)
-    resolution = ((2, 1), Grading(2e-3, CELL, 1.0))  # linear potentials are exact on any mesh
-    return Simulator(design, resolution, protocol=Protocol.pairwise(2))
-
-
-@pytest.mark.slow
-def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
-    body, electrodes = scene_grids(bar, Scene()).values()
-    j = 1.0 / (WIDTH * THICKNESS)
-    assert close(body["current_density_0_1_A_per_m2_per_A"], np.array([j, 0.0, 0.0]), 1e-5)
-    potential = (0.5 * LENGTH - body.points[:, 0]) * j / CONDUCTIVITY
-    assert close(body["potential_0_1_V_per_A"], potential, 1e-4)
-    end = 0.5 * LENGTH * j / CONDUCTIVITY
-    ends = np.where(electrodes["electrode"] == 0, end, -end)
-    assert electrodes["potential_0_1_V_per_A"] == pytest.approx(ends, rel=1e-4)
-    for name in ("thinning_1", "largest_strain_1", "displacement_m"):
-        assert not body[name].any(), name
 
 
 # Choices and refusals
