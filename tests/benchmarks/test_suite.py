@@ -3,7 +3,6 @@
 import json
 import signal
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import typer
@@ -28,69 +27,57 @@ class Started:
 
     def __call__(self, command):
         self.commands.append(list(command))
-        if self.status:
-            return self.status
-        seed = int(command[command.index("--seed") + 1]) if "--seed" in command else 0
-        name, quick = command[command.index("bench") + 1], "--quick" in command
-        made = Results(name, "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
-        Report(made).write(self.out)
-        return 0
+        if not self.status:
+            seed = int(command[command.index("--seed") + 1]) if "--seed" in command else 0
+            name, quick = command[command.index("bench") + 1], "--quick" in command
+            made = Results(name, "", Provenance.now(seed), 1.0, quick, {"a": 1.0})
+            Report(made).write(self.out)
+        return self.status
 
 
-def outcomes(out, start, benchmarks=BOTH, seed=0, **options):
-    given = {"quick": False, "fresh": False, "data": Path("data")} | options
-    return {
-        done.name: done.outcome for done in run_all(benchmarks, out, seed, start=start, **given)
-    }
+def outcomes(out, benchmarks=BOTH, *, status=0, seed=0, **options):
+    """Outcomes of all benchmarks by name, and the commands that were started."""
+    start, given = Started(out, status), {"quick": False, "fresh": False, "data": out / "data"}
+    done = run_all(benchmarks, out, seed, start=start, **(given | options))
+    return {each.name: each.outcome for each in done}, start.commands
 
 
-def test_each_runs_in_turn_and_leaves_results(tmp_path):
-    start = Started(tmp_path)
-    assert set(outcomes(tmp_path, start, seed=4).values()) == {"measured"}
-    first, second = start.commands
+MEASURED = dict.fromkeys(("other", "own"), "measured")
+
+
+def test_each_runs_in_turn_and_is_kept_unless_seed_or_wish_are_others(tmp_path):
+    done, (first, second) = outcomes(tmp_path, seed=4)
+    assert done == MEASURED
     assert first[3:] == ["bench", "other", "--out", str(tmp_path)]
     assert second[3:] == ["bench", "own", "--seed", "4", "--out", str(tmp_path)]
-    assert read_results(tmp_path / "own" / "results.json").provenance.seed == 4
-
-
-def test_what_is_there_is_kept_unless_seed_or_wish_are_others(tmp_path):
-    outcomes(tmp_path, Started(tmp_path))
-    again = Started(tmp_path)
-    assert set(outcomes(tmp_path, again).values()) == {"kept"}
-    assert again.commands == []
-    assert outcomes(tmp_path, again, fresh=True)["own"] == "measured"
-    assert outcomes(tmp_path, again, seed=1) == {"other": "kept", "own": "measured"}
-
-
-def test_results_that_are_broken_are_made_again(tmp_path):
-    outcomes(tmp_path, Started(tmp_path))
+    assert outcomes(tmp_path, seed=4) == (dict.fromkeys(MEASURED, "kept"), [])
+    assert outcomes(tmp_path, seed=4, fresh=True)[0] == MEASURED
+    assert outcomes(tmp_path, seed=1)[0] == {"other": "kept", "own": "measured"}
     (tmp_path / "own" / "results.json").write_text("{")
-    assert outcomes(tmp_path, Started(tmp_path))["own"] == "measured"
-
-
-def test_a_failure_is_named_and_the_next_one_runs(tmp_path):
-    start = Started(tmp_path, status=3)
-    done = list(run_all(BOTH, tmp_path, 0, quick=False, fresh=False, data=tmp_path, start=start))
-    assert [(each.outcome, each.why) for each in done] == [("failed", "exit status 3")] * 2
-    assert not list(tmp_path.glob("*/results.json"))
+    assert outcomes(tmp_path, seed=1)[0]["own"] == "measured"
 
 
 def test_quick_runs_are_marked_and_take_the_place_of_no_whole_one(tmp_path):
-    start = Started(tmp_path)
-    assert set(outcomes(tmp_path, start, quick=True).values()) == {"measured"}
-    assert all(command[-1] == "--quick" for command in start.commands)
+    done, commands = outcomes(tmp_path, quick=True)
+    assert done == MEASURED
+    assert all(command[-1] == "--quick" for command in commands)
     assert read_results(tmp_path / "other" / "results.json").quick
-    assert set(outcomes(tmp_path, Started(tmp_path)).values()) == {"measured"}
+    assert outcomes(tmp_path)[0] == MEASURED
+
+
+def test_a_failure_is_named_and_the_next_one_runs(tmp_path):
+    assert outcomes(tmp_path, status=3)[0] == dict.fromkeys(MEASURED, "failed")
+    assert not list(tmp_path.glob("*/results.json"))
 
 
 def test_what_needs_data_is_left_out_without_it(tmp_path):
-    needy = replace(OWN, options=("--data", "{data}"), needs="{data}/tank.mat")
-    start = Started(tmp_path)
-    assert outcomes(tmp_path, start, [needy], data=tmp_path / "data") == {"own": "left out"}
+    needy = [replace(OWN, options=("--data", "{data}"), needs="{data}/tank.mat")]
+    assert outcomes(tmp_path, needy)[0] == {"own": "left out"}
+    assert outcomes(tmp_path, needy, data=None)[0] == {"own": "left out"}
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "tank.mat").write_text("")
-    assert outcomes(tmp_path, start, [needy], data=tmp_path / "data") == {"own": "measured"}
-    assert start.commands[0][-1] == str(tmp_path / "data")
+    done, ((*_, last),) = outcomes(tmp_path, needy)
+    assert (done, last) == ({"own": "measured"}, str(tmp_path / "data"))
 
 
 @pytest.fixture
@@ -101,58 +88,44 @@ def ran(tmp_path, monkeypatch):
         monkeypatch.setattr(suite, "ALL", BOTH)
         monkeypatch.setattr(suite, "run_process", Started(tmp_path, status))
         given = ("bench", "all", "--out", str(tmp_path), "--json", "--quiet", *options)
-        return CliRunner().invoke(app, given)
+        done = CliRunner().invoke(app, given)
+        names = [each["name"] for each in json.loads(done.stdout or "{}").get("benchmarks", ())]
+        return done, names
 
     return run
 
 
 def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(ran, tmp_path):
-    done = ran()
-    assert done.exit_code == 0
-    index = (tmp_path / "index.md").read_text()
-    assert "| own |" in index
-    assert "left out" not in index
-    failed = ran(2, "--fresh")
-    assert failed.exit_code == 1
-    names = [each["name"] for each in json.loads(failed.stdout)["benchmarks"]]
+    assert ran()[0].exit_code == 0
+    assert "| own |" in (tmp_path / "index.md").read_text()
+    failed, names = ran(2, "--fresh")
+    assert (failed.exit_code, names) == (1, ["other", "own"])
+    (tmp_path / "third").mkdir()
+    (tmp_path / "third" / "results.json").write_text("{")
+    broken, names = ran()
+    assert isinstance(broken.exception, DataError)
     assert names == ["other", "own"]
 
 
-def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
-    def ends(*_):
-        signal.raise_signal(signal.SIGTERM)
+def test_one_can_be_chosen_by_name_and_long_ones_on_request(ran, monkeypatch):
+    assert ran(0, "--only", "own")[1] == ["own"]
+    assert isinstance(ran(0, "--only", "gone")[0].exception, ConfigurationError)
+    monkeypatch.setattr(suite, "LONG", 0.5)
+    assert ran()[1] == []
+    assert ran(0, "--long")[1] == ["other", "own"]
 
-    monkeypatch.setattr(suite, "run_process", ends)
+
+def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(suite, "run_process", lambda *_: signal.raise_signal(signal.SIGTERM))
     ended = CliRunner().invoke(app, ["bench", "all", "--out", str(tmp_path), "--only", "speed"])
     assert ended.exit_code == 130
     assert not list(tmp_path.glob("*/results.json"))
-
-
-def test_broken_results_of_others_hide_nothing(ran, tmp_path):
-    (tmp_path / "third").mkdir()
-    (tmp_path / "third" / "results.json").write_text("{")
-    done = ran()
-    assert isinstance(done.exception, DataError)
-    assert len(json.loads(done.stdout)["benchmarks"]) == 2
-
-
-def test_one_can_be_chosen_and_others_are_refused_by_name(ran):
-    said = json.loads(ran(0, "--only", "own").stdout)["benchmarks"]
-    assert [each["name"] for each in said] == ["own"]
-    refused = ran(0, "--only", "gone")
-    assert isinstance(refused.exception, ConfigurationError)
-    assert "no benchmark 'gone'; there are: other, own" in str(refused.exception)
-
-
-def test_long_ones_run_when_they_are_asked_for(ran, monkeypatch):
-    monkeypatch.setattr(suite, "LONG", 0.5)
-    assert json.loads(ran().stdout)["benchmarks"] == []
-    assert len(json.loads(ran(0, "--long").stdout)["benchmarks"]) == 2
 
 
 def test_every_benchmark_is_a_command_that_takes_its_options():
     group = typer.main.get_command(app).commands["bench"]
     for each in ALL:
         command = group.commands[each.name]
-        words = each.arguments(dict.fromkeys(("out", "own", "data"), "X"), 0, quick=True)[2:]
+        words = each.arguments(dict.fromkeys(("out", "data"), "X"), 0, quick=True)[2:]
         command.make_parser(command.context_class(command)).parse_args(words)
+    assert {each.name for each in ALL} | {"all"} == set(group.commands)
