@@ -132,7 +132,8 @@ class Access:
         An address that it came to was not looked up, so that no foreign name can have been pointed
         at it; of names only those of this machine count.
         """
-        at = plain_address(local)
+        at = ipaddress.ip_address(local.partition("%")[0])
+        at = getattr(at, "ipv4_mapped", None) or at  # as an IPv6 socket shows an IPv4 address
         names = {_bracketed(str(at)), _bracketed(self.host)}
         if at.is_loopback:
             names.add("localhost")
@@ -205,13 +206,6 @@ def resolved(host: str) -> tuple[socket.AddressFamily, str]:
             f"{LOOPBACK} serves this machine only, 0.0.0.0 every network that it is in"
         ) from error
     return found[0], str(found[4][0]).partition("%")[0]
-
-
-def plain_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    """Address; the IPv4 one where an IPv6 socket shows it mapped."""
-    address = ipaddress.ip_address(text.partition("%")[0])
-    mapped = getattr(address, "ipv4_mapped", None)
-    return mapped or address
 
 
 def _bracketed(host: str) -> str:

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -223,24 +223,17 @@ def _smoothed(part: Triangles) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
     points: list[int] = []
     up: list[bool] = []
     faces = np.empty_like(part.faces)
-    for face, column, point in _corners(part.faces):
+    for (face, column), point in np.ndenumerate(part.faces):
         normal = normals[face]
-        around = found.setdefault(point, [])
+        around = found.setdefault(int(point), [])
         smooth = (vertex for first, vertex in around if first @ normal > _SHARP)
         vertex = next(smooth, len(points))
         if vertex == len(points):
             around.append((normal, vertex))
-            points.append(point)
+            points.append(int(point))
             up.append(bool(normal[2] > _UPWARD))
         faces[face, column] = vertex
     return np.array(points), faces, np.array(up)
-
-
-def _corners(faces: Numbers) -> Iterator[tuple[int, int, int]]:
-    """Face, column and point of every corner."""
-    for face, row in enumerate(faces.tolist()):
-        for column, point in enumerate(row):
-            yield face, column, point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,7 +320,9 @@ class GelDrawing:
         """Deformed points from the origin in multiples of `unit`: int16, little-endian, base64."""
         wanted = np.array([angle_deg, *(value for press in presses for value in press)])
         tolerance = np.array([_SAME_ANGLE, *_SAME_PRESS * len(presses)])
-        if self._drawn is None or not _near(wanted, self._drawn, tolerance):
+        drawn = self._drawn if self._drawn is not None else np.empty(0)
+        same: dict[str, Any] = {"rtol": 0.0, "atol": tolerance, "equal_nan": True}
+        if drawn.shape != wanted.shape or not np.allclose(wanted, drawn, **same):
             self._points = self._steps(self.shape.bent(angle_deg, presses))
             self._drawn = wanted
         return self._points
@@ -339,14 +334,6 @@ class GelDrawing:
 def encoded(numbers: NDArray[Any], kind: str) -> str:
     """Numbers of one kind of integers in base64."""
     return base64.b64encode(numbers.astype(kind).tobytes()).decode()
-
-
-def _near(one: Array, other: Array, tolerance: Array) -> bool:
-    """Whether all values differ by no more than `tolerance`; NaN equals NaN."""
-    if one.shape != other.shape:
-        return False
-    same = np.isnan(one) & np.isnan(other)
-    return bool((same | (np.abs(one - other) <= tolerance)).all())
 
 
 @lru_cache(maxsize=256)

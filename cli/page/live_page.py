@@ -121,8 +121,10 @@ class LivePage(Closeable):
     def _send_events(self) -> None:
         """Encode each newest reading once, and the connection's health while none comes."""
         sent = -1.0 / MOST_PER_SECOND
-        while self._wait(sent):
-            snapshot = self._take()
+        while True:
+            snapshot = self._wait(sent)
+            if self._closed:
+                return
             sent = self._clock()
             if not self.server.watching:
                 continue
@@ -131,8 +133,11 @@ class LivePage(Closeable):
             except Exception:  # the page must outlive whatever a pipeline comes up with
                 log.exception("the page cannot show frame")
 
-    def _wait(self, sent: float) -> bool:
-        """Wait for a reading or the next heartbeat, no more often than a screen shows."""
+    def _wait(self, sent: float) -> Snapshot | None:
+        """Wait for a reading or the next heartbeat, no more often than a screen shows.
+
+        The newest reading; None where that was taken before.
+        """
         with self._changed:
             pause = sent + 1.0 / MOST_PER_SECOND - self._clock()
             if pause > 0.0:
@@ -140,8 +145,9 @@ class LivePage(Closeable):
             self._changed.wait_for(
                 lambda: self._closed or self._arrived or self._told, self._heartbeat_delay()
             )
-            self._told = False
-            return not self._closed
+            newest = self._newest if self._arrived else None
+            self._arrived = self._told = False
+            return newest
 
     def _heartbeat_delay(self) -> float:
         """Time without a reading until the page is told [s]."""
@@ -158,13 +164,6 @@ class LivePage(Closeable):
     def _age(self) -> float | None:
         """Age of the newest reading [s]; None without a reading."""
         return None if self._newest is None else self._clock() - self._newest.published
-
-    def _take(self) -> Snapshot | None:
-        """The newest reading; None where that was taken before."""
-        with self._changed:
-            newest = self._newest if self._arrived else None
-            self._arrived = False
-            return newest
 
     def _message(self, snapshot: Snapshot | None) -> bytes:
         age = self._age()

@@ -54,8 +54,7 @@ class TerminalDialogue(Dialogue):
     def note(self, text: str) -> None:
         self.output.note(text)
 
-    def sketch(self, text: str) -> None:
-        self.output.note(text)
+    sketch = note
 
 
 STALE = 2  # frames after a prompt that may have begun before it was answered

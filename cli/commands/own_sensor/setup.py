@@ -5,34 +5,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from eitskin import datasets, geometry, hardware, simulator, training
 from eitskin.cli.commands import check, tare
-from eitskin.cli.commands.own_sensor.adapt import (
-    ANGLES,
-    Angles,
-    StartModel,
-    adapt,
-    angles_of,
-    in_words,
-    open_start,
-    said,
-)
-from eitskin.cli.commands.own_sensor.poses import (
-    Dialogue,
-    TerminalDialogue,
-    as_dataset,
-    asked,
-    bent,
-    frames_in_poses,
-    place_map,
-    press_places,
-    pressed,
-    staged,
-)
+from eitskin.cli.commands.own_sensor import adapt, poses
 from eitskin.cli.options import (
     BoardOption,
     Output,
@@ -43,9 +22,6 @@ from eitskin.cli.options import (
 )
 from eitskin.errors import ConfigurationError, DataError, DeviceError, PartialError
 
-if TYPE_CHECKING:
-    from eitskin.cli.commands.own_sensor.poses import Hand, Pose
-
 FORCE = 8.0  # N, of the presses on a virtual board
 REPEAT, SKIP = "r", "s"
 
@@ -54,7 +30,7 @@ REPEAT, SKIP = "r", "s"
 class SetupOptions:
     """Number of frames and presses, and angles, that a set-up takes."""
 
-    angles: Angles = ANGLES
+    angles: adapt.Angles = adapt.ANGLES
     presses: Annotated[int, typer.Option(min=0, help="Number of presses that are asked for.")] = 10
     frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8
 
@@ -65,12 +41,12 @@ class SetupOptions:
                 "expected no negative number of presses, and a frame or more in each pose, got "
                 f"{self.presses} and {self.frames}"
             )
-        angles_of(self.angles)
+        adapt.angles_of(self.angles)
 
 
 @with_output
 def command(
-    model: StartModel,
+    model: adapt.StartModel,
     *,
     out: Annotated[Path, typer.Option(help="File of the sensor's own pipeline, NAME.eitmodel.")],
     board: BoardOption = None,
@@ -92,8 +68,8 @@ def command(
     from eitskin.training.pipeline.saved_form import require_writable
 
     require_writable(out, replace)
-    dialogue, start = TerminalDialogue(output), open_start(model, None)
-    hand = staged(FORCE) if no_prompt else asked(dialogue)
+    dialogue, start = poses.TerminalDialogue(output), adapt.open_start(model, None)
+    hand = poses.staged(FORCE) if no_prompt else poses.asked(dialogue)
     design = geometry.SensorDesign.from_toml(sensor) if sensor else None
     setup = Setup(model, start, out, options, dialogue, hand, design, asks=not no_prompt)
     if setup.recorded.exists() and not replace:
@@ -112,13 +88,13 @@ def command(
         "out": str(setup.out),
         "frames": str(setup.recorded),
         "reference": str(setup.zero or ""),
-        **said(adapted),
+        **adapt.said(adapted),
         "next": following,
     }
-    output.result(result, f"{setup.out}: {in_words(adapted)}\nnext: {following}")
+    output.result(result, f"{setup.out}: {adapt.in_words(adapted)}\nnext: {following}")
 
 
-def _chosen_board(dialogue: Dialogue) -> str:
+def _chosen_board(dialogue: poses.Dialogue) -> str:
     """Port of this machine that a person chooses, or a board by its URI."""
     from eitskin.hardware.boards.port import serial_ports
 
@@ -160,8 +136,8 @@ class Setup:
     start: "training.Pipeline | None"
     out: Path
     options: SetupOptions
-    dialogue: Dialogue
-    hand: "Hand"
+    dialogue: poses.Dialogue
+    hand: poses.Hand
     design: "geometry.SensorDesign | None" = None
     asks: bool = True
     taken: "dict[str, list[tuple[simulator.Frame, training.FrameLabel]]]" = field(
@@ -204,7 +180,8 @@ class Setup:
 
         Raises ConfigurationError where no step took frames to learn from.
         """
-        start, angles, presses = self.start, angles_of(self.options.angles), self.options.presses
+        start, presses = self.start, self.options.presses
+        angles = adapt.angles_of(self.options.angles)
         steps: list[tuple[str, str, Callable[[hardware.Board], str]]] = []
         if start is not None:
             check_sensor, store_zero = partial(self._check, start), partial(self._tare, start)
@@ -266,8 +243,8 @@ class Setup:
         return f"{self.zero} is the zero of this sensor, for --reference"
 
     def _bend(self, board: "hardware.Board") -> str:
-        angles = angles_of(self.options.angles)
-        return self._take(board, "angles", [bent(0.0), *(bent(angle) for angle in angles)])
+        angles = 0.0, *adapt.angles_of(self.options.angles)
+        return self._take(board, "angles", [poses.bent(angle) for angle in angles])
 
     def _press(self, board: "hardware.Board") -> str:
         count = self.options.presses
@@ -275,30 +252,31 @@ class Setup:
             raise ConfigurationError(
                 "expected the sensor's outline, to name places on it, got none; give --sensor"
             )
-        places = press_places(self.design, count)
-        self.dialogue.sketch(place_map(self.design, places))
+        places = poses.press_places(self.design, count)
+        self.dialogue.sketch(poses.place_map(self.design, places))
         half = (count + 1) // 2
-        named = [pressed(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
-        return self._take(board, "presses", [bent(0.0), *named[:half], bent(0.0), *named[half:]])
+        named = [poses.pressed(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
+        flat = poses.bent(0.0)
+        return self._take(board, "presses", [flat, *named[:half], flat, *named[half:]])
 
-    def _take(self, board: "hardware.Board", name: str, poses: "list[Pose]") -> str:
+    def _take(self, board: "hardware.Board", name: str, wanted: list[poses.Pose]) -> str:
         """Frames in poses, kept in the folder of labelled frames once all are taken."""
         from eitskin.files import atomic_folder
 
-        done = frames_in_poses(
+        done = poses.frames_in_poses(
             board,
-            poses,
+            wanted,
             self.options.frames,
             self.hand,
             lambda pose: self.dialogue.note(f"taken: {pose.words}"),
             newest=self.asks,
         )
         taken = {**self.taken, name: list(done)}
-        data = as_dataset([each for step in taken.values() for each in step], self.design)
+        data = poses.as_dataset([each for step in taken.values() for each in step], self.design)
         with atomic_folder(self.recorded) as made:
             datasets.save_dataset(data, made)
         self.taken = taken
-        return f"{len(taken[name])} frames in {len(poses)} poses"
+        return f"{len(taken[name])} frames in {len(wanted)} poses"
 
     def _finish(self) -> "training.Pipeline":
         """Adapt to the labelled frames, and save."""
@@ -308,6 +286,6 @@ class Setup:
                 f"{self.kept}"
             )
         self.dialogue.note("learning from the labelled frames")
-        self.adapted = adapt(self.start, datasets.open_dataset(self.recorded))
+        self.adapted = adapt.adapt(self.start, datasets.open_dataset(self.recorded))
         self.out = self.adapted.save(self.out)
         return self.adapted
