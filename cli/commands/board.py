@@ -8,15 +8,7 @@ from typing import Annotated
 import typer
 
 from eitskin import hardware
-from eitskin.cli.options import (
-    FixtureFile,
-    MechanicsFile,
-    Output,
-    Pairs,
-    SensorFile,
-    ended_by_signals,
-    with_output,
-)
+from eitskin.cli import options
 from eitskin.cli.terminal import table_of
 
 Faults = Annotated[
@@ -25,16 +17,16 @@ Faults = Annotated[
 ]
 
 
-@with_output
+@options.with_output
 def command(
     *,
     scene: Annotated[
         Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
     ] = None,
-    sensor: SensorFile = None,
-    protocol: Pairs = "pairwise",
-    fixture: FixtureFile = None,
-    mechanics: MechanicsFile = None,
+    sensor: options.SensorFile = None,
+    protocol: options.Pairs = "pairwise",
+    fixture: options.FixtureFile = None,
+    mechanics: options.MechanicsFile = None,
     resolution: Annotated[
         str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
     ] = "fast",
@@ -58,7 +50,7 @@ def command(
         bool, typer.Option("--list-faults", help="List all faults and exit.")
     ] = False,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Serve a virtual board on a pseudo-terminal until Ctrl-C; hosts can come and go."""
     if list_faults:
@@ -87,5 +79,5 @@ def command(
     output.note(f"serving until Ctrl-C; open it with eitskin live MODEL --board {uri}", whole=True)
     # Started again it must not pass for the same board: hosts keep references for each boot.
     terminal.firmware.boots_from(int(time.time()))
-    with ended_by_signals(), closing(terminal):
+    with options.ended_by_signals(), closing(terminal):
         terminal.serve()

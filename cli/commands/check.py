@@ -9,18 +9,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from eitskin import datasets, hardware, simulator, training
+from eitskin.cli import options
 from eitskin.cli.commands.recorded_frames import Values, read_recorded, required_protocol
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
-from eitskin.cli.options import (
-    BoardOption,
-    MeasuredPairs,
-    MethodCode,
-    Output,
-    named_board,
-    opened_board,
-    own_method,
-    with_output,
-)
 from eitskin.errors import ConfigurationError, FrameError
 
 if TYPE_CHECKING:
@@ -41,7 +32,7 @@ NO_EXPECTED = (
 SHIPPED = Path("reference.eitmodel")
 
 
-@with_output
+@options.with_output
 def command(
     model: Annotated[
         Path | None,
@@ -51,13 +42,13 @@ def command(
         ),
     ] = None,
     *,
-    board: BoardOption = None,
+    board: options.BoardOption = None,
     frames: Annotated[int, typer.Option(min=1, help="Number of frames to measure.")] = FRAMES,
     recording: Recording = None,
     values: Values = None,
-    protocol: MeasuredPairs = None,
+    protocol: options.MeasuredPairs = None,
     reference: ReferenceFile = None,
-    method: MethodCode = None,
+    method: options.MethodCode = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
     ] = False,
@@ -65,7 +56,7 @@ def command(
         bool, typer.Option("--list", help="Only list the serial ports of this machine.")
     ] = False,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Diagnose the flat, untouched sensor on a board, or any recording; exit code 4 for findings.
 
@@ -94,9 +85,9 @@ def command(
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        pipeline = training.open_pipeline(model or SHIPPED, own_method(method))
-        spec, uri = pipeline.layout, named_board(board, output)
-        with opened_board(uri, seed) as opened:
+        pipeline = training.open_pipeline(model or SHIPPED, options.own_method(method))
+        spec, uri = pipeline.layout, options.named_board(board, output)
+        with options.opened_board(uri, seed) as opened:
             suits = model is not None or opened.protocol == spec.known_protocol
             if suits:
                 spec.require_same_measurements(opened.protocol, opened.info.frequency)
@@ -199,7 +190,7 @@ def _report(
     found: SensorFindings,
     protocol: "simulator.Protocol",
     frames: int,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Print the findings, or that there are none; raises Exit where there are."""
     for sentence in found.sentences:

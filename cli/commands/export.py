@@ -11,17 +11,8 @@ from rich import box
 from rich.table import Table
 
 from eitskin import hardware, simulator, training
+from eitskin.cli import options
 from eitskin.cli.commands.simulate import announce_unsolved
-from eitskin.cli.options import (
-    FramesPath,
-    MethodCode,
-    Output,
-    SceneFile,
-    SensorOptions,
-    own_method,
-    read_design,
-    with_output,
-)
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
@@ -29,16 +20,16 @@ app = typer.Typer(help="Write recordings as MCAP, scenes as VTK files.", no_args
 
 
 @app.command("mcap")
-@with_output
+@options.with_output
 def export_mcap(
-    recording: FramesPath,
+    recording: options.FramesPath,
     *,
     out: Annotated[Path, typer.Option(help="The new file, NAME.mcap.")],
     model: Annotated[
         Path | None, typer.Option(help="Also write this pipeline's estimate of every frame.")
     ] = None,
-    method: MethodCode = None,
-    output: Output,
+    method: options.MethodCode = None,
+    output: options.Output,
 ) -> None:
     """Write the frames of a recording, and a pipeline's estimates, as standard ROS 2 messages.
 
@@ -84,12 +75,12 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
 
 
 @app.command("vtu")
-@with_output
+@options.with_output
 def export_vtu(
-    scene: SceneFile,
+    scene: options.SceneFile,
     *,
     out: Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")],
-    sensor: SensorOptions,
+    sensor: options.SensorOptions,
     drive: Annotated[
         tuple[int, int] | None,
         typer.Option(help="Only the current from A to B; all of the protocol when omitted."),
@@ -97,7 +88,7 @@ def export_vtu(
     cell: Annotated[
         float | None, typer.Option(help="Largest cell [m]; a sixtieth of the length when omitted.")
     ] = None,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
     from eitskin.datasets.store.folder import make_folder
@@ -105,7 +96,7 @@ def export_vtu(
 
     what = simulator.Scene.from_toml(scene)
     _require_empty(out)
-    design = read_design(sensor.sensor)
+    design = options.read_design(sensor.sensor)
     sim = sensor.simulator(field_resolution(design, cell), design)
     announce_unsolved(sim, what, output)
     start = time.perf_counter()
@@ -132,7 +123,7 @@ def _readings(
     if model is None:
         return (hardware.Reading(frame, None, math.nan, math.nan) for frame in board.frames())
 
-    pipeline = training.open_pipeline(model, own_method(method))
+    pipeline = training.open_pipeline(model, options.own_method(method))
     return hardware.run_live(board, pipeline, newest=False, clock=lambda: math.nan)
 
 

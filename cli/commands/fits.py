@@ -11,6 +11,7 @@ from rich.console import Group
 from rich.table import Column
 
 from eitskin import datasets, geometry, simulator, training
+from eitskin.cli import options
 from eitskin.cli.commands.recorded_frames import (
     OneSpecimen,
     Recorded,
@@ -18,15 +19,6 @@ from eitskin.cli.commands.recorded_frames import (
     of_specimen,
     read_recorded,
     required_protocol,
-)
-from eitskin.cli.options import (
-    FixtureFile,
-    MeasuredPairs,
-    MechanicsFile,
-    Output,
-    one_of,
-    require_parent,
-    with_output,
 )
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError, DataError
@@ -45,7 +37,7 @@ Resolution = Annotated[
 
 
 @instrument_app.command("fit")
-@with_output
+@options.with_output
 def fit_instrument(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor.")],
     recording: Recorded,
@@ -53,7 +45,7 @@ def fit_instrument(
     out: Annotated[
         Path, typer.Option(help="Instrument file to write, for --instrument and recipes.")
     ],
-    protocol: MeasuredPairs = None,
+    protocol: options.MeasuredPairs = None,
     values: Values = None,
     terms: Annotated[
         str | None,
@@ -76,7 +68,7 @@ def fit_instrument(
     ] = None,
     resolution: Resolution = "coarse",
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Fit a four-terminal meter with loads and leaks to frames of the flat, untouched sensor.
 
@@ -89,10 +81,10 @@ def fit_instrument(
     from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import agreement
 
-    detail = one_of("--resolution", resolution, Resolution)
-    quantity: Quantity | None = one_of("--reads", reads, Quantity) if reads else None
+    detail = options.one_of("--resolution", resolution, Resolution)
+    quantity: Quantity | None = options.one_of("--reads", reads, Quantity) if reads else None
     sensor = geometry.SensorDesign.from_toml(design)
-    require_parent(out)
+    options.require_parent(out)
     data = read_recorded(recording, values, protocol)
     table = required_protocol(data)
     if table.n_electrodes != len(sensor.electrodes):
@@ -215,16 +207,16 @@ def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterato
 
 
 @twin_app.command("fit")
-@with_output
+@options.with_output
 def fit_twin(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor as it was meant.")],
     recording: Recorded,
     *,
     out: Annotated[Path, typer.Option(help="Folder for the twin's files; new or empty.")],
-    protocol: MeasuredPairs = None,
+    protocol: options.MeasuredPairs = None,
     values: Values = None,
-    fixture: FixtureFile = None,
-    mechanics: MechanicsFile = None,
+    fixture: options.FixtureFile = None,
+    mechanics: options.MechanicsFile = None,
     terms: Annotated[
         str | None,
         typer.Option(
@@ -241,7 +233,7 @@ def fit_twin(
     ] = None,
     resolution: Resolution = "coarse",
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Fit a twin to flat frames, known angles and known touches of one sensor.
 
@@ -253,7 +245,7 @@ def fit_twin(
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.twin.files import as_plain, write_twin
 
-    detail = one_of("--resolution", resolution, Resolution)
+    detail = options.one_of("--resolution", resolution, Resolution)
     new_folder(out)
     sensor = geometry.SensorDesign.from_toml(design)
     widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()

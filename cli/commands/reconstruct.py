@@ -12,21 +12,9 @@ import typer
 from rich.table import Column
 
 from eitskin import datasets, geometry, hardware, simulator, training
+from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
-from eitskin.cli.options import (
-    Detail,
-    MeasuredPairs,
-    Output,
-    SensorFile,
-    SensorOptions,
-    ended_by_signals,
-    one_of,
-    opened_board,
-    read_design,
-    require_parent,
-    with_output,
-)
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError, DataError
@@ -65,8 +53,8 @@ class PicturedFrames(NamedTuple):
 class FrameOptions:
     """Options of the frames that are pictured: of a scene, a dataset, or a board."""
 
-    sensor: SensorFile = None
-    protocol: MeasuredPairs = None
+    sensor: options.SensorFile = None
+    protocol: options.MeasuredPairs = None
     frames: Annotated[
         str | None,
         typer.Option("--frames", help="Frames of a dataset, as 0,5,10-12; of a board, how many."),
@@ -81,7 +69,7 @@ class FrameOptions:
     ] = 16
 
     def read(
-        self, source: str, resolution: "Resolution", seed: int, output: Output
+        self, source: str, resolution: "Resolution", seed: int, output: options.Output
     ) -> PicturedFrames:
         """Frames of a scene, a board, or a dataset."""
         if source.startswith(SCHEMES):
@@ -104,7 +92,9 @@ class FrameOptions:
             named = simulator.Protocol.named(self.protocol, len(design.electrodes))
             named.require_same(known, "--protocol names", whose, "leave --protocol out")
 
-    def _from_scene(self, path: Path, resolution: "Resolution", output: Output) -> PicturedFrames:
+    def _from_scene(
+        self, path: Path, resolution: "Resolution", output: options.Output
+    ) -> PicturedFrames:
         """Frame of a scene, against it without its touches or against the flat sensor."""
         import numpy as np
 
@@ -112,8 +102,10 @@ class FrameOptions:
             raise ConfigurationError(
                 f"expected --reference untouched or flat for a scene, got '{self.reference}'"
             )
-        scene, design = simulator.Scene.from_toml(path), read_design(self.sensor)
-        sim = SensorOptions(protocol=self.protocol or "pairwise").simulator(resolution, design)
+        scene, design = simulator.Scene.from_toml(path), options.read_design(self.sensor)
+        sim = options.SensorOptions(protocol=self.protocol or "pairwise").simulator(
+            resolution, design
+        )
         sim.check_scene(scene)
         announce_unsolved(sim, scene, output)
         before = (
@@ -130,7 +122,7 @@ class FrameOptions:
         import numpy as np
 
         data = datasets.open_dataset(path)
-        design = read_design(self.sensor) if self.sensor else data.design
+        design = options.read_design(self.sensor) if self.sensor else data.design
         if design is None:
             raise DataError(
                 f"expected a dataset that knows its sensor, got {path} without one; name the "
@@ -166,11 +158,11 @@ class FrameOptions:
             [tuple(map(tuple, each[np.isfinite(each[:, 0])].tolist())) for each in circles],
         )
 
-    def _from_board(self, uri: str, seed: int, output: Output) -> PicturedFrames:
+    def _from_board(self, uri: str, seed: int, output: options.Output) -> PicturedFrames:
         """Frames of a board after the frames of its reference."""
         import numpy as np
 
-        design, frames = read_design(self.sensor), self.frames
+        design, frames = options.read_design(self.sensor), self.frames
         count = int(frames) if frames and frames.isdigit() else 1
         if frames and not 1 <= count <= MAX_PICTURES:
             raise ConfigurationError(
@@ -180,7 +172,7 @@ class FrameOptions:
         def good(frame: "simulator.Frame") -> "NDArray[np.complex128]":
             return np.where(frame.status == 0, frame.impedance, np.nan)
 
-        with opened_board(uri, seed) as board:
+        with options.opened_board(uri, seed) as board:
             self.require_protocol(design, board.protocol, "the board measures")
             output.note(f"{self.average} frames for the reference; keep the sensor untouched")
             arriving = board.frames()
@@ -219,7 +211,7 @@ def numbers(text: str, count: int) -> list[int]:
     return chosen
 
 
-@with_output
+@options.with_output
 def command(
     source: Annotated[
         str,
@@ -245,25 +237,27 @@ def command(
         ),
     ] = None,
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
-    resolution: Detail = "fast",
+    resolution: options.Detail = "fast",
     out: Annotated[
         Path | None,
         typer.Option(help="Picture (.png), or values with their positions (.npz, .csv)."),
     ] = None,
     page: PageOptions,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Picture where the conductivity of any sensor has changed, without a trained pipeline."""
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.reconstruction.reconstructor import Difference, Method
 
     names: list[Method] = (
-        [one_of("--method", method, Method)] if method != "all" else [*get_args(Method)]
+        [options.one_of("--method", method, Method)] if method != "all" else [*get_args(Method)]
     )
     chosen_rule = training.Regularisation.named(rule)
-    compared = None if difference is None else one_of("--difference", difference, Difference)
-    detail = one_of("--resolution", resolution, Resolution)
+    compared = (
+        None if difference is None else options.one_of("--difference", difference, Difference)
+    )
+    detail = options.one_of("--resolution", resolution, Resolution)
     _require_out(out)
 
     def makers(
@@ -356,16 +350,16 @@ def _follow_live(
     makers: "Callable[[geometry.SensorDesign, simulator.Protocol], list[training.Reconstructor]]",
     page: PageOptions,
     seed: int,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Serve the page with the board's pictures until Ctrl-C, or the end of a recording."""
     from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.live_page import LivePage
 
-    access, design = page.access, read_design(wanted.sensor)
+    access, design = page.access, options.read_design(wanted.sensor)
     with ExitStack() as stack:
-        stack.enter_context(ended_by_signals())
-        board = stack.enter_context(opened_board(uri, seed))
+        stack.enter_context(options.ended_by_signals())
+        board = stack.enter_context(options.opened_board(uri, seed))
         wanted.require_protocol(design, board.protocol, "the board measures")
         (maker,) = makers(design, board.protocol)
         session = LiveSession(hardware.Connection(board), output, LivePictures(maker))
@@ -385,7 +379,7 @@ def _require_out(out: Path | None) -> None:
         raise ConfigurationError(
             f"expected --out as .png, .npz or .csv, got {out.name}; name such a file"
         )
-    require_parent(out)
+    options.require_parent(out)
     if out.suffix.lower() == ".png":
         from eitskin.extras import require
 

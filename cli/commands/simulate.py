@@ -10,17 +10,7 @@ import typer
 from rich.console import Group, RenderableType
 from rich.table import Column, Table
 
-from eitskin.cli.options import (
-    Detail,
-    Output,
-    SceneFile,
-    SensorFile,
-    SensorOptions,
-    electrode_pair,
-    one_of,
-    read_design,
-    with_output,
-)
+from eitskin.cli import options
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
@@ -36,12 +26,12 @@ if TYPE_CHECKING:
     from eitskin.simulator.view.scene_pictures import Colour
 
 
-@with_output
+@options.with_output
 def command(
-    scene: SceneFile,
+    scene: options.SceneFile,
     *,
-    sensor: SensorOptions,
-    resolution: Detail = "standard",
+    sensor: options.SensorOptions,
+    resolution: options.Detail = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
@@ -64,7 +54,7 @@ def command(
         ),
     ] = None,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Simulate one scene: impedances, their change from the flat sensor, depth of touches."""
     import numpy as np
@@ -75,9 +65,9 @@ def command(
 
     what = on_support(Scene.from_toml(scene), support)
     board = _instrument(noise, instrument)
-    design = read_design(sensor.sensor)
+    design = options.read_design(sensor.sensor)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
-    sim = sensor.simulator(one_of("--resolution", resolution, Resolution), design)
+    sim = sensor.simulator(options.one_of("--resolution", resolution, Resolution), design)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene(), _noise_free(board), np.random.default_rng(seed))
     announce_unsolved(sim, what, output)
@@ -125,12 +115,12 @@ def _colours(
     for option, given in (("--colour", colour), ("--drive", drive)):
         if given is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
-    what = one_of("--colour", colour or "conductance", Colour)
+    what = options.one_of("--colour", colour or "conductance", Colour)
     if drive is None:
         return what, None
     if what != "current":
         raise ConfigurationError(f"--drive is for --colour current, got --colour {what}")
-    return what, electrode_pair(drive, electrodes)
+    return what, options.electrode_pair(drive, electrodes)
 
 
 def _title(name: str, scene: "Scene") -> str:
@@ -246,7 +236,7 @@ def on_support(scene: "Scene", support: str | None) -> "Scene":
     return dataclasses.replace(scene, support=given.support)
 
 
-def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
+def announce_unsolved(simulator: "Simulator", scene: "Scene", output: options.Output) -> None:
     """Note what has to be solved for a scene's touches first: dents, or presses in 3D."""
     from eitskin.simulator.deformation.press_table import press_problems
     from eitskin.simulator.deformation.solution_store import cache_folder, missing
@@ -268,11 +258,11 @@ def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) ->
         )
 
 
-@with_output
+@options.with_output
 def mesh(
     *,
-    sensor: SensorFile = None,
-    resolution: Detail = "standard",
+    sensor: options.SensorFile = None,
+    resolution: options.Detail = "standard",
     cells: Annotated[
         str | None,
         typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),
@@ -281,18 +271,18 @@ def mesh(
     drive: Annotated[
         str | None, typer.Option(help="With --view: draw what a current from A to B does, as A,B.")
     ] = None,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Mesh a sensor: number of cells, their quality, and a picture."""
     from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
     from eitskin.simulator.view.render import require_picture
 
-    design = read_design(sensor)
+    design = options.read_design(sensor)
     named = cast("Resolution", resolution)
     suited = suited_cells(named, design)
-    kind = one_of("--cells", cells, CellKind) if cells else suited
-    pair = None if drive is None else electrode_pair(drive, len(design.electrodes))
+    kind = options.one_of("--cells", cells, CellKind) if cells else suited
+    pair = None if drive is None else options.electrode_pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
     if view is not None:

@@ -7,33 +7,23 @@ from typing import Annotated
 import typer
 
 from eitskin import datasets, hardware, simulator, training
-from eitskin.cli.options import (
-    BoardOption,
-    MethodCode,
-    Model,
-    Output,
-    Specimen,
-    opened_board,
-    own_method,
-    require_parent,
-    with_output,
-)
+from eitskin.cli import options
 from eitskin.errors import ConfigurationError, DataError
 
 FRAMES = 32  # that are averaged
 
 
-@with_output
+@options.with_output
 def command(
-    model: Model,
+    model: options.Model,
     *,
     out: Annotated[Path, typer.Option(help="File of the reference, NAME.json.")],
-    board: BoardOption = None,
+    board: options.BoardOption = None,
     dataset: Annotated[
         Path | None,
         typer.Option("--dataset", help="Instead of a board: the reference of a specimen."),
     ] = None,
-    specimen: Specimen = 0,
+    specimen: options.Specimen = 0,
     frames: Annotated[
         int, typer.Option(min=1, help="Number of frames that are averaged.")
     ] = FRAMES,
@@ -44,9 +34,9 @@ def command(
             help="The sensor is curved by what it is mounted on: its shape now is the zero.",
         ),
     ] = False,
-    method: MethodCode = None,
+    method: options.MethodCode = None,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Store the still, untouched sensor as the zero of later sessions (live, check, calibrate).
 
@@ -55,15 +45,15 @@ def command(
     """
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
-    require_parent(out)
-    pipeline = training.open_pipeline(model, own_method(method))
+    options.require_parent(out)
+    pipeline = training.open_pipeline(model, options.own_method(method))
     zero = training.Zero.MOUNTED if mounted else training.Zero.FLAT
     if zero is training.Zero.FLAT:
         tell_unjudged(pipeline, output)
     if dataset is not None:
         reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
     else:
-        with opened_board(str(board), seed) as opened:
+        with options.opened_board(str(board), seed) as opened:
             output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
             reference = taken_from_board(pipeline, opened, frames, zero)
     reference.write(out)
@@ -116,7 +106,7 @@ def board_number(info: "hardware.Info") -> str:
 
 
 def use_reference(
-    pipeline: "training.Pipeline", path: Path, info: "hardware.Info | None", output: Output
+    pipeline: "training.Pipeline", path: Path, info: "hardware.Info | None", output: options.Output
 ) -> None:
     """Use the reference in a file; note its zero, and another board than this one.
 
@@ -133,7 +123,7 @@ def use_reference(
         )
 
 
-def tell_unjudged(pipeline: "training.Pipeline", output: Output) -> None:
+def tell_unjudged(pipeline: "training.Pipeline", output: options.Output) -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
     from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
 

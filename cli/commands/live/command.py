@@ -10,20 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eitskin import datasets, geometry, hardware, training
+from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession, Recording
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
-from eitskin.cli.options import (
-    BoardOption,
-    MethodCode,
-    Model,
-    Output,
-    ended_by_signals,
-    named_board,
-    one_of,
-    opened_board,
-    own_method,
-    with_output,
-)
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.errors import ConfigurationError, PartialError
 
@@ -34,11 +23,11 @@ if TYPE_CHECKING:
 MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 
 
-@with_output
+@options.with_output
 def command(
-    model: Model,
+    model: options.Model,
     *,
-    board: BoardOption = None,
+    board: options.BoardOption = None,
     frames: Annotated[
         int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
     ] = None,
@@ -72,7 +61,7 @@ def command(
         ),
     ] = None,
     reference: ReferenceFile = None,
-    method: MethodCode = None,
+    method: options.MethodCode = None,
     picture: Annotated[
         str | None,
         typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
@@ -87,7 +76,7 @@ def command(
         str, typer.Option(help="Name of this skin, which its topics and its frame have.")
     ] = "eitskin",
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
 
@@ -97,19 +86,19 @@ def command(
     """
     from eitskin.hardware.streams import open_publisher
 
-    board = named_board(board, output)
+    board = options.named_board(board, output)
     access = page.access if page.page else None  # refused before the board is opened
-    own = own_method(method)
+    own = options.own_method(method)
     pipeline = training.open_pipeline(model, own)
     tell_missing(pipeline, output)
     recordings: list[Recording] = []
     with ExitStack() as stack:
         # Asked last, when all are closed: most sessions are ended by Ctrl-C.
         stack.push(partial(_tell_losses, recordings))
-        stack.enter_context(ended_by_signals())
+        stack.enter_context(options.ended_by_signals())
         for each in _recordings(record, mcap):
             recordings.append(stack.enter_context(closing(each)))
-        opened = stack.enter_context(opened_board(board, seed))
+        opened = stack.enter_context(options.opened_board(board, seed))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         if reference is not None:
             use_reference(pipeline, reference, opened.info, output)
@@ -157,11 +146,11 @@ def _pictured(
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
-    name = one_of("--picture", method, Method)
+    name = options.one_of("--picture", method, Method)
     return LivePictures(training.Reconstructor(sheet, board.protocol, name), session)
 
 
-def tell_missing(pipeline: "training.Pipeline", output: Output) -> None:
+def tell_missing(pipeline: "training.Pipeline", output: options.Output) -> None:
     """Note what a pipeline does not estimate."""
     targets = getattr(pipeline, "targets", None)
     if targets is not None and targets.missing:
