@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -98,10 +99,10 @@ class MapGrid(StoredFields):
     def _locate(self, answer: Array, bad: NDArray[np.bool_]) -> tuple[Array, float, float, Array]:
         rows, columns, channels = self.mean.shape
         seen, left = answer @ self.whitening, self.whitening[bad]
-        score = _Score(self.strength, seen, left)
+        likelihood = partial(score, self.strength, seen, left)
         allowed = np.flatnonzero(np.isfinite(self.log_prior))
         log = np.full(rows * columns, -np.inf)
-        log[allowed], _ = score(
+        log[allowed], _ = likelihood(
             self.mean.reshape(-1, channels)[allowed], self.variance.reshape(-1, channels)[allowed]
         )
         log = (log + self.log_prior.ravel()).reshape(rows, columns)
@@ -116,7 +117,7 @@ class MapGrid(StoredFields):
             )
             fine, log_prior = self._fine(near, np.isfinite(coarse[near]))
             points.append(fine)
-            parts.append(score(*self._between(fine))[0] + log_prior - 2 * np.log(FINE))
+            parts.append(likelihood(*self._between(fine))[0] + log_prior - 2 * np.log(FINE))
             coarse[near] = -np.inf
         rest = np.argwhere(coarse > log.max() - 12.0)
         points.append(rest[:, ::-1].astype(float))
@@ -128,7 +129,7 @@ class MapGrid(StoredFields):
         spread = mass @ np.sum((at - middle) ** 2, axis=1) + 1.0 / (6.0 * FINE**2)
         best = at[int(np.argmax(log_mass))]
         mean, variance = self._between(best[None])
-        _, strength = score(mean, variance)
+        _, strength = likelihood(mean, variance)
         misfit = np.where(bad, 0.0, self._misfit(seen, left, mean[0], variance[0], strength[0]))
         return (
             self.low + self.step * middle,
@@ -182,52 +183,47 @@ class MapGrid(StoredFields):
         return misfit
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Score:
-    """Log likelihood of places for one frame, with the strength at its best.
+def score(
+    prior: Array, seen: Array, left: Array, mean: Array, variance: Array
+) -> tuple[Array, Array]:
+    """Log likelihood of places for one frame, with the strength at its best, and that (n,) each.
 
-    Attributes:
+    Args:
         prior: mean and standard deviation of the strength (2,).
         seen: independent answers (C,).
         left: rows of the whitening of channels that are left out (b, C); an unknown offset of each
             is marginalised, which leaves the channel out exactly.
+        mean, variance: of the maps at the places (n, C).
     """
+    s = np.full(len(mean), prior[0])
+    weight = 1.0 / prior[1] ** 2
+    for _ in range(ROUNDS):
+        precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
+        yy, ym, mm, log = precision_products(seen, left, mean, precision)
+        s = np.maximum((ym + prior[0] * weight) / (mm + weight), 0.05 * prior[0])
+    square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
+    likelihood = -0.5 * (TAIL + len(seen) - len(left)) * np.log1p(square / TAIL) + 0.5 * log
+    off = (s - prior[0]) ** 2 * weight
+    return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
 
-    prior: Array
-    seen: Array
-    left: Array
 
-    def __call__(self, mean: Array, variance: Array) -> tuple[Array, Array]:
-        """Log likelihood and strength (n,) of maps with mean and variance (n, C)."""
-        s = np.full(len(mean), self.prior[0])
-        weight = 1.0 / self.prior[1] ** 2
-        for _ in range(ROUNDS):
-            precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
-            yy, ym, mm, log = self._products(mean, precision)
-            s = np.maximum((ym + self.prior[0] * weight) / (mm + weight), 0.05 * self.prior[0])
-        square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
-        count = len(self.seen) - len(self.left)
-        likelihood = -0.5 * (TAIL + count) * np.log1p(square / TAIL) + 0.5 * log
-        off = (s - self.prior[0]) ** 2 * weight
-        return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
-
-    def _products(self, mean: Array, precision: Array) -> tuple[Array, Array, Array, Array]:
-        """y'Qy, y'Qm, m'Qm and log |Q| of the precision Q of the channels that are left (n,)."""
-        y = self.seen
-        yy, ym = precision @ y**2, np.sum(precision * mean * y, axis=1)
-        mm, log = np.sum(precision * mean**2, axis=1), np.sum(np.log(precision), axis=1)
-        if not len(self.left):
-            return yy, ym, mm, log
-        lost = np.einsum("bc,nc,dc->nbd", self.left, precision, self.left, optimize=True)
-        a, b = (precision * y) @ self.left.T, (precision * mean) @ self.left.T
-        solved_a, solved_b = (np.linalg.solve(lost, v[..., None])[..., 0] for v in (a, b))
-        log = log - np.linalg.slogdet(lost)[1]
-        return (
-            yy - np.sum(a * solved_a, axis=1),
-            ym - np.sum(a * solved_b, axis=1),
-            mm - np.sum(b * solved_b, axis=1),
-            log,
-        )
+def precision_products(
+    y: Array, left: Array, mean: Array, precision: Array
+) -> tuple[Array, Array, Array, Array]:
+    """y'Qy, y'Qm, m'Qm and log |Q| of the precision Q of the channels that are left (n,)."""
+    yy, ym = precision @ y**2, np.sum(precision * mean * y, axis=1)
+    mm, log = np.sum(precision * mean**2, axis=1), np.sum(np.log(precision), axis=1)
+    if not len(left):
+        return yy, ym, mm, log
+    lost = np.einsum("bc,nc,dc->nbd", left, precision, left, optimize=True)
+    a, b = (precision * y) @ left.T, (precision * mean) @ left.T
+    solved_a, solved_b = (np.linalg.solve(lost, v[..., None])[..., 0] for v in (a, b))
+    return (
+        yy - np.sum(a * solved_a, axis=1),
+        ym - np.sum(a * solved_b, axis=1),
+        mm - np.sum(b * solved_b, axis=1),
+        log - np.linalg.slogdet(lost)[1],
+    )
 
 
 def _lagrange(t: Array, size: int) -> Array:

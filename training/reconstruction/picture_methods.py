@@ -1,7 +1,6 @@
 """Methods of pictures: priors of Gauss-Newton pictures, total variation, and GREIT."""
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -51,55 +50,45 @@ def weighted_laplacian(grid: PixelGrid, weights: Array | None = None) -> csc_arr
     return csc_array(D.T @ diags_array(np.tile(w, 2)) @ D + identity)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TotalVariation:
-    """Pictures of least total variation that explain a frame up to a misfit.
+def least_variation(
+    grid: PixelGrid,
+    jacobian: Array,
+    data: Array,
+    misfit: float,
+    history: list[float] | None = None,
+) -> Array:
+    """Picture (P,) of least total variation that explains a frame up to a misfit |y - J x|.
 
     The total variation, the sum over pixels of sqrt(|grad x|^2 + beta^2), is majorised by a
     quadratic with the weights 1 / sqrt(|grad x_k|^2 + beta^2) of the picture before (lagged
     diffusivity, Vogel and Oman 1996): each step is a one-step Gauss-Newton picture with a weighted
     Laplacian as prior, and its total variation is at most that of the step before.
 
-    Attributes:
+    Args:
         grid: pixels inside the outline, P.
         jacobian: J (measurements, P).
+        data: y (measurements,), dimensionless.
+        misfit: Euclidean norm; zero where that of the data is no larger.
+        history: receives the total variation after each step.
     """
-
-    grid: PixelGrid
-    jacobian: Array
-
-    def picture(self, data: Array, misfit: float, history: list[float] | None = None) -> Array:
-        """Picture (P,) of data (measurements,) with the misfit |y - J x|.
-
-        Args:
-            data: y, dimensionless.
-            misfit: Euclidean norm; zero where that of the data is no larger.
-            history: receives the total variation after each step.
-        """
-        J, y, misfit = _compressed(self.jacobian, data, misfit)
-        if np.linalg.norm(y) <= misfit or not y.any():
-            return np.zeros(len(self.grid))
-        weights, picture, beta = np.ones(len(self.grid)), np.zeros(len(self.grid)), 0.0
-        for step in range(MOST_STEPS):
-            family = gauss_newton(J, weighted_laplacian(self.grid, weights))
-            before = picture
-            picture = family.picture(family.of_misfit(misfit, y), y)
-            slopes = self.slopes(picture)
-            if step == 0:
-                beta = SMOOTHING * float(slopes.max())
-            size = np.sqrt(slopes**2 + beta**2)
-            if history is not None:
-                history.append(float(size.sum()))
-            if np.linalg.norm(picture - before) < SETTLED * np.linalg.norm(picture):
-                break
-            weights = beta / size
+    J, y, misfit = _compressed(jacobian, data, misfit)
+    weights, picture, beta = np.ones(len(grid)), np.zeros(len(grid)), 0.0
+    if np.linalg.norm(y) <= misfit or not y.any():
         return picture
-
-    def slopes(self, picture: Array) -> Array:
-        """Magnitudes (P,) of the gradient of a picture (P,), per pixel side."""
-        along_x, along_y = (self.grid.differences @ picture).reshape(2, -1)
-        slopes: Array = np.hypot(along_x, along_y)
-        return slopes
+    for step in range(MOST_STEPS):
+        family = gauss_newton(J, weighted_laplacian(grid, weights))
+        before = picture
+        picture = family.picture(family.of_misfit(misfit, y), y)
+        slopes = np.hypot(*(grid.differences @ picture).reshape(2, -1))
+        if step == 0:
+            beta = SMOOTHING * float(slopes.max())
+        size = np.sqrt(slopes**2 + beta**2)
+        if history is not None:
+            history.append(float(size.sum()))
+        if np.linalg.norm(picture - before) < SETTLED * np.linalg.norm(picture):
+            break
+        weights = beta / size
+    return picture
 
 
 def _compressed(jacobian: Array, data: Array, misfit: float) -> tuple[Array, Array, float]:

@@ -16,9 +16,9 @@ from eitskin.training.method.observations import relative_difference
 from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
 from eitskin.training.reconstruction.picture_methods import (
     Prior,
-    TotalVariation,
     desired_radius,
     greit,
+    least_variation,
     prior_matrix,
 )
 from eitskin.training.reconstruction.pixel_grid import PIXELS, PixelGrid
@@ -214,8 +214,6 @@ class Reconstructor:
 
         Raises ConfigurationError for a noise figure that no lambda has, and for back-projection.
         """
-        if self.method == "back-projection":
-            raise ConfigurationError("expected a method with regularisation, got back-projection")
         frames = np.zeros((1, len(self.protocol))) if data is None else np.atleast_2d(data)
         return self.regularisation.choose(self.family, self.response, frames)
 
@@ -258,10 +256,8 @@ class Reconstructor:
         if self.method != "total-variation":
             return values
         misfits = np.linalg.norm(frames - values @ J.T, axis=1)
-        varied = TotalVariation(self.grid, J)
-        return np.array(
-            [varied.picture(y, float(misfit)) for y, misfit in zip(frames, misfits, strict=True)]
-        )
+        both = zip(frames, misfits.tolist(), strict=True)
+        return np.array([least_variation(self.grid, J, y, misfit) for y, misfit in both])
 
     @cached_property
     def _whole_matrix(self) -> Array:

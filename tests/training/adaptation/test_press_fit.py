@@ -16,8 +16,8 @@ from eitskin.training.adaptation.locator import (
     Places,
     PositionRegressor,
     PressLocator,
-    _Score,
     mixture_places,
+    precision_products,
 )
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from tests.support.toy_skin import toy_presses
@@ -178,8 +178,8 @@ def test_a_bad_channel_is_left_out_of_covariance_and_residual():
     back = np.linalg.inv(whitening)
     answer, means = rng.standard_normal(4), rng.standard_normal((2, 4))
     precision = rng.uniform(0.2, 1.0, (2, 4))
-    score = _Score(np.array([1.0, 0.5]), answer @ whitening, whitening[[1]])
-    yy, ym, mm, log = score._products(means, precision)
+    seen, left = answer @ whitening, whitening[[1]]
+    yy, ym, mm, log = precision_products(seen, left, means, precision)
     dropped = []
     for at in range(2):
         covariance = (back.T @ np.diag(1.0 / precision[at]) @ back)[np.ix_(keep, keep)]
