@@ -33,10 +33,10 @@ from eitskin.geometry.deformation.fixtures import (
 from eitskin.geometry.deformation.fixtures import (
     Hinge as Hinge,
 )
-from eitskin.geometry.deformation.flexure import (
+from eitskin.geometry.deformation.fixtures import (
     Roll as Roll,
 )
-from eitskin.geometry.deformation.flexure import (
+from eitskin.geometry.deformation.fixtures import (
     Twist as Twist,
 )
 from eitskin.geometry.design.electrode import Electrode as Electrode

@@ -18,8 +18,7 @@ from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import sector
 from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge, Roll, Twist
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back_entries
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign

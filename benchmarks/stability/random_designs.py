@@ -8,8 +8,7 @@ import numpy as np
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge, Roll, Twist
 from eitskin.geometry.deformation.kinematics import Composed
 from eitskin.geometry.design.electrode import Electrode, On, Shape
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from eitskin.bounds import drawn
 from eitskin.datasets.store.schema import MAX_TOUCHES, State
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.geometry.deformation.flexure import Roll
+from eitskin.geometry.deformation.fixtures import Bend, Roll
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.scene.indenters import Cylinder, Indenter, Profile, Sphere

@@ -7,7 +7,7 @@ import numpy as np
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import sample
 from eitskin.geometry import Bend, SensorDesign
-from eitskin.geometry.deformation.flexure import Roll
+from eitskin.geometry.deformation.fixtures import Roll
 from eitskin.simulator import Scene, Simulator
 
 from style import INK, ORANGE, TEAL, figure, save, wanted

@@ -1,4 +1,4 @@
-"""Bending fixtures: flexure of a sensor about y, and its limits."""
+"""Fixtures that bend a sensor about y, roll and twist about its long axis x, and their limits."""
 
 import math
 from abc import ABC, abstractmethod
@@ -10,6 +10,7 @@ import numpy as np
 from eitskin.bounds import LONGEST, require_positive, require_within
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import SensorDesign, warn_of_grid
 
 _SEARCH_STEP = 5  # deg, of the search for the last possible angle
@@ -210,10 +211,15 @@ class FreeArc(_Kinematic):
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
         c = theta / (self.length - self.transition)
-        stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
+        stretch = _free_stretch(c * design.encapsulated_thickness)
         return Flexure(
             design.centre, self.length, theta, stretch, self.transition, self.contraction
         )
+
+
+def _free_stretch(bend: float) -> float:
+    """Stretch of the middle of a layer that moments alone bend, by curvature times thickness."""
+    return float((1.0 + bend**2) ** 0.25)
 
 
 # Tables with the keys of several fixtures stand for the first, as in files of version 0.1.
@@ -233,3 +239,89 @@ def _possible(flexure: Flexure, design: SensorDesign) -> bool:
     except ConfigurationError:  # fibres may be shortest where the curvature rises
         return False
     return bool(x.min() > -1e-9)
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """Twist: rotation of one end against the other about the sensor's long axis.
+
+    Attributes:
+        angle_deg: of the end at large x against the end at x = 0, right-handed about x.
+    """
+
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.angle_deg):
+            raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
+
+    def deformation(self, design: SensorDesign) -> "Twisted":
+        """Deformation of a twisted design, its middle at rest."""
+        return Twisted(design.centre, math.radians(self.angle_deg) / design.outline.length)
+
+
+@dataclass(frozen=True, slots=True)
+class Twisted(Deformation):
+    """Torsion without warping: each cross-section turns rigidly about x, in proportion to X.
+
+    x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
+    without warping).
+
+    Attributes:
+        centre: point of the axis without rotation [m].
+        rate: tau [rad/m].
+    """
+
+    centre: tuple[float, float, float]
+    rate: float
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients; det F = 1 everywhere."""
+        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
+        cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
+        y, z = cos * Y - sin * Z, sin * Y + cos * Z
+        F = np.zeros((*points.shape, 3))
+        F[..., 0, 0] = 1.0
+        F[..., 1, 1], F[..., 1, 2] = cos, -sin
+        F[..., 2, 1], F[..., 2, 2] = sin, cos
+        F[..., 1, 0], F[..., 2, 0] = -self.rate * z, self.rate * y
+        return np.stack([X, y, z], axis=-1) + self.centre, F
+
+
+@dataclass(frozen=True, slots=True)
+class Roll:
+    """Roll: pure bending of the whole width into an arc about x.
+
+    Attributes:
+        angle_deg: between the two long edges; positive is convex on the touched side.
+    """
+
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        if not abs(self.angle_deg) <= 360.0:
+            raise ConfigurationError(
+                f"roll angle_deg must be from -360 to 360, where the edges meet, got "
+                f"{self.angle_deg}"
+            )
+
+    def deformation(self, design: SensorDesign) -> "Rolled":
+        """Deformation of a rolled design: Rivlin's flexure (1949) of the whole width."""
+        outline, theta = design.outline, math.radians(self.angle_deg)
+        x, y, z = design.centre
+        c = theta / outline.width
+        stretch = _free_stretch(c * design.encapsulated_thickness)
+        return Rolled(Flexure((y, x, z), outline.width, theta, stretch))
+
+
+@dataclass(frozen=True, slots=True)
+class Rolled(Deformation):
+    """Flexure with x and y exchanged."""
+
+    flexure: Flexure
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions and gradients; det F = 1 everywhere."""
+        swap = [1, 0, 2]
+        moved, F = self.flexure.mapped(points[..., swap])
+        return moved[..., swap], F[..., swap, :][..., swap]

@@ -1,4 +1,4 @@
-"""Flexure of a layer about y, of any curvature profile; twist and roll about its long axis x."""
+"""Flexure of a layer about y, of any curvature profile."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
-from eitskin.geometry.design.sensor import SensorDesign
 
 Array = NDArray[np.float64]
 
@@ -143,89 +142,3 @@ class Flexure(Deformation):
         total = mid + stretch
         slope = 2.0 * q_slope / total - 2.0 * q * (mid_slope + stretch_slope) / total**2
         return stretch, 2.0 * q / total, slope
-
-
-@dataclass(frozen=True, slots=True)
-class Twist:
-    """Twist: rotation of one end against the other about the sensor's long axis.
-
-    Attributes:
-        angle_deg: of the end at large x against the end at x = 0, right-handed about x.
-    """
-
-    angle_deg: float
-
-    def __post_init__(self) -> None:
-        if not math.isfinite(self.angle_deg):
-            raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
-
-    def deformation(self, design: SensorDesign) -> "Twisted":
-        """Deformation of a twisted design, its middle at rest."""
-        return Twisted(design.centre, math.radians(self.angle_deg) / design.outline.length)
-
-
-@dataclass(frozen=True, slots=True)
-class Twisted(Deformation):
-    """Torsion without warping: each cross-section turns rigidly about x, in proportion to X.
-
-    x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
-    without warping).
-
-    Attributes:
-        centre: point of the axis without rotation [m].
-        rate: tau [rad/m].
-    """
-
-    centre: tuple[float, float, float]
-    rate: float
-
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
-        """Positions and gradients; det F = 1 everywhere."""
-        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
-        cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
-        y, z = cos * Y - sin * Z, sin * Y + cos * Z
-        F = np.zeros((*points.shape, 3))
-        F[..., 0, 0] = 1.0
-        F[..., 1, 1], F[..., 1, 2] = cos, -sin
-        F[..., 2, 1], F[..., 2, 2] = sin, cos
-        F[..., 1, 0], F[..., 2, 0] = -self.rate * z, self.rate * y
-        return np.stack([X, y, z], axis=-1) + self.centre, F
-
-
-@dataclass(frozen=True, slots=True)
-class Roll:
-    """Roll: pure bending of the whole width into an arc about x.
-
-    Attributes:
-        angle_deg: between the two long edges; positive is convex on the touched side.
-    """
-
-    angle_deg: float
-
-    def __post_init__(self) -> None:
-        if not abs(self.angle_deg) <= 360.0:
-            raise ConfigurationError(
-                f"roll angle_deg must be from -360 to 360, where the edges meet, got "
-                f"{self.angle_deg}"
-            )
-
-    def deformation(self, design: SensorDesign) -> "Rolled":
-        """Deformation of a rolled design: Rivlin's flexure (1949) of the whole width."""
-        outline, theta = design.outline, math.radians(self.angle_deg)
-        x, y, z = design.centre
-        c = theta / outline.width
-        stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
-        return Rolled(Flexure((y, x, z), outline.width, theta, stretch))
-
-
-@dataclass(frozen=True, slots=True)
-class Rolled(Deformation):
-    """Flexure with x and y exchanged."""
-
-    flexure: Flexure
-
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
-        """Positions and gradients; det F = 1 everywhere."""
-        swap = [1, 0, 2]
-        moved, F = self.flexure.mapped(points[..., swap])
-        return moved[..., swap], F[..., swap, :][..., swap]

@@ -9,8 +9,7 @@ from typing import TypeAlias
 from eitskin.bounds import require_positive
 from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Roll, Twist
 from eitskin.geometry.design.sensor import Free, Plates, Support
 from eitskin.simulator.scene.indenters import Cylinder, Profile, ScannedIndenter, Sphere
 

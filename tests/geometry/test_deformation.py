@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
-from eitskin.geometry.deformation.fixtures import FreeArc
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import FreeArc, Roll, Twist
 from eitskin.geometry.deformation.kinematics import (
     WHOLE_TENSOR,
     Composed,

@@ -54,16 +54,15 @@ def linear_model(
         pixels: number of rows along y and of columns along x.
         resolution: of the forward model.
     """
-    # A trained pipeline runs without: these take longer to import than all the rest of it.
-    from eitskin.simulator.scene.scene import Scene
-    from eitskin.simulator.simulator import Simulator
+    # A trained pipeline runs without: this takes longer to import than all the rest of it.
+    from eitskin.simulator.electrical.sensor_impedances import model_family
 
-    simulator = Simulator(design, resolution, protocol=protocol)
-    layer, model = simulator.deformed_layer(Scene()), simulator.model
-    sensitivity = model.sensitivity(
-        protocol, layer.conductivity, pixels, layer.area_ratio, along=layer.conductivity
-    )
-    impedance = protocol.measure(model.impedance(layer.conductivity, layer.area_ratio))
+    def conductivity(x: Array) -> Array:
+        return design.conductivity_at(x)[..., None, None] * np.eye(3)
+
+    model = model_family(design, resolution).base
+    sensitivity = model.sensitivity(protocol, conductivity, pixels, along=conductivity)
+    impedance = protocol.measure(model.impedance(conductivity))
     for values in (sensitivity, impedance):
         values.flags.writeable = False
     return LinearModel(impedance, sensitivity)

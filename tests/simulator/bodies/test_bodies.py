@@ -6,8 +6,7 @@ import skfem
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign, Surface
-from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge, Roll, Twist
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack

@@ -7,8 +7,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.geometry import Bend, Disc, Electrode, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.deformation.fixtures import FreeArc
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import FreeArc, Roll, Twist
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
-from eitskin.geometry.deformation.flexure import Roll, Twist
+from eitskin.geometry.deformation.fixtures import Roll, Twist
 from eitskin.geometry.deformation.kinematics import Displaced, largest_strain
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
