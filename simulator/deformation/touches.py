@@ -75,19 +75,17 @@ class PressedSensor(NamedTuple):
 
 
 class _DentedTouch(NamedTuple):
-    """Touch with its dent, None where it has faded, and the force on the indenter [N]."""
+    """Touch with its dent, None where it has faded.
+
+    Attributes:
+        force: on the indenter [N].
+        sunk: by which the indenter sinks deeper than the dent [m].
+    """
 
     touch: Touch
     dent: TabulatedDent | None
     force: float
-
-
-class _SceneDents(NamedTuple):
-    """All touches with their dents, corrections, and how much deeper each indenter sinks [m]."""
-
-    dented: tuple[_DentedTouch, ...]
-    corrections: tuple[ColumnField, ...]
-    extra_depths: tuple[float, ...]
+    sunk: float = 0.0
 
 
 def dents(touches: tuple[Touch, ...], sensor: PressedSensor) -> Dents:
@@ -95,11 +93,9 @@ def dents(touches: tuple[Touch, ...], sensor: PressedSensor) -> Dents:
 
     Raises ConfigurationError for presses beyond the range of the model.
     """
-    solved = _solve_dents(touches, sensor)
-    placed = tuple(
-        PlacedDent(touch.x, touch.y, dent) for touch, dent, _ in solved.dented if dent is not None
-    )
-    return Dents(placed, solved.corrections)
+    dented, fields = _solve_dents(touches, sensor)
+    placed = [PlacedDent(t.x, t.y, dent) for t, dent, *_ in dented if dent is not None]
+    return Dents(tuple(placed), tuple(fields))
 
 
 def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
@@ -121,30 +117,29 @@ def bent_dents(
 
     Raises ConfigurationError for presses beyond the range of the model.
     """
-    solved = _solve_dents(touches, sensor, bent)
+    dented, fields = _solve_dents(touches, sensor, bent)
     stack = sensor.mechanics.stack(sensor.design)
-    placed = tuple(
-        (ContactFrame.at(bent, touch.x, touch.y, stack), dent)
-        for touch, dent, _ in solved.dented
-        if dent is not None
-    )
-    return BentPresses(bend, placed, Dents((), solved.corrections))
+    placed = [
+        (ContactFrame.at(bent, t.x, t.y, stack), dent) for t, dent, *_ in dented if dent is not None
+    ]
+    return BentPresses(bend, tuple(placed), Dents((), tuple(fields)))
 
 
 def _solve_dents(
     touches: tuple[Touch, ...], sensor: PressedSensor, bent: BentState | None = None
-) -> _SceneDents:
+) -> tuple[list[_DentedTouch], list[ColumnField]]:
     """Dents of touches, and their corrections in the whole stack."""
     search = DepthSearch(touches, sensor.design)
     for _ in range(_MOST_SEARCHED):
-        dented = tuple(
+        dented = [
             _DentedTouch(touch, *_dent(touch, float(depth), sensor))
             for touch, depth in zip(touches, search.depths, strict=True)
-        )
-        fields, extra = _corrections(dented, sensor, bent)
+        ]
+        fields, sunk = _corrections(dented, sensor, bent)
         depths = [0.0 if one.dent is None else one.dent.depth for one in dented]
-        if search.advance(np.array(depths), np.array(extra)):
-            return _SceneDents(dented, tuple(fields), tuple(extra))
+        if search.advance(np.array(depths), np.array(sunk)):
+            found = zip(dented, sunk, strict=True)
+            return [one._replace(sunk=below) for one, below in found], fields
     raise ConfigurationError(
         f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
         "or prescribe forces"
@@ -152,7 +147,7 @@ def _solve_dents(
 
 
 def _corrections(
-    dented: tuple[_DentedTouch, ...], sensor: PressedSensor, bent: BentState | None
+    dented: list[_DentedTouch], sensor: PressedSensor, bent: BentState | None
 ) -> tuple[list[ColumnField], list[float]]:
     """Corrections of dents, and how much deeper each indenter sinks [m].
 
@@ -205,10 +200,10 @@ def resolve_touch_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> To
     if sensor.model is not None:
         return sensor.model
     pairs = len(touches) > 1
-    shipped = is_tabulable(sensor.design) and all(
+    shipped = [
         corrections_ship(sensor, indenter, pairs) for indenter in {t.indenter for t in touches}
-    )
-    return "tabulated" if shipped else "solved"
+    ]
+    return "tabulated" if all(shipped) else "solved"
 
 
 def corrections_ship(sensor: PressedSensor, indenter: AnyIndenter, pairs: bool) -> bool:
@@ -228,14 +223,31 @@ def pressed_touches(
 
     `bent_after` says that the pressed sensor is bent, rolled or twisted afterwards.
     """
-    solved = _solve_dents(touches, sensor, bent)
-    flat = _POLYGON if isinstance(sensor.design.outline, Polygon) else _FLAT
+    design, outline = sensor.design, sensor.design.outline
+    flat = _POLYGON if isinstance(outline, Polygon) else _FLAT
     error = None if bent_after else flat if bent is None else _BENT
-    cautions = [_NOT_VALIDATED_AFTER_BEND] * bent_after
-    return tuple(
-        _result(one, extra, touches, sensor.design, error, cautions)
-        for one, extra in zip(solved.dented, solved.extra_depths, strict=True)
-    )
+    found = []
+    for touch, dent, force, sunk in _solve_dents(touches, sensor, bent)[0]:
+        edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
+        neighbour = neighbour_distance(touch, touches)
+        depth = dent.depth + sunk if dent is not None else 0.0
+        cautions = _cautions(touch, edge, neighbour, depth, design)
+        cautions += [_NOT_VALIDATED_AFTER_BEND] * bent_after
+        pressed = PressedTouch(
+            touch=touch,
+            force=force,
+            depth=depth,
+            # Without contact there is a dent, but no pressure.
+            contact_radius=dent.contact_radius if dent is not None and force > 0.0 else 0.0,
+            peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
+            thinning=dent.thinning if dent is not None else 0.0,
+            edge_distance=edge,
+            neighbour_distance=neighbour,
+            signal_error=None if cautions else error,
+            caution="; ".join(cautions),
+        )
+        found.append(pressed)
+    return tuple(found)
 
 
 @lru_cache(maxsize=64)
@@ -247,40 +259,6 @@ def _nodes(design: SensorDesign) -> tuple[Array, Array]:
     )
     turned = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, across + 1)))
     return np.linspace(0.0, outline.length, along + 1), outline.width * turned
-
-
-def _result(
-    one: _DentedTouch,
-    extra_depth: float,
-    touches: tuple[Touch, ...],
-    design: SensorDesign,
-    error: float | None,
-    shared: list[str],
-) -> PressedTouch:
-    """Result of one touch.
-
-    `error` is that found where presses were compared, None for none; `shared` are cautions that
-    hold for all touches of the scene.
-    """
-    touch, dent, force = one
-    neighbour = neighbour_distance(touch, touches)
-    # Without contact there is a dent, but no pressure.
-    radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
-    edge = _edge_distance(touch, design)
-    depth = dent.depth + extra_depth if dent is not None else 0.0
-    cautions = _cautions(touch, edge, neighbour, depth, design) + shared
-    return PressedTouch(
-        touch=touch,
-        force=force,
-        depth=depth,
-        contact_radius=radius,
-        peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
-        thinning=dent.thinning if dent is not None else 0.0,
-        edge_distance=edge,
-        neighbour_distance=neighbour,
-        signal_error=None if cautions else error,
-        caution="; ".join(cautions),
-    )
 
 
 def _dent(touch: Touch, depth: float, sensor: PressedSensor) -> tuple[TabulatedDent | None, float]:
@@ -305,14 +283,6 @@ def _dent(touch: Touch, depth: float, sensor: PressedSensor) -> tuple[TabulatedD
         acting = first.force * float(prony.relaxation(touch.held))
     dent = table.at_force(elastic) if elastic > 0.0 else None
     return dent, 0.0 if touch.released else acting
-
-
-def _edge_distance(touch: Touch, design: SensorDesign) -> float:
-    outline = design.outline
-    if isinstance(outline, Surface):
-        return math.inf
-    _, depth = outline.nearest(np.array([touch.x, touch.y]))
-    return float(depth)
 
 
 def _cautions(
