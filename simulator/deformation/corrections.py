@@ -38,8 +38,15 @@ _SHORTEST, _SMALLEST, _NARROWEST = 8.0, 1.0, 2.0
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _SAME = 1e-9  # [m]
 _WORKERS = os.cpu_count() or 1
-# Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
-_VERSIONS = {"strip": 3, "end": 3, "side": 2, "disc": 1, "pair": 4, "pair-sides": 1}
+# Kinds of tables: how they are solved, and versions, to be raised whenever that changes.
+_KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
+    "strip": (tables.solve_strip, 3),
+    "end": (tables.solve_end, 3),
+    "side": (tables.solve_side, 2),
+    "disc": (tables.solve_disc, 1),
+    "pair": (pair_tables.solve_pair, 4),
+    "pair-sides": (pair_tables.solve_pair_sides, 1),
+}
 _STRESS = 3  # component of fields
 
 
@@ -77,21 +84,20 @@ class _Sensor:
     mechanics: Mechanics
     indenter: Indenter
 
-    def problem(
-        self,
-        kind: str,
-        stack: Stack,
-        solve: Callable[..., SolutionTable],
-        **sizes: float,
-    ) -> Problem:
-        """Table of a kind on a stack, solved by `solve` with sizes of the outline [m]."""
-        mechanics, gel = self.mechanics, stack.sheets[stack.gel].law.shear_modulus
+    def problem(self, kind: str, stack: Stack) -> Problem:
+        """Table of a kind on a stack."""
+        mechanics, outline = self.mechanics, self.design.outline
+        gel = stack.sheets[stack.gel].law.shear_modulus
         if stack.gel + 1 < len(stack.sheets):
             mechanics = dataclasses.replace(mechanics, encapsulation=stack.sheets[-1].law)
         laws = [sheet.law for sheet in stack.sheets]
         laws += [] if stack.gel + 1 < len(laws) else [mechanics.encapsulation]
+        sizes = {"width": outline.width} if kind in ("strip", "end", "pair-sides") else {}
+        if kind == "disc" and isinstance(outline, Disc):
+            sizes = {"radius": outline.radius}
+        solve, version = _KINDS[kind]
         described = {
-            "version": _VERSIONS[kind],
+            "version": version,
             **sizes,
             "heights": [sheet.thickness for sheet in stack.sheets],
             "laws": [
@@ -110,30 +116,17 @@ class _Sensor:
 
     def singles(self, stack: Stack) -> list[Problem]:
         """Tables of single presses that only the solved stack next to the sensor's needs."""
-        if not _has_strip(self.design):
-            return []
-        width = {"width": self.design.outline.width}
-        return [
-            self.problem("strip", stack, tables.solve_strip, **width),
-            self.problem("end", stack, tables.solve_end, **width),
-        ]
+        kinds = ("strip", "end") if _has_strip(self.design) else ()
+        return [self.problem(kind, stack) for kind in kinds]
 
     def varied(self, stack: Stack) -> Problem:
         """Table of single presses that is interpolated between stacks."""
-        outline = self.design.outline
-        if isinstance(outline, Disc):
-            return self.problem("disc", stack, tables.solve_disc, radius=outline.radius)
-        return self.problem("side", stack, tables.solve_side)
+        return self.problem("disc" if isinstance(self.design.outline, Disc) else "side", stack)
 
     def pairs(self, stack: Stack) -> list[Problem]:
         """Tables of two presses by each other."""
-        pairs = [self.problem("pair", stack, pair_tables.solve_pair)]
-        if _has_strip(self.design):
-            width = self.design.outline.width
-            pairs.append(
-                self.problem("pair-sides", stack, pair_tables.solve_pair_sides, width=width)
-            )
-        return pairs
+        kinds = ("pair", "pair-sides") if _has_strip(self.design) else ("pair",)
+        return [self.problem(kind, stack) for kind in kinds]
 
     def stacks(self, grid: SensorGrid) -> tuple[Stack, dict[Stack, float]]:
         """Solved stack next to the sensor's, and weights of stacks in its corrections.

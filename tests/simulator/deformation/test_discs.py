@@ -9,8 +9,8 @@ import pytest
 from eitskin.geometry import Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.deformation import indentation_tables
 from eitskin.simulator.deformation.corrections import (
+    _KINDS,
     Corrections,
     correction_problems,
     corrections,
@@ -136,7 +136,7 @@ def test_a_stored_table_takes_the_place_of_solving(table, tmp_path, monkeypatch)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     calls = []
     solve = lambda *given: calls.append(given) or table  # noqa: E731
-    monkeypatch.setattr(indentation_tables, "solve_disc", solve)
+    monkeypatch.setitem(_KINDS, "disc", (solve, 1))
     for cached in (corrections, correction_problems):
         cached.cache_clear()
     try:
