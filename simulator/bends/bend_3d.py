@@ -23,7 +23,6 @@ from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.mechanics.turning_plates import TurningPlates, plate_rotation, turned
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
 _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree

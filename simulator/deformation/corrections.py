@@ -47,7 +47,6 @@ _KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
     "pair": (pair_tables.solve_pair, 4),
     "pair-sides": (pair_tables.solve_pair_sides, 1),
 }
-_STRESS = 3  # component of fields
 
 
 class PressCorrection(NamedTuple):

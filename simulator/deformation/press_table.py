@@ -324,9 +324,10 @@ def solve_table(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
             break
     bottom, top = stack.levels[layer : layer + 2]
     knots = _knots(indenter.rims[1], top - bottom, found[-1].r[-1])
-    moved, stressed = (
-        np.stack([_over_layer(each(one), bottom, top, knots) for one in found])
-        for each in (_displacements, partial(_mean_stresses, layer))
+    fit = partial(_over_layer, bottom, top, knots)
+    moved = np.stack([fit(one.r, one.z, one.displacement) for one in found])
+    stressed = np.stack(
+        [fit(one.r[::2], one.z[::2], one.mean_stress[layer, ..., None]) for one in found]
     )
     felt = np.abs(moved).max(axis=(2, 3)) > _NEGLIGIBLE * np.array([[one.depth] for one in found])
     end = min(len(knots), int(np.flatnonzero(felt.any(axis=0))[-1]) + 2)
@@ -385,22 +386,13 @@ def _knots(radius: float, thickness: float, end: float) -> Array:
     return np.concatenate([inside, beyond[1:], [end]])
 
 
-def _displacements(found: Indentation) -> tuple[Array, Array, Array]:
-    return found.r, found.z, found.displacement
-
-
-def _mean_stresses(layer: int, found: Indentation) -> tuple[Array, Array, Array]:
-    return found.r[::2], found.z[::2], found.mean_stress[layer, ..., None]
-
-
 def _over_layer(
-    field: tuple[Array, Array, Array], bottom: float, top: float, knots: Array
+    bottom: float, top: float, knots: Array, r: Array, z: Array, values: Array
 ) -> Array:
     """Legendre coefficients over the height of a layer at the knots, (m, coefficients, k).
 
-    `field` holds radii r (nr,), heights z (nz,) and values (nr, nz, k).
+    Values (nr, nz, k) are at radii r (nr,) and heights z (nz,).
     """
-    r, z, values = field
     inside = (z > bottom - 1e-9) & (z < top + 1e-9)
     heights = 2.0 * (z[inside] - bottom) / (top - bottom) - 1.0
     along = CubicSpline(r, values[:, inside])(knots).swapaxes(0, 1)
