@@ -12,6 +12,7 @@ from eitskin.extras import require
 from eitskin.threads import one_torch_thread
 from eitskin.training.baselines.table import Array, TableMethod
 from eitskin.training.method.settings import NetworkSettings, Progress
+from eitskin.training.paper.layers import Layer, Network
 
 PARAMETERS = np.logspace(-6, 3, 37)  # of ridge regression, relative to the number of frames
 LEAF = -1  # child of a node without any, in scikit-learn's trees
@@ -132,13 +133,12 @@ class MlpMethod(TableMethod):
 
     @staticmethod
     def apply(arrays: Mapping[str, NDArray[Any]], features: Array) -> Array:
-        numbers = sorted({int(name.split(".")[0]) for name in arrays if name[0].isdigit()})
-        values = features.astype(np.float32)
-        for number in numbers:
-            values = values @ arrays[f"{number}.weight"].T + arrays[f"{number}.bias"]
-            if number != numbers[-1]:
-                values = np.maximum(values, 0.0)
-        return values.astype(float)
+        last = sum(name.endswith("weight") for name in arrays) - 1
+        layers = []
+        for number in range(last + 1):
+            outputs, inputs = arrays[f"{2 * number}.weight"].shape
+            layers.append(Layer("dense", inputs, outputs, rectified=number < last))
+        return Network.from_arrays("network", layers, arrays).logits(features)
 
 
 @dataclass(frozen=True, slots=True)
