@@ -13,10 +13,9 @@ from toy_skin import toy_presses
 from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.datasets.store.schema import UNKNOWN_STATE
-from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Status
-from eitskin.simulator import Protocol
-from eitskin.training import Pipeline, TrainingSettings, open_pipeline
+from eitskin.training import Pipeline, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
 from eitskin.training.evaluation.adaptation_curve import CurvePoint, press_curve
@@ -156,15 +155,6 @@ def test_the_sentence_tells_whether_the_twin_was_taken():
     assert "15.0%" in twin_in_words(dataclasses.asdict(better))
     assert "not taken" not in twin_in_words(dataclasses.asdict(better))
     assert "not taken" in twin_in_words(dataclasses.asdict(worse))
-
-
-@pytest.mark.slow
-def test_recordings_of_other_measurements_are_refused():
-    known = Pipeline.fit(toy_recording(), TrainingSettings("touch position"))
-    assert known.layout.described(toy_recording(5)).protocol is None
-    other = Dataset.from_arrays(np.ones((2, 6)), np.ones(6), protocol=Protocol.pairwise(4))
-    with pytest.raises(FrameError, match="8 channels, got 6"):
-        known.layout.described(other)
 
 
 def test_a_channel_that_dies_or_drifts_after_the_adaptation_is_left_out(bends, pipeline):

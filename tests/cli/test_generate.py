@@ -1,7 +1,6 @@
 """`eitskin generate`, `dataset` and `import`: what they print, their exit codes, Ctrl-C."""
 
 import contextlib
-import errno
 import json
 import os
 import signal
@@ -16,7 +15,7 @@ from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, open_dataset, save_dataset
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.store.shard import shard_bytes
-from eitskin.errors import DataError, PartialError
+from eitskin.errors import DataError
 
 from shards_here import in_this_process
 from small_dataset import assert_same, make
@@ -121,38 +120,6 @@ def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path,
     run("generate", recipe, "--out", out, "--resume")
     found = {path.name: path.read_bytes() for path in out.iterdir() if path.name[0] != "."}
     assert found == whole
-
-
-@pytest.mark.slow
-def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, monkeypatch):
-    (tmp_path / "failing").mkdir()
-    (tmp_path / "failing" / "sitecustomize.py").write_text(
-        "import errno, os\n"
-        "left, real = 6, os.fsync\n"
-        "def fsync(handle):\n"
-        "    global left\n"
-        "    left -= 1\n"
-        "    if left < 0:\n"
-        "        raise OSError(errno.EIO, os.strerror(errno.EIO))\n"
-        "    real(handle)\n"
-        "os.fsync = fsync\n"
-    )
-    path = os.pathsep.join([str(tmp_path / "failing"), os.environ.get("PYTHONPATH", "")])
-    monkeypatch.setenv("PYTHONPATH", path)  # of the worker, which starts afresh
-    out = tmp_path / "set"
-    recipe.write_text(RECIPE.format(count=48))
-    with pytest.raises(PartialError, match=os.strerror(errno.EIO)) as caught:
-        run("generate", recipe, "--out", out, "--workers", 1)
-    assert caught.value.exit_code == 5
-    assert len(list(out.glob("shard-*.h5"))) >= 3
-    assert not list(out.glob(".writing-*"))
-    assert not (out / "manifest.json").exists()
-    monkeypatch.undo()
-    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("shard-00000[012].h5")}
-    in_this_process(monkeypatch)
-    run("generate", recipe, "--out", out, "--resume")
-    assert {shard: shard.stat().st_mtime_ns for shard in kept} == kept
-    assert len(open_dataset(out)) == 48
 
 
 # eitskin dataset

@@ -1,4 +1,4 @@
-"""The command `eitskin live`, on fake pipelines."""
+"""The command `eitskin live` on fake pipelines: what it prints, records and publishes."""
 
 import json
 import time
@@ -7,21 +7,24 @@ from functools import partial
 
 import numpy as np
 import pytest
+from mcap_reader import read
 from rich.console import Console
+from rosbags.rosbag2 import Writer
 
 from eitskin import files as files_module
-from eitskin.cli.commands.live import session as cli
-from eitskin.cli.commands.live.session import Recording, touch_picture
+from eitskin.cli.commands.live.session import LiveSession, Recording, touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
-from eitskin.errors import PartialError
+from eitskin.errors import DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
-from eitskin.hardware.streams import bad_channels, reading_record
+from eitskin.hardware.ros2 import skin_node
+from eitskin.hardware.streams import reading_record
 from eitskin.simulator import Status
+from eitskin.training.method.predictions import Zero
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
 
-# ---- the command ----
+BOARD = ("--board", "virtual:?speed=max")
 
 
 @pytest.fixture
@@ -30,7 +33,7 @@ def run(monkeypatch):
 
 
 def test_json_is_one_object_per_frame(run):
-    result = run(FakePipeline(), "--board", "virtual:?speed=max", "--json", "--frames", "4")
+    result = run(FakePipeline(), *BOARD, "--json", "--frames", "4")
     assert result.exit_code == 0
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     assert len(lines) == 4
@@ -90,12 +93,9 @@ def test_the_seed_is_the_virtual_boards(run, tmp_path):
     assert not np.array_equal(first, recorded("c", "--board", "virtual:?speed=max"))
 
 
-# ---- long runs ----
-
-
 def session_of(board, **known):
     output = Output(console=Console(width=100), notes=Console(width=200))
-    return cli.LiveSession(Connection(board), output, clock=lambda: 50.0, **known)
+    return LiveSession(Connection(board), output, clock=lambda: 50.0, **known)
 
 
 def reading(number=0, **changes):
@@ -226,9 +226,6 @@ def test_the_command_outlives_an_unplugged_cable(run):
     assert result.stderr.count("went away") == result.stderr.count("the board is back") == 1
 
 
-# ---- pictures ----
-
-
 def test_the_touch_map_is_drawn_with_y_up():
     touch_map = np.zeros((32, 80))
     touch_map[0, 0] = 1.0  # (0, 0) mm, lower left
@@ -240,10 +237,130 @@ def test_the_touch_map_is_drawn_with_y_up():
     assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
 
 
-def test_channel_health_names_what_is_wrong():
-    status = np.zeros(28, np.uint8)
-    status[[0, 27]] = Status.OPEN | Status.CLIPPED, 128
-    assert bad_channels(frame(status=status)) == {
-        "0-1": "clipped, open",
-        "6-7": "status 0x80",
-    }
+def full_after(monkeypatch, messages):
+    """A disk that takes so many messages from now on."""
+    left, real = [messages], Writer.write
+
+    def write(*arguments):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(28, "No space left on device")
+        real(*arguments)
+
+    monkeypatch.setattr(Writer, "write", write)
+
+
+def test_every_frame_and_estimate_is_in_the_file(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("time.time_ns", lambda: 5_000_000_000)
+    path = tmp_path / "run.mcap"
+    result = run(FakePipeline(), *BOARD, "--frames", "6", "--mcap", str(path), "-q")
+    assert result.exit_code == 0, result.output
+    stamps = [stamp for stamp, _ in read(path)["/eitskin/impedance"]]
+    assert stamps[0] == 5_000_000_000
+    np.testing.assert_allclose(np.diff(stamps), 0.2968e9)
+    angles = [message.position[0] for _, message in read(path)["/eitskin/bend"]]
+    assert angles == [np.radians(-12.5)] * 6
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path):
+    path, folder = tmp_path / "run.mcap", tmp_path / "r"
+    kept = ("--mcap", str(path), "--record", str(folder))
+    result = run(FakePipeline(interrupt_at=5), *BOARD, *kept)
+    assert result.exit_code == 130
+    written = [message.data[::2] for _, message in read(path)["/eitskin/impedance"]]
+    np.testing.assert_array_equal(written, open_dataset(folder).impedance.real)
+    assert len(written) == 4
+    assert sorted(tmp_path.iterdir()) == [folder, path]
+
+
+def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatch):
+    full_after(monkeypatch, 9)  # in the second frame
+    path, folder = tmp_path / "run.mcap", tmp_path / "r"
+    kept = ("--mcap", str(path), "--record", str(folder))
+    result = run(FakePipeline(), *BOARD, "--frames", "6", *kept)
+    assert isinstance(result.exception, PartialError)
+    assert "No space left" in str(result.exception)
+    assert "run.mcap.unfinished" in str(result.exception)
+    assert result.stderr.count("recording stopped: could not write") == 1
+    assert "6 frames processed" in result.stderr
+    assert len(open_dataset(folder)) == 6
+    assert not path.exists()
+    (left,) = (tmp_path / "run.mcap.unfinished").iterdir()
+    assert left.read_bytes().startswith(b"\x89MCAP0\r\n")
+
+
+@pytest.mark.parametrize(
+    ("ending", "raised"),
+    [(KeyboardInterrupt(), PartialError), (DeviceError("the board is gone"), DeviceError)],
+)
+def test_what_is_lost_is_said_unless_an_error_ends_the_session(
+    run, tmp_path, monkeypatch, ending, raised
+):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    def end(_):
+        raise ending
+
+    monkeypatch.setattr(Writer, "close", full)
+    monkeypatch.setattr(LiveSession, "sum_up", end)
+    result = run(FakePipeline(), *BOARD, "--frames", "2", "--mcap", str(tmp_path / "run.mcap"))
+    assert type(result.exception) is raised
+
+
+@pytest.fixture
+def nodes(monkeypatch):
+    """Nodes that were made, which only remember."""
+    made = []
+
+    class FakeNode:
+        refused = 2
+
+        def __init__(self, name, domain, tare):
+            self.name, self.domain, self.tare = name, domain, tare
+            self.published, self.closed = [], False
+            made.append(self)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self.closed = True
+
+        def publish(self, reading):
+            self.published.append(reading.frame.number)
+
+    monkeypatch.setattr(skin_node, "SkinNode", FakeNode)
+    return made
+
+
+def test_every_reading_is_published_and_the_node_closed(monkeypatch, nodes):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    result = run_command(
+        monkeypatch, FakePipeline(), *BOARD, "--frames", "3", "--ros2", "--ros2-namespace", "pad"
+    )
+    assert result.exit_code == 0, result.output
+    (node,) = nodes
+    assert (node.name, node.domain, node.closed) == ("pad", 7, True)
+    assert len(node.published) == 3
+    assert "2 ROS 2 messages found no room" in result.stderr
+
+
+def test_the_service_takes_a_zero_of_the_session_s_kind():
+    """Flat, unless the session's stored reference is of a mounted sensor."""
+    info = types.SimpleNamespace(uid=bytes(range(12)), period=0.3)
+    board = types.SimpleNamespace(uri="serial:x", info=info, counts=None)
+    asked = []
+
+    def tare(*arguments):
+        asked.append(arguments)
+        pipeline.stored = types.SimpleNamespace(zero=Zero.MOUNTED)
+
+    pipeline, frames = types.SimpleNamespace(tare=tare), [frame(0), frame(1)]
+    session = LiveSession(Connection(board), Output(quiet=True), pipeline)
+    assert session.tare(frames) == "zero: the sensor flat, mean of 2 frames"
+    assert session.tare(frames) == "zero: the sensor as mounted, mean of 2 frames"
+    assert asked == [
+        (frames, zero, bytes(range(12)).hex(), "serial:x") for zero in (Zero.FLAT, Zero.MOUNTED)
+    ]

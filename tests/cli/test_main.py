@@ -5,8 +5,6 @@ import subprocess
 import sys
 from importlib.metadata import version
 
-import pytest
-
 HEAVY = {"h5py", "matplotlib", "numpy", "pyvista", "scipy", "serial", "skfem", "torch"}
 
 
@@ -19,24 +17,6 @@ def eitskin(*arguments, **environment):
 
 def test_version():
     assert eitskin("--version") == f"eitskin {version('eitskin')}\n"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [("eitskin si", {"simulate"}), ("eitskin simulate --se", {"--sensor", "--seed"})],
-)
-def test_bash_completes_commands_and_options(words, expected):
-    asked = {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-    code = "import sys; sys.argv[0] = 'eitskin'; from eitskin.cli.main import run; run()"
-    found = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | asked | {"_EITSKIN_COMPLETE": "complete_bash"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert set(found.stdout.split()) == expected
 
 
 def test_heavy_packages_are_loaded_by_commands_only():

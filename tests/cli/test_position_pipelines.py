@@ -109,12 +109,3 @@ def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):
     said = run("check", model, "--board", broken, "--reference", zero, "--json", "-q", code=4)
     found = json.loads(said.stdout)["findings"]
     assert any(PROTOCOL.labels[3] in each["channels"] for each in found)
-
-
-@pytest.mark.slow
-def test_mcap_has_the_estimates(folder, tmp_path):
-    pytest.importorskip("rosbags")
-    out = tmp_path / "mine.mcap"
-    told = run("export", "mcap", folder / "mine", "--model", folder / "mine.eitmodel",
-               "--out", out, "--json", "-q")  # fmt: skip
-    assert json.loads(told.stdout)["estimates"] == 60

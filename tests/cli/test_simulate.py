@@ -76,19 +76,6 @@ def test_changes_are_from_the_flat_sensor_on_the_same_meter(scene, tmp_path) -> 
     assert 1e-3 < max(map(abs, simulate(scene, *board)["relative_change"])) < 0.2
 
 
-def test_adjacent_values_are_sums_of_pairwise_ones(scene, tmp_path) -> None:
-    Protocol(((0, 1, 2, 3),), 8).to_file(tmp_path / "one.csv")
-    pairs = simulate(scene)
-    R = dict(zip(pairs["measurements"], pairs["impedance_real_ohm"], strict=True))
-    one = simulate(scene, "--protocol", str(tmp_path / "one.csv"))
-    # Z_ij = (Z_ii + Z_jj - R_ij) / 2, so the diagonal drops out of a four-electrode value.
-    expected = 0.5 * (R["0-3"] + R["1-2"] - R["0-2"] - R["1-3"])
-    assert one["measurements"] == ["0-1/2-3"]
-    assert one["impedance_real_ohm"][0] == pytest.approx(expected)
-    assert pairs["independent"] == 28
-    assert one["independent"] == 1
-
-
 def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path) -> None:
     # Electrodes 7 and 3 are the middles of the short sides, 1 and 5 of the long ones.
     Protocol(((1, 5, 3, 7), (1, 5, 1, 5)), 8).to_file(tmp_path / "symmetric.csv")

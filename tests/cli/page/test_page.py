@@ -2,9 +2,7 @@
 
 import dataclasses
 import json
-import shutil
 import socket
-import subprocess
 import threading
 from contextlib import closing
 from importlib import resources
@@ -288,18 +286,3 @@ def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
     with LivePage(connection, DESIGN) as made, closing(Stream(made)) as stream:
         assert stream.until("sensor")["period"] is None
         assert made.stale_after() == np.inf
-
-
-@pytest.mark.slow
-def test_scripts_are_valid_modules(tmp_path) -> None:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("no node to check the scripts with")
-    folder = resources.files("eitskin.cli.page") / "web"
-    for name in (each.name for each in folder.iterdir() if each.name.endswith(".js")):
-        module = tmp_path / name.replace(".js", ".mjs")  # a module for every version of node
-        module.write_text((folder / name).read_text())
-        done = subprocess.run(
-            [node, "--check", module], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr

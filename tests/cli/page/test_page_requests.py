@@ -1,16 +1,40 @@
-"""The live page: what it may be asked, and by whom."""
+"""The live page: who may see and command it, what it may be asked, and slow or silent requests."""
 
 import json
+import logging
+import os
 import re
+import socket
+import threading
+from contextlib import ExitStack, closing, suppress
 
 import pytest
 
+from eitskin.cli.page.access import Access, Role, Tokens
 from eitskin.cli.page.live_page import LivePage
-from eitskin.cli.page.server import MAX_BODY
+from eitskin.cli.page.server import (
+    MAX_ARRIVING,
+    MAX_BODY,
+    MAX_CLIENTS,
+    MAX_REPLIES,
+    ClientLimits,
+)
+from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend
 from eitskin.simulator import Scene, Touch
 
-from page_fakes import DESIGN, JSON, FakeBoard, FakeConnection, Stream, ask, port_of, post, reading
+from page_fakes import (
+    DESIGN,
+    JSON,
+    FakeBoard,
+    FakeConnection,
+    FakeSession,
+    Stream,
+    ask,
+    port_of,
+    post,
+    reading,
+)
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +175,199 @@ def test_a_real_board_cannot_be_commanded() -> None:
         page.publish(reading(1))
         assert stream.until("frame")["stage"] is None
         stream.close()
+
+
+TOKENS = Tokens("view-" + 12 * "v", "command-" + 12 * "c")
+
+
+@pytest.fixture
+def guarded(connection):
+    """A page that needs a token."""
+    with LivePage(connection, DESIGN, access=Access(tokens=TOKENS)) as made:
+        yield made
+
+
+def bearer(token):
+    return {"Authorization": f"Bearer {token}"}
+
+
+def role_of(page, headers):
+    return json.loads(ask(page, "GET", "/access", headers=headers)[2])["role"]
+
+
+def entering(page, token):
+    """Status of a token that is shown, and the cookie that is kept of it."""
+    body = json.dumps({"token": token}).encode()
+    status, headers, _ = ask(page, "POST", "/enter", body, JSON)
+    return status, headers.get("Set-Cookie", "")
+
+
+def test_a_stranger_gets_the_empty_page_and_nothing_of_the_sensor(guarded, connection):
+    for headers in ({}, bearer("wrong"), {"Cookie": f"{guarded.server.cookie}=wrong"}):
+        assert ask(guarded, "GET", "/", headers=headers)[0] == 200
+        assert role_of(guarded, headers) == "stranger"
+        assert ask(guarded, "GET", "/events", headers=headers)[0] == 401
+        assert post(guarded, "/scene", {"bend_deg": 5}, **headers)[0] == 401
+    assert connection.board.stage.scene == Scene()
+
+
+@pytest.mark.parametrize(
+    ("token", "role", "status"), [("view", "viewer", 403), ("command", "commander", 200)]
+)
+def test_each_token_does_what_it_is_for(guarded, connection, token, role, status):
+    secret = getattr(TOKENS, token)
+    entered, cookie = entering(guarded, secret)
+    assert entered == 200
+    kept, *facts = cookie.split("; ")
+    assert {"HttpOnly", "SameSite=Strict", "Path=/"} == set(facts)
+    for headers in ({"Cookie": f"other=1; {kept}"}, bearer(secret)):
+        assert role_of(guarded, headers) == role
+        assert post(guarded, "/scene", {"bend_deg": 5}, **headers)[0] == status
+        with closing(Stream(guarded, headers)) as stream:
+            assert stream.until("sensor")["length"] == 0.15
+    assert connection.board.stage.scene == (Scene(Bend(5.0)) if status == 200 else Scene())
+
+
+def test_the_session_is_asked_by_who_may_command(connection):
+    session = FakeSession()
+    with LivePage(connection, DESIGN, access=Access(tokens=TOKENS), session=session) as page:
+        own = bearer(TOKENS.command)
+        assert post(page, "/tare", {}, **bearer(TOKENS.view))[0] == 403
+        assert post(page, "/tare", {})[0] == 401
+        assert session.asked == []
+        assert post(page, "/tare", {}, **own) == (200, {"done": True})
+        assert session.asked == [("/tare", "{}")]
+        session.busy = True
+        assert post(page, "/check", {}, **own) == (409, {"error": "check is not finished"})
+        with closing(Stream(page, own)) as stream:
+            assert stream.until("sensor")["tasks"] == list(session.commands)
+            session.task = {"progress": "working"}
+            page.tell()
+            assert stream.until("health")["tasks"]["task"] == session.task
+
+
+def test_a_wrong_token_is_kept_nowhere(guarded, caplog):
+    caplog.set_level(logging.DEBUG)
+    for token in ("", "wrong", TOKENS.view[:-1], TOKENS.view + "x", "\N{SNOWMAN}"):
+        assert entering(guarded, token) == (401, "")
+    assert ask(guarded, "POST", "/enter", b"[]", JSON)[0] == 400
+    entering(guarded, TOKENS.command)
+    assert TOKENS.command not in caplog.text
+    assert TOKENS.command not in repr(TOKENS)
+
+
+def test_a_token_does_not_help_a_foreign_page(guarded):
+    own = bearer(TOKENS.command)
+    foreign = {"Origin": "http://evil.example"}
+    assert post(guarded, "/scene", {"bend_deg": 5}, **own, **foreign)[0] == 403
+    assert ask(guarded, "GET", "/events", headers=own | {"Host": "evil.example"})[0] == 403
+    assert ask(guarded, "POST", "/scene", b"{}", JSON | own, own=False)[0] == 403
+
+
+def test_every_network_needs_tokens_which_the_addresses_have():
+    for host in ("127.0.0.1", "localhost", "127.0.0.5"):
+        assert Access.of(host).tokens is None
+        assert Access.of(host).role("") is Role.COMMANDER
+    access = Access.of("0.0.0.0")  # noqa: S104
+    (_, view), (_, command) = access.invitations(8940)
+    assert access.role(view.partition("#")[2]) is Role.VIEWER
+    assert access.role(command.partition("#")[2]) is Role.COMMANDER
+    assert "0.0.0.0" not in view  # noqa: S104
+    assert Access.of("0.0.0.0").tokens != access.tokens  # noqa: S104
+
+
+def test_requests_may_call_the_page_by_the_address_that_they_came_to():
+    access = Access("0.0.0.0", TOKENS)  # noqa: S104
+    assert "192.168.1.5" in access.names("192.168.1.5")
+    assert "192.168.1.5" in access.names("::ffff:192.168.1.5")
+    assert "[fe80::1]" in access.names("fe80::1%eth0")
+    assert "192.168.1.6" not in access.names("192.168.1.5")
+    assert "localhost" not in access.names("192.168.1.5")
+
+
+def test_tokens_are_kept_in_a_file_that_only_its_owner_reads(tmp_path):
+    path = tmp_path / "tokens"
+    made = Access.of("127.0.0.1", path)
+    assert made.tokens is not None
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert Access.of("0.0.0.0", path).tokens == made.tokens  # noqa: S104
+    path.chmod(0o640)
+    with pytest.raises(ConfigurationError, match="chmod 600"):
+        Tokens.kept(path)
+
+
+def test_other_files_are_no_tokens(tmp_path):
+    path, known = tmp_path / "tokens", "0123456789abcdef"
+    path.touch(0o600)
+    texts = ("", "view short\ncommand short", f"view {known}", f"view {known}\ncommand {known}")
+    for text in (*texts, f"view {known} {known}", "\x00" * 99, "x" * 5000):
+        path.write_text(text)
+        with pytest.raises(ConfigurationError, match="expected"):
+            Tokens.kept(path)
+    os.mkfifo(tmp_path / "pipe")  # which is not waited for
+    with pytest.raises(ConfigurationError, match="something else"):
+        Tokens.kept(tmp_path / "pipe")
+
+
+REQUEST = b"POST /scene HTTP/1.0\r\nHost: a\r\ncontent-LENGTH: 5\r\n\r\n12345"
+
+
+def connected(page):
+    return socket.create_connection(("127.0.0.1", port_of(page)), timeout=10)
+
+
+def ended(client):
+    """Whether the server ends a connection; waits for it."""
+    try:
+        while client.recv(1024):  # of a refusal
+            pass
+        return True
+    except ConnectionError:
+        return True
+
+
+@pytest.fixture
+def hasty(connection):
+    """A page that waits a twentieth of a second for a request."""
+    with LivePage(connection, DESIGN, limits=ClientLimits(receive=0.05)) as made:
+        yield made
+
+
+def test_who_sends_nothing_or_half_a_request_is_disconnected(hasty):
+    for sent in (b"", b"G", b"GET / HTTP/1.0\r\nHost: a\r\n", REQUEST[:-1]):
+        with closing(connected(hasty)) as client:
+            client.sendall(sent)
+            assert ended(client)
+
+
+def test_trickling_bytes_do_not_put_the_deadline_off(hasty):
+    with closing(connected(hasty)) as client:
+        client.sendall(b"GET / HTTP/1.0\r\n")
+        with suppress(ConnectionError):
+            for _ in range(10_000):
+                client.sendall(b"x")
+        assert ended(client)
+
+
+def test_a_body_is_read_up_to_its_limit(page):
+    with closing(connected(page)) as client:
+        host = f"127.0.0.1:{port_of(page)}"
+        head = f"POST /scene HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"
+        head += "Content-Type: application/json\r\nContent-Length: 999999999\r\n\r\n"
+        client.sendall(head.encode() + b"x" * (MAX_BODY + 1))
+        assert client.recv(100).startswith(b"HTTP/1.1 413")
+
+
+def test_threads_and_connections_are_bounded_whatever_comes(connection):
+    """Half requests that will never be whole: others get answers all the same."""
+    before = threading.active_count()
+    patient = ClientLimits(receive=1e4)
+    with LivePage(connection, DESIGN, limits=patient) as page, ExitStack() as stack:
+        for _ in range(5 * MAX_ARRIVING):
+            client = stack.enter_context(closing(connected(page)))
+            client.sendall(b"GET / HTTP/1.0\r\n")
+        assert ask(page, "GET", "/")[0] == 200
+        assert len(page.server.arriving) <= MAX_ARRIVING
+        stream = stack.enter_context(closing(Stream(page)))
+        assert stream.until("sensor")["length"] == 0.15
+        assert threading.active_count() - before <= 2 + MAX_CLIENTS + MAX_REPLIES
