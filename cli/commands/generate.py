@@ -59,7 +59,7 @@ def command(
     try:
         made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
     except KeyboardInterrupt:
-        again = ["eitskin", "datasets.generate", recipe, "--out", str(out)]
+        again = ["eitskin", "generate", recipe, "--out", str(out)]
         again += [] if seed is None else ["--seed", str(seed)]
         again += [] if scheduler is None else ["--scheduler", scheduler]
         again += ["--resume"] if shard is None else ["--shard", str(shard)]
