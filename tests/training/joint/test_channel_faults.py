@@ -7,21 +7,6 @@ from one_frame import TOUCHES, changed, explained, frame, misfit_sigma
 from smooth_sensor import FLAT, PROTOCOL
 
 
-@pytest.mark.parametrize("bad", [[3], [0, 5, 12, 20, 27], list(range(7))])
-def test_bad_channels_are_left_out(bad):
-    """One, five, or all measurements of electrode 0 are bad: results as without these."""
-    objective = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
-    change = objective.combined.change.copy()
-    change[bad] = np.nan
-    missing = explained(changed(objective, change))
-    assert len(missing.touches) == 1
-    off = missing.touches[0] - TOUCHES[1][0]
-    assert off @ np.linalg.solve(missing.covariance[0], off) < 16.0
-    assert missing.degrees_of_freedom == 28 - len(bad) - 4
-    whole = explained(objective)
-    assert np.trace(missing.covariance[0]) > np.trace(whole.covariance[0])
-
-
 @pytest.mark.parametrize(
     ("count", "size", "told"),
     [

@@ -85,12 +85,6 @@ def test_curves_of_clamps_that_the_set_does_not_have_are_those_of_the_formula(mo
     assert rms(found - expected(others)) < 0.05 * scatter
 
 
-def test_one_sensor_in_each_clamp_is_enough():
-    many = clamps_of(90)
-    found = at_40(learned(bent(many, each=1, feature=0.0)).own)
-    assert rms(found - expected(many)) < 0.1 * rms(expected(many) - expected(many).mean(axis=0))
-
-
 def test_drawn_clamps_fill_the_range_of_the_set():
     made = clamps_of(60)
     found = at_40(learned(bent(made)).drawn)
@@ -133,10 +127,3 @@ def test_specimens_of_unknown_clamps_are_left_alone():
     assert not found.own[~found.known].any()
     scatter = rms(expected(made) - expected(made).mean(axis=0))
     assert rms(at_40(found.own)[1::6] - expected(made)) < 0.05 * scatter
-
-
-def test_equal_seeds_draw_equal_clamps():
-    frames = bent(clamps_of(14), each=2)
-    one, same, other = (learned(frames, seed).drawn for seed in (3, 3, 4))
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)

@@ -1,17 +1,25 @@
-"""Combinations of measurements: nothing is lost, against fits to all measurements."""
+"""Combinations of measurements, to which nothing is lost, and features of specimens."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from eitskin.protocol import Protocol
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol
 from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurve
 from eitskin.training.joint.channel_faults import possible_faults
-from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.combinations import (
+    ANGLE_FEATURES,
+    CLIP_SIGMA,
+    RESPONSE_FEATURES,
+    Combinations,
+    SpecimenFeatures,
+)
 from eitskin.training.joint.model_selection import fit_frame
 from eitskin.training.joint.objective import TouchObjective
 from eitskin.training.joint.touch_search import TouchCandidates
+from eitskin.training.method.input_spec import mirrors
 
 from smooth_sensor import RANGES, TOUCH_PRIOR, curve, places, response
 
@@ -138,3 +146,88 @@ def test_signals_are_told_from_noise():
 def test_few_measurements_are_not_combined():
     change = np.random.default_rng(6).standard_normal((300, 28))
     assert Combinations.fit([(change @ MIX[:28], 1e-3)], NOISES[:28]).basis is None
+
+
+IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
+TRIVIAL = IMAGES[:1]
+MIDDLE = np.linspace(300.0, 900.0, 28)
+
+
+def specimens(count, rng, directions=28, spread=0.02):
+    """Flat magnitudes (count, 28) [ohm] that differ along some directions and by a factor."""
+    ways = rng.standard_normal((directions, 28)) * spread
+    common = rng.uniform(0.5, 2.0, (count, 1))
+    return MIDDLE * common * np.exp(rng.standard_normal((count, directions)) @ ways)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def test_common_factor_does_not_matter(rng):
+    flat = specimens(50, rng)
+    features = SpecimenFeatures.fit(flat, IMAGES)
+    np.testing.assert_allclose(features.apply(3.0 * flat), features.apply(flat), atol=1e-9)
+    scaled = SpecimenFeatures.fit(flat * rng.uniform(0.2, 5.0, (50, 1)), IMAGES)
+    np.testing.assert_allclose(scaled.apply(flat), features.apply(flat), atol=1e-9)
+
+
+def test_features_are_uncorrelated_and_of_variance_one(rng):
+    """Unit variance over the specimens and their mirror images."""
+    flat = specimens(120, rng)
+    features = SpecimenFeatures.fit(flat, IMAGES)
+    said = np.concatenate([features.apply(flat[:, mirror.order]) for mirror in IMAGES])
+    assert said.shape == (480, ANGLE_FEATURES)
+    np.testing.assert_allclose(said.mean(axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(said.T @ said / 480, np.eye(ANGLE_FEATURES), atol=1e-9)
+
+
+def test_the_first_features_are_those_of_an_analysis_of_fewer(rng):
+    flat = specimens(200, rng)
+    few, every = SpecimenFeatures.fit(flat, IMAGES, 5), SpecimenFeatures.fit(flat, IMAGES)
+    assert len(every.directions) == ANGLE_FEATURES
+    np.testing.assert_array_equal(every.first(5).apply(flat), few.apply(flat))
+    assert every.first().apply(flat).shape == (200, RESPONSE_FEATURES)
+
+
+def test_mirrors_make_specimens(rng):
+    """The mean is mirror symmetric, though no specimen is."""
+    flat = specimens(10, rng)
+    features = SpecimenFeatures.fit(flat, IMAGES)
+    for mirror in IMAGES:
+        np.testing.assert_allclose(features.middle[mirror.order], features.middle, atol=1e-12)
+    alone = SpecimenFeatures.fit(flat, TRIVIAL)
+    assert not np.allclose(alone.middle[IMAGES[1].order], alone.middle, atol=1e-3)
+
+
+def test_bad_channel_says_nothing(rng):
+    """A missing channel at its mean value leaves the features unchanged."""
+    flat = specimens(50, rng)
+    features = SpecimenFeatures.fit(flat, TRIVIAL)
+    ordinary = np.exp(features.middle) * 500.0
+    way = np.where(np.arange(28) % 2, 0.1, -0.1)
+    way[-2:] = 0.0  # both without: the mean of the others remains
+    bad = ordinary * np.exp(way)
+    said = features.apply(bad)
+    bad[-2:] = np.nan
+    np.testing.assert_allclose(features.apply(bad), said, atol=1e-9)
+    assert np.abs(said).max() > 0.1
+    ordinary[27] = np.nan
+    np.testing.assert_allclose(features.apply(ordinary), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "kept"), [(2, 0), (4, 0), (5, 1), (14, 2), (40, 8), (300, 20)])
+def test_few_specimens_have_few_features(rng, count, kept):
+    features = SpecimenFeatures.fit(specimens(count, rng), IMAGES)
+    assert features.directions.shape == (kept, 28)
+    assert features.apply(specimens(3, rng)).shape == (3, kept)
+
+
+def test_bounded_features_are_those_of_a_specimen_at_the_bound(rng):
+    features = SpecimenFeatures.fit(specimens(50, rng), IMAGES)
+    near = specimens(1, rng)[0]
+    np.testing.assert_array_equal(features.bounded(near), features.apply(near))
+    far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
+    assert features.apply(far)[0] == pytest.approx(12.0)
+    assert features.bounded(far)[0] == CLIP_SIGMA

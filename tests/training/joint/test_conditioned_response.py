@@ -83,11 +83,11 @@ def test_many_touches_leave_nothing_unknown_and_none_leaves_the_prior(method):
 
 
 def test_the_covariance_left_is_that_of_the_errors(method):
-    """Errors of the latent variables of 40 sensors over their standard deviations."""
+    """Errors of the latent variables of 20 sensors over their standard deviations."""
     rng = np.random.default_rng(3)
     flat = method.response.latent_output.reshape(LATENT, -1)
     ratios = []
-    for _ in range(40):
+    for _ in range(20):
         latent = rng.standard_normal(LATENT)
         adapted = method.adapt(pressed(sensor(method, latent), 4, rng))[0]
         middle = sensor(method, np.zeros(LATENT)).output

@@ -11,7 +11,6 @@ from eitskin.datasets import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.adaptation import ErrorScale
-from eitskin.training.joint.combinations import CLIP_SIGMA
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.observations import Observations
 
@@ -87,25 +86,6 @@ def test_idle_bent_and_touched_frames(method):
         assert said.problems == ((),)
 
 
-def test_curves_do_not_extrapolate_to_sensors_far_from_all_that_were_learned(method):
-    direction = np.linalg.pinv(method.features.directions)[:, 0]
-    middle = np.exp(method.features.middle)
-    far, bound = (
-        method._specimen(middle * np.exp(size * direction)) for size in (12.0, CLIP_SIGMA)
-    )
-    np.testing.assert_allclose(far.features, bound.features, atol=1e-9)
-    np.testing.assert_allclose(far.curve.value(30.0), bound.curve.value(30.0), atol=1e-12)
-
-
-def test_touch_map_is_where_the_touch_is(method):
-    said = method.predict(observed(method, [TOUCH]))
-    row, column = np.unravel_index(said.touch_map[0].argmax(), (32, 80))
-    x, y = (column + 0.5) * 0.150 / 80, (row + 0.5) * 0.060 / 32
-    assert np.hypot(x - TOUCH[0], y - TOUCH[1]) < 0.0075
-    area = said.touch_map[0].sum() * 0.150 * 0.060 / 2560
-    assert area == pytest.approx(np.pi * 0.0075**2, rel=0.15)
-
-
 def test_touch_map_is_drawn_like_the_true_one(method):
     """Discs without blur, at the places that were found."""
     said = method.predict(observed(method, [TOUCH, (0.110, 0.040, 6.0)]))
@@ -146,15 +126,6 @@ def test_state_and_touches_agree(method):
             said = method.predict(observed(method, rng=rng, wrong=wrong))
             assert (said.state[0] == State.TOUCH) == (len(said.touches[0]) > 0)
             assert said.touch_map.any() == (len(said.touches[0]) > 0)
-
-
-def test_older_reference_makes_the_angle_less_sure(method):
-    ages = [
-        method.predict(observed(method, angle_deg=20.0, age=age)).bend_deviation_deg[0]
-        for age in (0.0, 600.0, 4 * 3600.0)
-    ]
-    assert ages == sorted(ages)
-    assert ages[-1] > 1.05 * ages[0]
 
 
 def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
@@ -286,13 +257,6 @@ def test_each_frame_is_by_itself(method):
         alone = method.outputs(frames[i : i + 1])
         for name, array in together.items():
             np.testing.assert_array_equal(alone[name][0], array[i])
-
-
-def test_arrays_that_lack_some_are_refused(method):
-    arrays = method.arrays()
-    del arrays["response.output"]
-    with pytest.raises(KeyError, match="output"):
-        JointMethod.from_arrays(arrays, LAYOUT)
 
 
 def test_calibration_makes_angles_right_and_surer(method):

@@ -1,13 +1,15 @@
-"""Standard errors of places: scales by known touches, of one sensor and of strange ones."""
+"""Standard errors of places: scales by known touches, and the picture that checks copies."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.errors import DataError
 from eitskin.training.joint.adaptation import STRANGEST, ErrorScale, own_error_scale
+from eitskin.training.joint.frame_predictions import disc_map
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.predictions import FoundTouches
 
@@ -73,3 +75,31 @@ def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it():
     for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
         with pytest.raises(DataError, match="standard errors"):
             JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)
+
+
+SIZE, RADIUS = (0.150, 0.060), 0.0075
+FINE = (240, 600)  # pixels of 0.25 mm
+
+
+def drawn(places, deviations, shape=FINE):
+    return disc_map(np.array(places), np.array(deviations), RADIUS, SIZE, shape)
+
+
+@pytest.mark.parametrize("deviation", [0.0, 4e-4, 0.003, 0.02])
+def test_map_is_that_of_the_plain_formula(deviation):
+    """Skipping pixels far from a touch changes nothing, also at the sensor's rim."""
+    shape = (32, 80)
+    x, y = (np.arange(80) + 0.5) * SIZE[0] / 80, (np.arange(32) + 0.5) * SIZE[1] / 32
+    places = [[0.002, 0.058], [0.075, 0.030], [0.090, 0.031]]
+    free = np.ones(shape)
+    for px, py in places:
+        away = np.sqrt((x - px) ** 2 + (y[:, None] - py) ** 2)
+        free *= norm.sf((RADIUS - away) / max(deviation, 1e-6))
+    said = drawn(places, [deviation] * 3, shape)
+    np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)
+
+
+def test_no_touch_is_an_empty_map_of_the_shape_asked_for():
+    empty = disc_map(np.zeros((0, 2)), np.zeros(0), RADIUS, SIZE, (32, 80))
+    assert empty.shape == (32, 80)
+    assert not empty.any()

@@ -36,7 +36,7 @@ from smooth_sensor import (
 LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 
 
-def dataset(count=900, specimens=24, seed=0):
+def dataset(count=750, specimens=24, seed=0):
     """Idle, touched and bent frames of specimens that differ in flat values and bend curves."""
     rng = np.random.default_rng(seed)
     flat = FLAT * np.exp(0.01 * rng.standard_normal((specimens, 28)))
@@ -93,7 +93,7 @@ def trained():
     said = []
     with small_networks():
         settings = JointSettings(
-            response=NetworkSettings(1e-2, epochs=18, batch=48),
+            response=NetworkSettings(1e-2, epochs=12, batch=48),
             proposals=NetworkSettings(1e-2, epochs=2, batch=64),
         )
         frames = TrainingFrames.of(dataset(), LAYOUT)
@@ -158,7 +158,7 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
 @pytest.mark.slow
 def test_a_sensor_that_is_never_bent():
     """No bend curve, no references either: the flat sensor is the reference of every frame."""
-    data = dataset(700)
+    data = dataset(540)
     data = data.select(data.bend_angle_deg == 0)
     data = replace(data, touch_reference=np.full_like(data.touch_reference, np.nan))
     settings = JointSettings(
@@ -190,7 +190,7 @@ def without_forces(data):
 
 
 BRIEF = JointSettings(
-    response=NetworkSettings(1e-2, epochs=8, batch=48),
+    response=NetworkSettings(1e-2, epochs=5, batch=48),
     proposals=NetworkSettings(1e-2, epochs=1, batch=32),
 )
 
@@ -240,7 +240,7 @@ def test_strength_of_touches_follows_their_force_and_number():
 @pytest.mark.slow
 def test_a_sensor_that_is_never_touched():
     """Idle or bent, and the angle; nothing of touches, with no network."""
-    data = dataset(600)
+    data = dataset(450)
     data = data.select(data.state != State.TOUCH)
     method = restored(fit_joint(JointMethod, data, LAYOUT, BRIEF))
     assert method.targets == Targets(("idle", "bend"), touches=False, force=False)
