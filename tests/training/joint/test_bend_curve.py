@@ -236,16 +236,6 @@ def test_expected_curves_are_those_conditioned_on_all_frames(rng):
         np.testing.assert_allclose(found[number], expected.coefficients, rtol=1e-6, atol=1e-9)
 
 
-def test_flat_is_among_the_angles_learned(rng):
-    """A curve learned from bends of one sign estimates a flat sensor as flat."""
-    data = made_up(rng, 30, 10, own_covariance(rng))
-    bent = data[data.angle_deg > 5.0]
-    curves = BendCurvePrior.fit(bent)
-    assert curves.angle_deg == (0.0, bent.angle_deg.max())
-    found, _ = estimate_angle(curves.of(()), curves.of(()).value(-0.5), NOISE)
-    assert found == pytest.approx(-0.5, abs=0.01)
-
-
 def test_arrays_make_them_again(rng, curve):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     curves = BendCurvePrior.fit(made_up(rng, 20, 6, own_covariance(rng), effect))
@@ -335,16 +325,6 @@ def test_moments_are_those_of_the_integral_over_all_angles():
         assert found.angle_deg == pytest.approx(mean, abs=0.1 * expected)
         assert found.deviation_deg == pytest.approx(expected, rel=0.1)
     assert wide > 2
-
-
-def test_an_angle_that_is_well_known_stays():
-    curve = flattening(1e-5)
-    combined = seen(curve.value(10.0))
-    first = likeliest(curve, combined)
-    assert first.deviation_deg < NORMAL_DEG
-    found = posterior_angle(curve, combined, first)
-    assert found.angle_deg == first.angle_deg
-    assert found.deviation_deg == pytest.approx(first.deviation_deg)
 
 
 def test_a_frame_that_the_curve_does_not_explain_tells_less():

@@ -107,16 +107,6 @@ def test_clamps_on_one_line_are_not_generalised():
     assert not learned(bent(ends[0] + share * (ends[1] - ends[0]))).known.any()
 
 
-def test_one_property_alone_is_generalised():
-    made = np.tile([0.040, 0.008, 2.0, 1.4], (20, 1))
-    made[:, 0] = np.linspace(0.025, 0.060, 20)
-    found = at_40(learned(bent(made)).drawn)
-    ends = expected(made[[0, -1]])
-    margin = 0.05 * np.ptp(ends, axis=0)
-    assert (found > ends.min(axis=0) - margin).all()
-    assert (found < ends.max(axis=0) + margin).all()
-
-
 def test_specimens_of_unknown_clamps_are_left_alone():
     made = clamps_of(40)
     frames = bent(made)

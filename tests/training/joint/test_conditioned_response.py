@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_frames import known_frames
-from smooth_joint import LAYOUT, smooth_method
-
-from eitskin.training.joint.method import JointMethod
+from smooth_joint import smooth_method
 
 from smooth_sensor import FLAT, NOISE, TOUCH_PRIOR, response
 
@@ -143,14 +141,3 @@ def test_bad_measurements_count_for_nothing(method):
     dynamic[:, 3] = np.nan
     part = replace(known, observations=replace(known.observations, dynamic=dynamic))
     assert left(method.adapt(part)[0], one, rng) < 0.3 * left(method, one, rng)
-
-
-def test_an_adapted_response_is_saved(method):
-    rng = np.random.default_rng(6)
-    known = pressed(sensor(method, rng.standard_normal(LATENT)), 5, rng)
-    one = method.adapt(known)[0]
-    again = JointMethod.from_arrays(one.arrays(), LAYOUT)
-    found = [each.predict(known.observations).touches for each in (one, again)]
-    for mine, other in zip(*found, strict=True):
-        np.testing.assert_allclose(mine.place, other.place, atol=1e-6)
-        np.testing.assert_allclose(mine.deviation, other.deviation, rtol=1e-3)

@@ -8,9 +8,9 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
-from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.adaptation import ErrorScale
+from eitskin.training.joint.combinations import CLIP_SIGMA
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.observations import Observations
 
@@ -86,12 +86,14 @@ def test_idle_bent_and_touched_frames(method):
         assert said.problems == ((),)
 
 
-def test_touch_map_is_drawn_like_the_true_one(method):
-    """Discs without blur, at the places that were found."""
-    said = method.predict(observed(method, [TOUCH, (0.110, 0.040, 6.0)]))
-    x, y = said.touches[0].place.T[:, None]
-    radius = np.full_like(x, method.radius)
-    np.testing.assert_array_equal(said.touch_map, touch_maps(x, y, radius, method.size))
+def test_curves_do_not_extrapolate_to_sensors_far_from_all_that_were_learned(method):
+    direction = np.linalg.pinv(method.features.directions)[:, 0]
+    far, bound = (
+        observed(method, [], 30.0, flat=np.exp(method.features.middle + size * direction))
+        for size in (12.0, CLIP_SIGMA)
+    )
+    seen = [method._specimen(each.flat[0]).curve.value(30.0) for each in (far, bound)]
+    np.testing.assert_allclose(*seen, atol=1e-12)
 
 
 def test_saved_copies_are_checked_by_places_and_standard_errors(method):
@@ -248,15 +250,6 @@ def test_arrays_make_it_again(method):
             np.testing.assert_allclose(said[name], array, atol=1e-4)
         np.testing.assert_array_equal(again.combinations.noise, one.combinations.noise)
         assert again.drift == one.drift
-
-
-def test_each_frame_is_by_itself(method):
-    frames = sample(method)
-    together = method.outputs(frames)
-    for i in (3, 1):
-        alone = method.outputs(frames[i : i + 1])
-        for name, array in together.items():
-            np.testing.assert_array_equal(alone[name][0], array[i])
 
 
 def test_calibration_makes_angles_right_and_surer(method):

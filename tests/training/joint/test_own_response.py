@@ -9,7 +9,7 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.own_response import FLAT_PRESSES, own_output, own_response
+from eitskin.training.joint.own_response import own_output, own_response
 
 from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR
 
@@ -76,19 +76,6 @@ def test_the_last_layer_follows_the_twin_at_presses_and_bends_that_it_was_not_fi
     exact = twin.changes(seen, angle_deg, RADIUS)
     left = [each(seen, angle_deg) - exact for each in (own_response(learned, output), learned)]
     assert rms(left[0]) < 0.15 * rms(left[1])
-
-
-@pytest.mark.parametrize("bends", [True, False])
-def test_a_twin_is_pressed_where_the_response_was_learned(learned, bends):
-    twin = Twin(learned, 0.1)
-    own_output(learned, TOUCH_PRIOR, RADIUS, MEASUREMENTS, twin, bends=bends)
-    assert [angle for angle, _ in twin.pressed] == ([0.0, -20.0, 15.0, 50.0] if bends else [0.0])
-    every = np.concatenate([each for _, each in twin.pressed])
-    assert 0.7 * FLAT_PRESSES < len(every) < 1.5 * FLAT_PRESSES
-    assert (every[:, :2] > TOUCH_PRIOR.low[:2]).all()
-    assert (every[:, 0] < 0.120).all()
-    assert (every[:, 2] >= 4.0).all()
-    assert (every[:, 2] <= 12.0).all()
 
 
 def test_the_twin_of_the_sensor_makes_places_better_by_the_flat_frame_alone(method, learned):

@@ -15,7 +15,7 @@ from eitskin.training.method.settings import NetworkSettings
 from smooth_sensor import MEASUREMENTS, TOUCH_PRIOR, curves, response
 
 MODEL = SyntheticFrames(
-    response(mismatch=0.05, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
+    response(mismatch=0.1, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
 )
 
 
@@ -25,7 +25,7 @@ def trained():
     said = []
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(touch_training, "PROPOSAL_HIDDEN", (128, 128))
-        settings = NetworkSettings(1e-2, epochs=3, batch=96)
+        settings = NetworkSettings(1e-2, epochs=5, batch=64)
         proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))
     return proposals, history, said
 
@@ -65,7 +65,7 @@ def test_made_up_changes_are_those_of_the_response():
     mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
     spread = np.std(change / expected, axis=0)[strong]
-    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.05), rtol=0.1)
+    np.testing.assert_allclose(spread, np.hypot(touch_training.LOG_SENSITIVITY_STD, 0.1), rtol=0.1)
 
 
 # Learned
@@ -108,11 +108,6 @@ def picture(*touches):
 def test_places_are_the_peaks_likeliest_first():
     found = picture((0.032, 0.023, 0.5), (0.112, 0.037, 0.9)).places(np.zeros(3), 0.030)
     np.testing.assert_allclose(found, [[0.112, 0.037], [0.032, 0.023]], atol=1.5e-3)
-
-
-def test_nothing_is_proposed_where_nothing_is_likely():
-    assert picture((0.05, 0.03, 0.05)).places(np.zeros(3), 0.030).shape == (0, 2)
-    assert picture().places(np.zeros(3), 0.030).shape == (0, 2)
 
 
 def test_one_peak_is_one_place_and_there_are_four_at_most():

@@ -35,11 +35,10 @@ def test_reference_sensor_is_itself_in_four_mirrors(name):
         np.testing.assert_array_equal(mirror.order[mirror.order], found[0].order)
 
 
-@pytest.mark.parametrize("name", ["pairwise", "opposite"])
-def test_touch_in_the_mirror_measures_what_the_mirror_says(name):
+def test_touch_in_the_mirror_measures_what_the_mirror_says():
     """Agreement to rounding, because the mesh has the sensor's symmetries."""
-    design, protocol = SensorDesign.reference(), getattr(Protocol, name)(8)
-    simulator = Simulator(design, "fast", protocol=protocol)
+    design, protocol = SensorDesign.reference(), Protocol.opposite(8)
+    simulator = Simulator(design, "coarse", protocol=protocol)
 
     def magnitudes(x, y):
         scene = Scene(Bend(20.0), (Touch(float(x), float(y), 8.0),))
@@ -93,12 +92,3 @@ def test_protocol_must_have_the_images():
     assert flips(design, Protocol(PAIRWISE.table[:-1], 8)) == [NONE]
     ring = Protocol(tuple(row for row in PAIRWISE.table if row[:2] in ((0, 1), (4, 5))), 8)
     assert flips(design, ring) == [NONE, TURNED]
-
-
-def test_polarity_does_not_matter():
-    """A reversed pair of electrodes changes the sign alone, not the magnitude."""
-    table = tuple(
-        (b, a, c, d) if i % 3 == 0 else (a, b, c, d)
-        for i, (a, b, c, d) in enumerate(Protocol.adjacent(8).table)
-    )
-    assert len(flips(SensorDesign.reference(), Protocol(table, 8))) == 4

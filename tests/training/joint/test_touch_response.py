@@ -145,7 +145,7 @@ def trained():
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(touch_training, "HIDDEN", 48)
         patch.setattr(touch_training, "LAYERS", 2)
-        settings = NetworkSettings(1e-2, epochs=30, batch=32)
+        settings = NetworkSettings(1e-2, epochs=40, batch=32)
         yield fit_response(frames(800, 0), RANGES, settings, 0, silent)
 
 

@@ -158,7 +158,7 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
 @pytest.mark.slow
 def test_a_sensor_that_is_never_bent():
     """No bend curve, no references either: the flat sensor is the reference of every frame."""
-    data = dataset(540)
+    data = dataset(620)
     data = data.select(data.bend_angle_deg == 0)
     data = replace(data, touch_reference=np.full_like(data.touch_reference, np.nan))
     settings = JointSettings(
