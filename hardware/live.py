@@ -118,15 +118,8 @@ class Reading:
     wall_time: float = math.nan
 
 
-class FrameSource(typing.Protocol):
-    """A `Board` or a `Connection`, as far as the live loop uses them."""
-
-    def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Frames as they come; with `newest`, older waiting frames are skipped."""
-
-
 def run_live(
-    board: FrameSource,
+    board: Board | Connection,
     pipeline: FramePipeline,
     newest: bool = True,
     clock: Callable[[], float] = time.perf_counter,

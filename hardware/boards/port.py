@@ -121,19 +121,15 @@ def serial_ports() -> tuple[PortInfo, ...]:
     return tuple(sorted(ports, key=lambda port: port.device))
 
 
-PortList = Callable[[], tuple[PortInfo, ...]]
-
-
-def find_port(usb_serial: str, ports: PortList = serial_ports) -> str:
+def find_port(usb_serial: str) -> str:
     """Path of the port with the USB serial number `usb_serial`.
 
     Raises DeviceError where no device, or more than one, has that number.
     """
-    found = [port for port in ports() if port.serial_number == usb_serial]
+    found = [port for port in serial_ports() if port.serial_number == usb_serial]
     if not found:
         raise DeviceError(
-            f"no port has the USB serial number {usb_serial!r}; check the cable. "
-            f"{ports_here(ports)}"
+            f"no port has the USB serial number {usb_serial!r}; check the cable. {ports_here()}"
         )
     if len(found) > 1:
         raise DeviceError(
@@ -143,32 +139,25 @@ def find_port(usb_serial: str, ports: PortList = serial_ports) -> str:
     return found[0].device
 
 
-def usb_serial_of(path: str, ports: PortList = serial_ports) -> str:
+def usb_serial_of(path: str) -> str:
     """USB serial number of the device at `path`, which may be a link; empty without one."""
-    here = {Path(port.device): port.serial_number for port in ports()}
+    here = {Path(port.device): port.serial_number for port in serial_ports()}
     return here.get(Path(path).resolve(), "")
 
 
-def only_usb_port(scheme: str, ports: PortList = serial_ports) -> str:
+def only_usb_port(scheme: str) -> str:
     """Path of the only USB serial port; raises ConfigurationError for none or several."""
-    found = [port for port in ports() if port.vid is not None]
+    found = [port for port in serial_ports() if port.vid is not None]
     if len(found) != 1:
         count = f"there are {len(found)}" if found else "there is none"
         raise ConfigurationError(
             f"{scheme}: needs a port, such as {scheme}:/dev/ttyACM0 or {scheme}:?usb=SERIAL, but "
-            f"where one alone is of USB, and {count}. {ports_here(ports)}"
+            f"where one alone is of USB, and {count}. {ports_here()}"
         )
     return found[0].device
 
 
-def connector(
-    path: str,
-    uri: str,
-    baud: int = BAUD,
-    usb: str = "",
-    ports: PortList = serial_ports,
-    opened: Callable[[str, str, int], SerialPort] = open_port,
-) -> Callable[[], SerialPort]:
+def connector(path: str, uri: str, baud: int = BAUD, usb: str = "") -> Callable[[], SerialPort]:
     """Function that opens a port, also when its device has come back at another path.
 
     Args:
@@ -176,35 +165,32 @@ def connector(
         uri: name of the board in messages.
         baud: baud rate.
         usb: USB serial number of the device, instead of a path.
-        ports: lists the ports of this machine.
-        opened: opens the port at a path.
 
     Raises ConfigurationError for both path and number, or for neither without exactly one USB port.
     """
     if path and usb:
         raise ConfigurationError(f"{uri}: name the port by path or by usb=, not by both")
     if not usb:
-        path = path or only_usb_port(uri.partition(":")[0], ports)
-    known = usb or usb_serial_of(path, ports)
+        path = path or only_usb_port(uri.partition(":")[0])
+    known = usb or usb_serial_of(path)
 
     def connect() -> SerialPort:
         current = path
         if usb:
-            current = find_port(usb, ports)
-        elif known and usb_serial_of(path, ports) != known:
+            current = find_port(usb)
+        elif known and usb_serial_of(path) != known:
             # The device may be back at another path; if not, the error names the path given.
-            paths = [port.device for port in ports() if port.serial_number == known]
+            paths = [port.device for port in serial_ports() if port.serial_number == known]
             current = paths[0] if len(paths) == 1 else path
-        return opened(current, uri, baud)
+        return open_port(current, uri, baud)
 
     return connect
 
 
-def ports_here(ports: PortList = serial_ports) -> str:
+def ports_here() -> str:
     """List of the serial ports of this machine, as a sentence."""
-    found = ports()
-    listed = "; ".join(map(str, found))
-    return f"Ports here: {listed}" if found else "No serial port was found here"
+    listed = "; ".join(map(str, serial_ports()))
+    return f"Ports here: {listed}" if listed else "No serial port was found here"
 
 
 CHUNK = 4096  # bytes, size of a terminal's input queue

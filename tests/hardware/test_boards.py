@@ -223,41 +223,47 @@ OTHER = PortInfo("/dev/ttyUSB0", "FT232R", "FTDI", 0x0403, 0x6001, "A10 1&2")
 class Bus:
     """Ports that come and go, and what was opened."""
 
-    def __init__(self, *ports):
-        self.ports, self.opened = list(ports), []
-
-    def __call__(self):
-        return tuple(self.ports)
+    def __init__(self):
+        self.ports, self.opened = (), []
 
     def open(self, path, uri, baud):
         self.opened.append((path, uri, baud))
         return object()
 
     def connector(self, path, uri, usb=""):
-        return connector(path, uri, 230400, usb, ports=self, opened=self.open)
+        return connector(path, uri, 230400, usb)
 
 
-def test_a_port_is_found_by_its_serial_number():
-    assert find_port("205A3D", Bus(BUILT_IN, OTHER, BOARD)) == "/dev/ttyACM0"
+@pytest.fixture
+def bus(monkeypatch):
+    """Ports of this machine, at first a board and a port without USB."""
+    made = Bus()
+    made.ports = (BUILT_IN, BOARD)
+    monkeypatch.setattr(port, "serial_ports", lambda: made.ports)
+    monkeypatch.setattr(port, "open_port", made.open)
+    return made
 
 
-def test_the_serial_number_of_a_path_or_a_link_to_it(tmp_path):
-    here = Bus(BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
+def test_a_port_is_found_by_its_serial_number(bus):
+    bus.ports += (OTHER,)
+    assert find_port("205A3D") == "/dev/ttyACM0"
+
+
+def test_the_serial_number_of_a_path_or_a_link_to_it(bus, tmp_path):
+    bus.ports = (BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
     (tmp_path / "by-id").symlink_to(tmp_path / "real")
-    assert usb_serial_of(str(tmp_path / "real"), here) == "205A3D"
-    assert usb_serial_of(str(tmp_path / "by-id"), here) == "205A3D"
-    assert usb_serial_of("/dev/ttyS0", here) == ""
-    assert usb_serial_of("/dev/none", here) == ""
+    assert usb_serial_of(str(tmp_path / "real")) == "205A3D"
+    assert usb_serial_of(str(tmp_path / "by-id")) == "205A3D"
+    assert usb_serial_of("/dev/ttyS0") == ""
+    assert usb_serial_of("/dev/none") == ""
 
 
-def test_the_only_usb_port_needs_no_name():
-    bus = Bus(BUILT_IN, BOARD)
+def test_the_only_usb_port_needs_no_name(bus):
     bus.connector("", "text:")()
     assert bus.opened == [("/dev/ttyACM0", "text:", 230400)]
 
 
-def test_by_serial_number_a_port_is_looked_for_at_every_connection():
-    bus = Bus(BOARD)
+def test_by_serial_number_a_port_is_looked_for_at_every_connection(bus):
     connect = bus.connector("", "serial:?usb=205A3D", usb="205A3D")
     connect()
     bus.ports = [OTHER, dataclasses.replace(BOARD, device="/dev/ttyACM3")]
@@ -268,8 +274,7 @@ def test_by_serial_number_a_port_is_looked_for_at_every_connection():
         connect()
 
 
-def test_a_board_that_was_named_by_path_is_followed_to_another():
-    bus = Bus(BOARD, BUILT_IN)
+def test_a_board_that_was_named_by_path_is_followed_to_another(bus):
     connect = bus.connector("/dev/ttyACM0", "serial:/dev/ttyACM0")
     connect()
     # Another device has its place now.
@@ -290,8 +295,7 @@ def test_a_port_that_vanishes_while_it_is_opened_is_a_device_error(monkeypatch):
         open_port("/dev/ttyACM0", "serial:/dev/ttyACM0")
 
 
-def test_a_port_without_serial_number_is_its_path():
-    bus = Bus(BUILT_IN)
+def test_a_port_without_serial_number_is_its_path(bus):
     connect = bus.connector("/dev/ttyS0", "serial:/dev/ttyS0")
     bus.ports = []
     connect()

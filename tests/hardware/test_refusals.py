@@ -9,6 +9,7 @@ import pytest
 from eitskin.errors import ConfigurationError, DataError, DeviceError, FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware import Script, Step, open_board
+from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo, connector, find_port
 from eitskin.hardware.boards.text_board import open_text
 from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
@@ -28,6 +29,14 @@ BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
 TWIN = dataclasses.replace(BOARD, device="/dev/ttyACM1")
 FRAME = Frame(np.ones(28), PROTOCOL)
 TABLE = Protocol(((0, 1, 2, 3),) * (MOST_MEASUREMENTS + 1), 4)
+
+
+def among(ports, call, *arguments):
+    """Call on a machine with these ports."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(port, "serial_ports", lambda: ports)
+        return call(*arguments)
+
 
 URIS = {
     "ttyACM0": "expected a board as serial:PORT",
@@ -50,7 +59,7 @@ URIS = {
 CONFIGURATION = {
     "option before opening": (lambda: open_board("replay:nowhere", sped="max"), "'sped'.*speed"),
     "several USB ports": (
-        lambda: connector("", "text:", ports=lambda: (BOARD, TWIN)),
+        lambda: among((BOARD, TWIN), connector, "", "text:"),
         "such as text:.*there are 2.*ttyACM0.*ttyACM1",
     ),
     "text without protocol": (lambda: open_text("/dev/no", "text:"), "protocol=pairwise:8"),
@@ -76,13 +85,13 @@ CONFIGURATION = {
 }
 OTHERS = {
     "no such USB device": (
-        lambda: find_port("7", lambda: (BUILT_IN, BOARD)),
+        lambda: among((BUILT_IN, BOARD), find_port, "7"),
         DeviceError,
         r"number '7'.*/dev/ttyS0 \(no USB\).*ttyACM0 \(EIT board, ST, 0483:5740, 205A3D\)",
     ),
-    "no port": (lambda: find_port("7", tuple), DeviceError, "No serial port"),
+    "no port": (lambda: among((), find_port, "7"), DeviceError, "No serial port"),
     "two devices of a number": (
-        lambda: find_port("205A3D", lambda: (BOARD, TWIN)),
+        lambda: among((BOARD, TWIN), find_port, "205A3D"),
         DeviceError,
         r"2 ports .*/dev/ttyACM0.*/dev/ttyACM1",
     ),
