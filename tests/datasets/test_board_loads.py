@@ -3,14 +3,12 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.shard_simulation import simulate_frames
 from eitskin.datasets.recipe.frame_sampling import instrument, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens
-from eitskin.errors import ConfigurationError
 from eitskin.simulator import FourTerminalMeter, Instrument
 
 TERMS = ("source", "sink", "sense_plus", "sense_minus", "idle", "common_mode")
@@ -62,11 +60,3 @@ def test_frames_and_references_of_a_specimen_are_read_by_its_own_board():
         np.testing.assert_array_equal(data.reference[data.specimen[row]], alone.reference[0])
     usual = simulate_frames(recipe(0.0), range(3))
     assert np.abs(data.impedance / usual.impedance - 1.0).max() > 1e-3
-
-
-def test_a_spread_of_loads_needs_a_board_that_has_some():
-    for meter in (None, FourTerminalMeter(scale=2.0), FourTerminalMeter(leaks=(1e-5,) * 8)):
-        with pytest.raises(ConfigurationError, match="board_loads is the spread"):
-            recipe(1.0, meter=meter)
-    with pytest.raises(ConfigurationError, match="board_loads must be from 0 to 10"):
-        recipe(11.0)

@@ -1,7 +1,5 @@
 """Episodes: bends that move, presses that come, creep and linger, frames that take their time."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -15,9 +13,9 @@ from eitskin.datasets.recipe.episode import (
     ScriptedEpisode,
     Timeline,
 )
-from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Rectangle
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
@@ -27,9 +25,6 @@ QUIET = Instrument(snr_db=0.0)
 SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
 RNG = np.random.default_rng(0)
 # Six channels, for scenes that are solved by the dozen.
-SMALL = SensorDesign(
-    OUTLINE, 0.005, tuple(Electrode(x, y) for x in (0.0225, 0.1275) for y in (0.0, 0.06))
-)
 SWEEP = (Keyframe(0.0, -20.0), Keyframe(3.5, 50.0))
 
 
@@ -187,73 +182,6 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
 
 
-@pytest.mark.slow
-def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
-    """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
-    fast = script(Keyframe(0.0, -20.0), Keyframe(7 / 3, 50.0), period=0.297)
-    slow_scan = dataclasses.replace(SCANNED, measurement_time=0.05)
-    hinge = Hinge()
-    data = simulate_shard(recipe(fast, instrument=slow_scan, sensor=SMALL, fixture=hinge), 0)
-    sim = Simulator(SMALL, "fast", hinge)
-    offsets = slow_scan.offsets(sim.protocol)
-    assert offsets[-1] == pytest.approx(0.25)
-    moments = data.time[:, None] + offsets
-    truth = np.empty(moments.shape)
-    for place in np.ndindex(moments.shape):
-        scene = Scene(Bend(-20.0 + 30.0 * moments[place]))
-        truth[place] = sim.measure(scene).impedance[place[1]].real
-    unmoved = np.array([sim.measure(Scene(Bend(float(a)))).impedance for a in data.bend_angle_deg])
-    inside = slice(0, -1)  # the last frame ends when the bend does, where the angle has a kink
-    error = np.abs(data.impedance.real / truth - 1.0)[inside].max()
-    without = np.abs(unmoved.real / truth - 1.0)[inside].max()
-    assert error < 2e-4  # as much as the noise; without interpolation 0.85 %
-    assert without > 40 * error
-
-
-@pytest.mark.slow
-def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
-    told = script(
-        Keyframe(0.0),
-        Keyframe(0.5, 0.0, (EpisodeTouch(0.0525, 0.03),)),
-        Keyframe(3.0),
-        Keyframe(5.0),
-        period=0.25,
-    )
-    data = simulate_shard(recipe(told, instrument=QUIET, sensor=SMALL), 0)
-    change = np.abs(data.impedance - data.touch_reference)
-    signal = change[:, change.max(axis=0).argmax()]
-    assert (signal[:2] == 0.0).all()
-    held_for, released = signal[2:12], signal[12:]
-    assert (np.diff(held_for) > 0.0).all()  # it creeps, ever more slowly,
-    assert (np.diff(held_for, 2) < 0.0).all()
-    assert 1.02 < held_for[-1] / held_for[0] < 1.3  # by a tenth in 2.5 s,
-    assert released[0] < 0.2 * held_for[-1]  # and leaves a dent that fades
-    assert released[-1] < 0.5 * released[0]
-    assert released[-1] > 0.0
-
-
-def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch):
-    asked = []
-
-    def measure_all(self, scenes, **_options):
-        asked.extend(scene for scene in scenes if scene != Scene())
-        return linear_in_the_angle(self, scenes) + 1 / 3
-
-    monkeypatch.setattr(Simulator, "measure_all", measure_all)
-    told = script(
-        Keyframe(0.0, 20.0), Keyframe(5.0, 20.0, (HERE,)), Keyframe(9.0, 20.0), relaxation=False
-    )
-    data = simulate_shard(recipe(told, instrument=SCANNED), 0)
-    assert len(asked) == 2
-    assert len(np.unique(data.impedance, axis=0)) == 4  # with and without it, set on and lifted
-    assert len(np.unique(data.touch_reference, axis=0)) == 1
-    # Without skew nothing beyond the last frame is asked for either.
-    asked.clear()
-    simulate_shard(recipe(script(*SWEEP, period=0.5), instrument=QUIET), 0)
-    assert len(asked) == 6  # the seventh is flat, which every specimen's reference is
-    assert Bend(50.0) not in {scene.bend for scene in asked}
-
-
 def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):
     monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
     drifting = Instrument(snr_db=0.0, drift=0.1)
@@ -267,19 +195,6 @@ def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):
     assert steps.std() == pytest.approx(size, rel=4 / np.sqrt(2 * len(steps)))
     assert np.abs(steps[[59, 119]]).max() < 3.5 * size
     assert drift[0] == pytest.approx(1.0, abs=1e-6)
-
-
-def test_gain_of_a_specimens_board_is_that_of_its_reference():
-    """All of a specimen is measured in one session, so a ratio to its reference is free of it."""
-    gains = Instrument(snr_db=0.0, gain=0.005, reciprocity=0.004)
-    told = script(Keyframe(0.0), Keyframe(1.0), period=0.5, count=2)
-    asked = recipe(told, instrument=gains, specimens=Specimens(2), sensor=SMALL, frames_per_shard=4)
-    data = simulate_shard(asked, 0)
-    flat = Simulator(specimen(asked, 0).design, "fast").measure(Scene()).impedance
-    for number in range(2):
-        assert np.array_equal(data.impedance[2 * number], data.reference[number])
-        assert 1e-4 < np.abs(data.reference[number] / flat - 1.0).max() < 0.03
-    assert np.abs(data.reference[0] / data.reference[1] - 1.0).max() > 1e-4
 
 
 def test_an_episode_depends_on_its_number_alone():

@@ -12,9 +12,8 @@ import pytest
 import yaml
 from command_line import printed_json, run
 
-from eitskin.datasets import State, StoredDataset, export_dataset, open_dataset, save_dataset
+from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export.frame_table import SPLITS, specimen_splits, split_of
-from eitskin.datasets.export.lerobot import joined_statistics, moments
 from eitskin.datasets.store.manifest import Names
 from eitskin.errors import ConfigurationError, DataError, PartialError
 
@@ -155,15 +154,6 @@ class TestParquet:
             assert hashlib.sha256((parquet / name).read_bytes()).hexdigest() == digest
         assert (parquet / "recipe.toml").read_text() == open_dataset(saved).recipe
 
-    def test_a_dataset_read_column_by_column_gives_the_same_bytes(
-        self, saved, parquet, tmp_path, monkeypatch
-    ):
-        monkeypatch.setattr("eitskin.datasets.store.folder.READ_AT_ONCE", 0)
-        assert isinstance(open_dataset(saved), StoredDataset)
-        export_dataset(saved, tmp_path / "large", "parquet")
-        sums = [(each / "SHA256SUMS").read_text() for each in (parquet, tmp_path / "large")]
-        assert sums[0] == sums[1]
-
 
 class TestHuggingFace:
     def test_its_files_hold_all_frames_once(self, parquet, huggingface):
@@ -218,19 +208,6 @@ class TestSplits:
     def test_without_one_for_training_all_are(self):
         lone = next(n for n in range(99) if split_of(f"0:{n}") == "test")
         assert specimen_splits([lone], Names(), 0) == {lone: "train"}
-
-
-class TestStatistics:
-    def test_parts_give_what_numpy_gives_for_all(self):
-        rng = np.random.default_rng(0)
-        values = rng.normal(1e6, 1e-2, (1000, 3))
-        parts = np.split(values, [1, 30, 400])
-        told = joined_statistics([moments(part) for part in parts])
-        assert told["count"] == [1000]
-        np.testing.assert_allclose(told["mean"], values.mean(axis=0), rtol=1e-14)
-        np.testing.assert_allclose(told["std"], values.std(axis=0), rtol=1e-6)
-        assert told["min"] == values.min(axis=0).tolist()
-        assert told["max"] == values.max(axis=0).tolist()
 
 
 class TestMistakes:

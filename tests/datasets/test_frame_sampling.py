@@ -171,28 +171,6 @@ def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
         assert specimen_numbers(recipe, frames) == sorted(drawn)
 
 
-def test_more_specimens_than_blocks_leave_some_out():
-    recipe = dataclasses.replace(GROUPED, specimens=Specimens(100))
-    drawn = all_samples(recipe)
-    assert len({each.specimen for each in drawn}) == 30 + 12
-    assert all(each.session_time < 8 * 0.297 for each in drawn)
-
-
-@pytest.mark.slow
-def test_angles_are_spread_evenly_with_or_without_blocks():
-    for per_bend in (1, 4):
-        group = dataclasses.replace(BENT, count=4000, per_bend=per_bend)
-        recipe = Recipe("angles", scenes=(group,), seed=8)
-        angles = np.array([each.scene.bend.angle_deg for each in all_samples(recipe)])[::per_bend]
-        assert len(np.unique(angles)) == 4000 // per_bend
-        # Uniform over 70 degrees about 15: standard deviation 70 / sqrt(12).
-        deviation = 70 / np.sqrt(12)
-        assert angles.mean() == pytest.approx(15.0, abs=4 * deviation / np.sqrt(len(angles)))
-        assert angles.std() == pytest.approx(deviation, rel=4 / np.sqrt(2 * len(angles)))
-        assert -20.0 <= angles.min() < -19.0
-        assert 49.0 < angles.max() <= 50.0
-
-
 @pytest.mark.slow
 def test_forces_and_numbers_of_touches_are_spread_evenly():
     group = dataclasses.replace(TOUCHED, count=2000)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,17 +10,17 @@ import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, State, generate, open_dataset
+from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store import shard_reader, worker_processes
+from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.shard import shard_name, unsealed
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.geometry import Bend, Plates
+from eitskin.geometry import Plates
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.threads import one_thread
 
@@ -115,30 +114,6 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
 
 
 @pytest.mark.slow
-def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp_path, monkeypatch):
-    folder = tmp_path / "resumed"
-
-    def interrupt(done, _total):
-        if done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        generate(RECIPE, folder, workers=1, progress=interrupt)
-    finished = contents(folder)
-    assert "manifest.json" not in finished
-    assert 1 <= sum(name.startswith("shard") for name in finished) <= 2
-    assert not any(name.startswith(".") for name in finished)
-    (folder / ".writing-killed").write_bytes(b"half")
-    before = {name: (folder / name).stat().st_mtime_ns for name in finished}
-    reports = []
-    in_this_process(monkeypatch)
-    generate(RECIPE, folder, progress=lambda *report: reports.append(report), resume=True)
-    assert reports[0][0] >= 4
-    assert contents(folder) == contents(whole)
-    assert {name: (folder / name).stat().st_mtime_ns for name in finished} == before
-
-
-@pytest.mark.slow
 def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(generation, "make_shard", killed_once)
     folder = tmp_path / "set"
@@ -176,36 +151,12 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_finished_shards_are_examined_by_workers_too(whole, tmp_path, monkeypatch):
-    in_this_process(monkeypatch)
-    monkeypatch.setattr(worker_processes, "_SMALL", 0)
-    folder = tmp_path / "set"
-    shutil.copytree(whole, folder)
-    (folder / "manifest.json").unlink()
-    (folder / shard_name(2)).write_bytes((whole / shard_name(1)).read_bytes())
-    generate(RECIPE, folder, resume=True, workers=2)
-    assert contents(folder) == contents(whole)
-
-
-@pytest.mark.slow
 def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
     monkeypatch.setattr(generation, "make_shard", die)
     with pytest.raises(PartialError, match=r"4 of 4.*--resume") as caught:
         generate(RECIPE, tmp_path / "set")
     assert caught.value.exit_code == 5
     assert not (tmp_path / "set" / "manifest.json").exists()
-
-
-@pytest.mark.slow
-def test_failure_in_a_worker_reaches_the_caller(tmp_path):
-    folder = tmp_path / "set"
-
-    def take_the_folder_away(done, _total):
-        if not done:
-            folder.rename(tmp_path / "gone")
-
-    with pytest.raises(PartialError, match=r"cannot write .*shard-000000\.h5"):
-        generate(RECIPE, folder, workers=1, progress=take_the_folder_away)
 
 
 def test_finished_dataset_is_not_made_again(whole, monkeypatch):
@@ -235,34 +186,6 @@ def test_occupied_folders_are_refused(whole, tmp_path):
         generate(RECIPE, tmp_path, resume=True)
     with pytest.raises(ConfigurationError, match=r"workers.*at least 1"):
         generate(RECIPE, tmp_path / "new", workers=0)
-
-
-def test_equal_scenes_are_solved_once(monkeypatch):
-    solved = []
-    deformed_layer = Simulator.deformed_layer
-
-    def counting(self, scene):
-        solved.append(scene)
-        return deformed_layer(self, scene)
-
-    monkeypatch.setattr(Simulator, "deformed_layer", counting)
-    places = ((0.05, 0.02), (0.09, 0.04))
-    recipe = Recipe(
-        "few scenes",
-        seed=12345,  # of no other test, whose specimens would be kept
-        specimens=Specimens(count=1, conductivity=0.01),
-        scenes=(
-            SceneGroup("idle", count=50),
-            SceneGroup("bend", count=30, angle_deg=(20.0, 20.0)),
-            SceneGroup("touch", positions=places, repeats=10, angle_deg=(20.0, 20.0)),
-        ),
-    )
-    data = simulate_shard(recipe, 0)
-    assert len(data) == 100
-    assert len(solved) == 4  # flat, bent, and two touches
-    assert {scene.bend for scene in solved} == {Bend(0.0), Bend(20.0)}
-    idle = data.impedance[data.state == State.IDLE]
-    assert len(np.unique(idle[:, 0])) == 50  # each with its own noise
 
 
 SCRIPT = """

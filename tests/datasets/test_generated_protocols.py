@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
@@ -34,26 +33,6 @@ def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
     leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
     with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
         dataclasses.replace(recipe, instrument=leaking)
-
-
-def test_frames_of_the_ad5940_may_be_of_neighbours():
-    """Its current is that of the drive pair, which no measurement of the protocol senses."""
-    board = dataclasses.replace(Instrument.ad5940(), snr_db=0.0, floor=0.0, drift=0.0)
-    recipe = Recipe(
-        "adjacent",
-        resolution="coarse",
-        protocol=Protocol.adjacent(8),
-        instrument=board,
-        scenes=(SceneGroup("idle", count=1),),
-    )
-    data = simulate_frames(recipe, [0])
-    made = specimen(recipe, 0)
-    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
-    ideal = recipe.protocol.measure(Z)
-    assert data.impedance[0].real == pytest.approx(ideal, rel=0.02)
-    assert (np.abs(data.impedance[0].imag) > 1e-4 * np.abs(ideal)).all()  # of stray capacitance
-    assert data.reference[0] == pytest.approx(data.impedance[0])
-    assert not data.status.any()
 
 
 def test_frames_are_measured_by_the_protocol_of_the_recipe():

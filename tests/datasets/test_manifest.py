@@ -43,13 +43,6 @@ def test_manifest_may_not_lead_out_of_its_folder(tmp_path):
         open_dataset(tmp_path / "set")
 
 
-def test_a_folder_that_is_not_there_is_told_from_one_without_a_manifest(tmp_path):
-    with pytest.raises(DataError, match=r"there is no folder .*tuesday"):
-        open_dataset(tmp_path / "tuesday")
-    with pytest.raises(DataError, match=r"no manifest\.json"):
-        open_dataset(tmp_path)
-
-
 @pytest.mark.parametrize("content", [b"", b"[]", b"7", b"{", b"\xff", b"[" * 200_000])
 def test_rubbish_for_a_manifest_is_refused(tmp_path, content):
     (tmp_path / "manifest.json").write_bytes(content)

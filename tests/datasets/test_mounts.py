@@ -3,16 +3,13 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
-from eitskin.config import Location, read
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import deciding_specimens, missing_bend_tables
 from eitskin.datasets.generation.shard_simulation import simulate_frames
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts, Specimens
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Hinge, Plates
 from eitskin.simulator import Mechanics
 
@@ -62,14 +59,6 @@ def test_each_mount_is_solved_once():
     assert len(missing_bend_tables(recipe(specimens=5))) == 5
 
 
-def test_a_recipe_with_mounts_is_written_and_read_again():
-    asked = recipe()
-    data = {"count": 12, "span": [0.025, 0.06], "offset": [0.004, 0.014], "stiffness": [0.5, 2.0]}
-    given = read(Mounts, data | {"faces": ["both", "bottom"]}, Location("here"))
-    assert given == MOUNTS
-    assert 'faces = ["both", "bottom"]' in asked.to_toml()
-
-
 def test_frames_say_the_clamp_of_their_specimen():
     flat = (SceneGroup("idle", count=12),)
     asked = dataclasses.replace(recipe(specimens=12), scenes=flat, resolution="fast")
@@ -98,25 +87,3 @@ def test_hinges_are_no_clamps():
     data = simulate_frames(Recipe("h", scenes=flat, fixture=Hinge(), resolution="fast"), range(1))
     assert np.isnan([data.clamp_span, data.clamp_offset, data.clamp_faces]).all()
     assert np.isnan(data.clamp_stiffness).all()
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"count": -1},
-        {"span": (0.06, 0.03)},
-        {"span": (0.0, 0.03)},
-        {"span": (0.03, 0.2)},
-        {"offset": (0.0, float("nan"))},
-        {"stiffness": (0.0, 1.0)},
-        {"faces": ()},
-    ],
-)
-def test_impossible_mounts_are_refused(wrong):
-    with pytest.raises(ConfigurationError, match="mounts"):
-        recipe(dataclasses.replace(MOUNTS, **wrong))
-
-
-def test_a_fixture_beside_mounts_is_refused():
-    with pytest.raises(ConfigurationError, match="mounts"):
-        recipe(fixture=Hinge())

@@ -1,19 +1,15 @@
 """Names of specimens and sessions, from a recording through datasets made of it."""
 
 import dataclasses
-import json
 
-import msgspec
 import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from eitskin.cli.commands.dataset import app
 from eitskin.cli.commands.import_recording import command
 from eitskin.datasets import combine, open_dataset, save_dataset
-from eitskin.datasets.store import folder as store
-from eitskin.datasets.store.manifest import Names, ShardEntry, read_manifest
+from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.rewriting import compact
 from eitskin.datasets.store.summary import specimens_in_words
 
@@ -52,15 +48,6 @@ def test_names_of_an_import_stay_with_the_dataset(named):
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
 
 
-def test_info_shows_them(named):
-    shown = run(app, "info", named)
-    assert "gel A right" in shown
-    assert "tuesday" in shown
-    told = json.loads(run(app, "info", named, "--json", "-q"))
-    assert told["specimen_names"] == {str(k): name for k, name in SPECIMENS.items()}
-    assert told["session_names"] == {str(k): name for k, name in SESSIONS.items()}
-
-
 def test_compacting_keeps_them(named, tmp_path):
     compact(named, tmp_path / "compact")
     assert open_dataset(tmp_path / "compact").names == Names(SPECIMENS, SESSIONS)
@@ -77,13 +64,6 @@ def test_combined_sets_keep_them_with_their_new_numbers(named, tmp_path):
     assert both.select(both.specimen == 4).specimen_names == ("gel A left",)
 
 
-def test_a_large_dataset_knows_them_without_reading_its_columns(named, monkeypatch):
-    monkeypatch.setattr(store, "READ_AT_ONCE", 0)
-    data = open_dataset(named)
-    assert data.names == Names(SPECIMENS, SESSIONS)
-    assert data.select([0]).specimen_names == ("gel B left",)
-
-
 def test_simulated_specimens_have_numbers_alone(tmp_path):
     save_dataset(make(12, specimens=3), tmp_path / "simulated")
     assert b"names" not in (tmp_path / "simulated" / "manifest.json").read_bytes()
@@ -91,23 +71,6 @@ def test_simulated_specimens_have_numbers_alone(tmp_path):
     assert not data.names
     assert data.specimen_names == ("0", "1", "2")
     assert specimens_in_words(data) == "3 specimens"
-
-
-def test_readers_that_know_no_names_read_the_manifest(named):
-    @dataclasses.dataclass(frozen=True)
-    class Earlier:
-        source: str
-        recipe_sha256: str
-        seed: int
-        frames: int
-        shards: tuple[ShardEntry, ...]
-        format: str = ""
-        format_version: int = 0
-
-    earlier = msgspec.json.decode((named / "manifest.json").read_bytes(), type=Earlier)
-    now = read_manifest(named)
-    assert now.names == Names(SPECIMENS, SESSIONS)
-    assert (earlier.shards, earlier.format_version) == (now.shards, now.format_version)
 
 
 def test_many_names_are_told_by_the_first_few():

@@ -3,7 +3,6 @@
 import dataclasses
 import tomllib
 
-import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
@@ -13,10 +12,9 @@ from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.specimen import Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import (
-    Clamp,
     Electrode,
     Free,
     FreeArc,
@@ -70,49 +68,6 @@ def test_recipes_are_the_same_after_writing_and_reading(recipe, tmp_path):
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 
 
-def test_paper_recipes_hold_the_numbers_of_the_paper():
-    assert all(Recipe.shipped(name).name == name for name in shipped_names())
-    states = Recipe.shipped("paper_states")
-    assert [(g.state, g.frames) for g in states.scenes] == [
-        ("idle", 360),
-        ("bend", 360),
-        ("touch", 360),
-    ]
-    assert states.scenes[1].angle_deg == (-20.0, 50.0)
-    assert states.scenes[2].touches == (1, 4)
-    bending = Recipe.shipped("paper_bending")
-    assert bending.snapshots == 360
-    assert bending.episodes[0].angles_deg == (-20.0, 50.0)
-    (indentation,) = Recipe.shipped("paper_indentation").scenes
-    xs, ys = ({place[axis] for place in indentation.positions} for axis in (0, 1))
-    assert len(indentation.positions) == 27
-    assert np.allclose(sorted(xs), np.arange(15, 136, 15) / 1e3)
-    assert np.allclose(sorted(ys), [0.015, 0.030, 0.045])
-    assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
-    touch = Recipe.shipped("paper_touch").scenes
-    assert [(g.touches, g.angle_deg) for g in touch] == [
-        ((1, 1), (-10.0, 50.0)),
-        *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
-    ]
-    (demo,) = Recipe.shipped("paper_demo").episodes
-    pressed = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
-    assert pressed == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
-    assert demo.period == 0.303
-
-
-def test_shipped_recipes_with_episodes_or_terms_of_a_board_are_for_those_who_ask():
-    """The demo and its tests stay with snapshots and white noise, and one sensor."""
-    for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
-        recipe = Recipe.shipped(name)
-        assert recipe.episodes == ()
-        assert recipe.specimens.count == 1
-        assert recipe.instrument == Instrument(75.0)
-    training = Recipe.shipped("training")
-    assert training.specimens.count >= 50
-    assert training.instrument.measurement_time > 0.0
-    assert any(group.per_bend > 1 for group in training.scenes)
-
-
 def test_episodes_are_not_cut():
     recipe = Recipe(
         "uncut",
@@ -125,13 +80,6 @@ def test_episodes_are_not_cut():
     assert lengths == [25, 5, 20, 20, 10, 40, 40]
     joined = [index for shard in range(recipe.shards) for index in recipe.shard_range(shard)]
     assert joined == list(range(160))
-
-
-def test_a_board_may_be_named(tmp_path):
-    board = '[instrument]\nboard = "ad5940"\nsnr_db = 80\n'
-    text = f'name = "a"\n{board}[[scenes]]\nstate = "idle"\ncount = 1\n'
-    expected = dataclasses.replace(Instrument.ad5940(), snr_db=80.0)
-    assert Recipe.from_toml(write(tmp_path, text)).instrument == expected
 
 
 def test_unknown_shipped_name_lists_those_that_exist():
@@ -232,21 +180,6 @@ def test_a_recipe_names_its_protocol_and_is_written_with_it(tmp_path, name):
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
 
 
-def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
-    table = Protocol(Protocol.adjacent(8).table[::-1], 8)
-    table.to_file(tmp_path / "pairs.csv")
-    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format("pairs.csv")))
-    assert recipe.protocol == table
-    assert parse_toml(Recipe, recipe.to_toml()) == recipe
-
-
-def test_an_episode_without_end_is_refused():
-    for changes in ({"period": 1e-308}, {"period": 0.0}, {"repeats": 2**62}):
-        episode = ScriptedEpisode((Keyframe(0.0), Keyframe(1e300)), **changes)
-        with pytest.raises(ConfigurationError, match="frames"):
-            Recipe("one", episodes=(episode,))
-
-
 def test_a_group_writes_what_it_wrote_before_it_could_do_more():
     """Sets that were begun then are resumed by their recipe's text."""
     (group,) = tomllib.loads(Recipe("one", scenes=(IDLE,)).to_toml())["scenes"]
@@ -259,29 +192,6 @@ def test_a_group_writes_what_it_wrote_before_it_could_do_more():
 def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
     with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
         Recipe.from_toml(write(tmp_path, ADJACENT.format("adjacent:16")))
-    with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
-        Recipe("other", scenes=(IDLE,), protocol=Protocol.adjacent(16))
-
-
-def test_an_instrument_that_cannot_measure_the_protocol_is_refused_before_the_work():
-    leaks = FourTerminalMeter(leaks=(1e-6, 1e-6))
-    with pytest.raises(ConfigurationError, match="instrument: leaks"):
-        Recipe(
-            "board",
-            scenes=(IDLE,),
-            protocol=Protocol.adjacent(8),
-            instrument=Instrument(meter=leaks),
-        )
-
-
-def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
-    import trimesh
-
-    trimesh.creation.box(bounds=[[0, 0, 0], [0.15, 0.06, 0.005]]).export(tmp_path / "box.stl")
-    pads = tuple(Electrode(x, 0.03, z=0.005, on="surface") for x in (0.02, 0.12))
-    design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
-    with pytest.raises(ConfigurationError, match="rectangle, disc or polygon"):
-        Recipe("solid", scenes=(IDLE,), sensor=design)
 
 
 ON_PLATES = SceneGroup("touch", positions=((0.02, 0.03), (0.13, 0.03)), support=Plates())
@@ -311,25 +221,6 @@ def test_plates_are_as_far_apart_as_each_specimen_s_hinge():
         assert made.design.support.span == pytest.approx(made.fixture.span, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("group", "support", "message"),
-    [
-        (TOUCHED, Free(), r"scenes\[0\] \(touch\): a free membrane"),
-        (BENT, Plates(0.03), "0.03 m apart"),
-        (IDLE, Plates(0.2), "length of 0.15 m"),
-    ],
-)
-def test_scenes_that_their_support_does_not_allow_are_refused(group, support, message):
-    with pytest.raises(ConfigurationError, match=message):
-        dataclasses.replace(MIXED, scenes=(dataclasses.replace(group, support=support),))
-
-
-def test_episodes_are_on_the_support_of_the_sensor():
-    free = dataclasses.replace(MIXED.sensor, support=Free())
-    with pytest.raises(ConfigurationError, match=r"episodes\[0\]: a free membrane"):
-        dataclasses.replace(EPISODES, sensor=free, scenes=())
-
-
 ROLLED = SceneGroup(
     "touch", 12, (0.0, 30.0), per_bend=4, roll_deg=(20.0, 60.0), indenter=Sphere(8e-3)
 )
@@ -350,21 +241,6 @@ def test_a_group_may_be_rolled_and_pressed_by_another_indenter(tmp_path):
         assert (scene.bend, scene.touches[0].force) == (other.bend, other.touches[0].force)
 
 
-@pytest.mark.parametrize(
-    ("group", "fixture", "message"),
-    [
-        (ROLLED, Clamp(), "kinematic fixture"),
-        (dataclasses.replace(IDLE, roll_deg=(0.0, 5.0)), FreeArc(0.1), "an idle sensor is flat"),
-        (dataclasses.replace(ROLLED, roll_deg=(5.0, 0.0)), FreeArc(0.1), "roll_deg must be"),
-        (dataclasses.replace(BENT, indenter=Sphere(8e-3)), FreeArc(0.1), "leave out indenter"),
-        (dataclasses.replace(TOUCHED, indenter=Sphere(0.02)), FreeArc(0.1), "indenter's 0.04 m"),
-    ],
-)
-def test_rolls_and_indenters_that_do_not_fit_are_refused(group, fixture, message):
-    with pytest.raises(ConfigurationError, match=message):
-        dataclasses.replace(MIXED, scenes=(group,), fixture=fixture)
-
-
 def test_tables_of_every_indenter_are_solved_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     balls = dataclasses.replace(ON_AN_ARC, scenes=(TOUCHED, ROLLED))
@@ -373,3 +249,82 @@ def test_tables_of_every_indenter_are_solved_before_the_work(tmp_path, monkeypat
     needed, also = missing_press_tables(balls), missing_press_tables(more)
     assert needed  # those of the cylinder come with eitskin
     assert needed < also
+
+
+def scenes(group, **changes):
+    return {"scenes": (dataclasses.replace(group, **changes),)}
+
+
+def unending(**changes):
+    return {"episodes": (ScriptedEpisode((Keyframe(0.0), Keyframe(1e300)), **changes),)}
+
+
+def spread(**changes):
+    bent = SceneGroup("bend", count=1, angle_deg=(-60.0, 0.0))
+    return {"scenes": (bent,), "specimens": Specimens(**changes)}
+
+
+def mounts(**changes):
+    usual = {"span": (0.025, 0.060), "offset": (0.004, 0.014), "stiffness": (0.5, 2.0)}
+    return {"mounts": Mounts(**({"count": 12} | usual | changes))}
+
+
+def loads(size, meter):
+    return {"specimens": Specimens(board_loads=size), "instrument": Instrument(meter=meter)}
+
+
+ARC = {"fixture": FreeArc(0.1)}
+FREE = dataclasses.replace(SensorDesign.reference(), support=Free())
+LEAKS = Instrument(meter=FourTerminalMeter(leaks=(1e-6, 1e-6)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (unending(period=1e-308), "frames"),
+        (unending(period=0.0), "frames"),
+        (unending(repeats=2**62), "frames"),
+        ({"protocol": Protocol.adjacent(16)}, "for 16 electrodes, the sensor has 8"),
+        ({"protocol": Protocol.adjacent(8), "instrument": LEAKS}, "instrument: leaks"),
+        (scenes(TOUCHED, support=Free()), r"scenes\[0\] \(touch\): a free membrane"),
+        (scenes(BENT, support=Plates(0.03)), "0.03 m apart"),
+        (scenes(IDLE, support=Plates(0.2)), "length of 0.15 m"),
+        ({"sensor": FREE, "scenes": (), "episodes": EPISODES.episodes}, r"episodes\[0\]: a free"),
+        (scenes(ROLLED), "kinematic fixture"),
+        (scenes(IDLE, roll_deg=(0.0, 5.0)) | ARC, "an idle sensor is flat"),
+        (scenes(ROLLED, roll_deg=(5.0, 0.0)) | ARC, "roll_deg must be"),
+        (scenes(BENT, indenter=Sphere(8e-3)) | ARC, "leave out indenter"),
+        (scenes(TOUCHED, indenter=Sphere(0.02)) | ARC, "indenter's 0.04 m"),
+        (spread(count=0), r"count.*from 1"),
+        (spread(conductivity=1.1), r"conductivity.*0 to 1, got 1.1"),
+        (spread(thickness=0.06), r"thickness.*0 to 0.05, got 0.06"),
+        (spread(gel_modulus=float("nan")), "gel_modulus"),
+        (spread(electrode_place=0.007), r"electrode_place.*0.00667"),
+        (spread(hinge_offset=0.02), r"hinge_offset.*0 to 0.01 m"),
+        (spread(hinge_span=0.009), "bend of -60 deg"),
+        (spread(hinge_span=0.005) | {"fixture": Hinge(span=0.015)}, "hinge_span"),
+        (spread(board_loads=11.0), "board_loads must be from 0 to 10"),
+        (loads(1.0, None), "board_loads is the spread"),
+        (loads(1.0, FourTerminalMeter(scale=2.0)), "board_loads is the spread"),
+        (mounts(count=-1), "mounts"),
+        (mounts(span=(0.06, 0.03)), "mounts"),
+        (mounts(span=(0.03, 0.2)), "mounts"),
+        (mounts(offset=(0.0, float("nan"))), "mounts"),
+        (mounts(stiffness=(0.0, 1.0)), "mounts"),
+        (mounts(faces=()), "mounts"),
+        (mounts() | {"fixture": Hinge()}, "mounts take the place"),
+    ],
+)
+def test_recipes_that_cannot_be_made_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        dataclasses.replace(MIXED, **changes)
+
+
+def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
+    import trimesh
+
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.15, 0.06, 0.005]]).export(tmp_path / "box.stl")
+    pads = tuple(Electrode(x, 0.03, z=0.005, on="surface") for x in (0.02, 0.12))
+    design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
+    with pytest.raises(ConfigurationError, match="rectangle, disc or polygon"):
+        dataclasses.replace(MIXED, sensor=design)

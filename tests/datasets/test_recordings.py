@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import savemat
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
@@ -18,10 +17,8 @@ from eitskin.datasets import (
     State,
     open_dataset,
     read_recording,
-    save_dataset,
 )
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -72,39 +69,6 @@ def test_csv_with_everything(tmp_path):
     assert np.isnan(data.touch_x[:, 1:]).all()
     assert data.time.tolist() == [0.0, 0.5, 1.0]
     assert data.frame(1).protocol == Protocol.pairwise(3)
-
-
-def test_csv_with_nothing_but_values_of_many_channels(tmp_path):
-    header = ",".join(f"ch{i}" for i in range(40))
-    row = ",".join(str(i) for i in range(40))
-    path = write(tmp_path, "run.csv", f"\ufeff{header}\n{row}\n{row}\n")
-    data = read_recording(path, RecordingNames(values="ch"))
-    assert data.impedance.shape == (2, 40)
-    assert np.array_equal(data.impedance[1], np.arange(40))
-    assert data.protocol is None
-    assert np.array_equal(data.reference, data.impedance[:1])
-    assert (data.state == UNKNOWN_STATE).all()
-    assert np.isnan(data.touch_reference).all()
-
-
-@pytest.mark.parametrize("ending", [".mat", ".npz"])
-def test_matrices_with_positions(tmp_path, ending):
-    path = tmp_path / f"run{ending}"
-    variables = {"down": PRESSED, "up": UNTOUCHED, "places": PLACES, "t": np.arange(3.0)}
-    if ending == ".mat":
-        savemat(path, variables)
-    else:
-        np.savez(path, **variables)
-    data = read_recording(path, RecordingNames("down", "up", "places"))
-    assert np.array_equal(data.impedance, PRESSED)
-    assert np.array_equal(data.touch_reference, UNTOUCHED)
-    assert np.array_equal(data.reference[0], UNTOUCHED.mean(axis=0))
-    assert np.array_equal(data.touch_x[:, 0], np.float32(PLACES[:, 0]), equal_nan=True)
-    assert np.array_equal(data.touch_y[:, 0], np.float32(PLACES[:, 1]), equal_nan=True)
-    assert data.state.tolist() == [State.TOUCH, UNKNOWN_STATE, State.TOUCH]
-    assert data.time.tolist() == [0.0, 1.0, 2.0]
-    save_dataset(data, tmp_path / "set")
-    assert np.array_equal(open_dataset(tmp_path / "set").impedance, data.impedance)
 
 
 def test_openeit_lines_among_others(tmp_path):
@@ -178,29 +142,6 @@ def test_protocol_of_another_size_is_refused(tmp_path):
 # Real recordings
 
 
-def test_real_presses_on_a_hydrogel_skin():
-    data = read_recording(
-        real("ohmc8.mat"), RecordingNames("responsedowns", "responseups", "positions")
-    )
-    assert data.impedance.shape == (500, 32)
-    assert (data.state == State.TOUCH).all()
-    assert np.hypot(data.touch_x[:, 0], data.touch_y[:, 0]).max() < 0.08
-    # The untouched sensor repeats itself from press to press, the pressed one does not.
-    pressed, untouched = (
-        np.median(np.abs(np.diff(values.real, axis=0)) / np.abs(values.real[1:]))
-        for values in (data.impedance, data.touch_reference)
-    )
-    assert untouched < 0.005
-    assert pressed > 5 * untouched
-
-
-def test_real_openeit_frame():
-    data = read_recording(real("openeit_background_8.txt"), protocol=Protocol.pairwise(8))
-    assert data.impedance.shape == (1, 28)
-    assert data.frame(0).impedance[0] == 27159.125
-    assert data.frame(0).impedance[27] == 22775.6875
-
-
 def documented(command):
     """Run a command of the guide in the folder of its designs, with the real recording."""
     words = shlex.split(command.replace("\\\n", " "))[1:]
@@ -235,17 +176,3 @@ def test_documented_commands_import_the_real_recordings(command, tmp_path, monke
             np.unique(data.touch_depth[:, 0]).tolist() == np.float32([10e-3, 15e-3, 20e-3]).tolist()
         )
         assert np.abs(data.touch_x[:, 0] - 0.09).max() < 0.08
-
-
-def test_the_round_skin_drives_facing_electrodes_in_both_directions():
-    n, table = 8, []
-    for k in range(n):
-        drive = (k, (k + 4) % n)
-        table += [(*drive, (j + 1) % n, j) for j in range(n) if not {*drive} & {j, (j + 1) % n}]
-    folder = GUIDES / "recordings"
-    assert Protocol.named(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
-    for k, electrode in enumerate(SensorDesign.from_toml(folder / "round-skin.toml").electrodes):
-        turn = 2 * np.pi * k / n
-        place = 0.090 + 0.085 * np.array([np.sin(turn), -np.cos(turn)])
-        assert np.allclose((electrode.x, electrode.y), place, atol=1e-6)
-    assert len(SensorDesign.from_toml(folder / "water-tank.toml").electrodes) == 32
