@@ -171,18 +171,6 @@ def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
         assert specimen_numbers(recipe, frames) == sorted(drawn)
 
 
-@pytest.mark.slow
-def test_forces_and_numbers_of_touches_are_spread_evenly():
-    group = dataclasses.replace(TOUCHED, count=2000)
-    drawn = all_samples(Recipe("forces", scenes=(group,), seed=9))
-    counts = np.bincount([len(each.scene.touches) for each in drawn], minlength=5)
-    assert counts[0] == 0
-    assert counts[1:] == pytest.approx(500, abs=4 * np.sqrt(2000 * 0.25 * 0.75))
-    forces = np.array([touch.force for each in drawn for touch in each.scene.touches])
-    assert forces.mean() == pytest.approx(10.0, abs=4 * 4 / np.sqrt(12 * len(forces)))
-    assert forces.std() == pytest.approx(4 / np.sqrt(12), rel=4 / np.sqrt(2 * len(forces)))
-
-
 def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkeypatch):
     """All distinct scenes of a specimen in one call, so that their bends are factorised once."""
     asked = []

@@ -2,9 +2,12 @@
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from collections import namedtuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,19 +15,22 @@ import pytest
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
-from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.generation import preparation
+from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
+from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.shard import shard_name, unsealed
+from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Plates
-from eitskin.simulator import Instrument, Scene, Simulator
+from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
 from eitskin.threads import one_thread
 
-from killed_writers import die, killed_once, was_killed
+from killed_writers import killed_once, was_killed
 from shards_here import contents, in_this_process, made_here
 
 RECIPE = Recipe(
@@ -150,15 +156,6 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     assert opened == [unsealed(contents(whole)[shard_name(0)])[0]]  # HDF5 sees sound files alone
 
 
-@pytest.mark.slow
-def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
-    monkeypatch.setattr(generation, "make_shard", die)
-    with pytest.raises(PartialError, match=r"4 of 4.*--resume") as caught:
-        generate(RECIPE, tmp_path / "set")
-    assert caught.value.exit_code == 5
-    assert not (tmp_path / "set" / "manifest.json").exists()
-
-
 def test_finished_dataset_is_not_made_again(whole, monkeypatch):
     def refuse(*_arguments, **_named):
         raise AssertionError("there was nothing to make")
@@ -251,3 +248,122 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
     on_plates = dataclasses.replace(group, support=Plates())
     simulate_shard(Recipe("supports", scenes=(group, on_plates)), 0)
     assert asked == {(None, "tabulated"), (Plates(), "solved")}
+
+
+# Worker processes that read shards: order, errors, Ctrl-C
+
+
+@pytest.mark.slow
+def test_results_come_in_order_and_an_error_of_a_task_is_raised():
+    assert list(run_tasks(abs, [-3, 2, -1], 0)) == [(-3, 3), (2, 2), (-1, 1)]
+    results = run_tasks(len, ["three", "to", 5, "four"], 2)
+    assert [next(results), next(results)] == [("three", 5), ("to", 2)]
+    with pytest.raises(TypeError):
+        next(results)
+    with pytest.raises(PartialError, match="fewer workers"):
+        list(run_tasks(os._exit, [1, 1, 1], 2))
+
+
+# What a dataset will cost, and refusing a disk that has no room for it
+
+
+CHEAP = Recipe(
+    "cheap",
+    seed=2,
+    frames_per_shard=50,
+    scenes=(SceneGroup("bend", count=120, angle_deg=(10.0, 10.0)),),
+)
+LEAST_BYTES = 120 * 28 * 4
+Usage = namedtuple("Usage", "total used free")
+
+
+@pytest.mark.slow
+def test_size_is_that_of_the_files(tmp_path):
+    found = estimate_cost(CHEAP, tmp_path / "set", workers=1)
+    assert (found.frames, found.shards) == (120, 3)
+    assert 16 <= found.measured_frames <= 50
+    assert found.seconds > 0
+    assert found.megabytes_free == pytest.approx(free_bytes(tmp_path) / 1e6, rel=0.1)
+    assert list(tmp_path.iterdir()) == []
+    generate(CHEAP, tmp_path / "set", workers=1)
+    size = sum(path.stat().st_size for path in (tmp_path / "set").glob("shard-*"))
+    assert found.megabytes == pytest.approx(size / 1e6, rel=0.02)
+    assert size > LEAST_BYTES
+
+
+def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _folder: Usage(10**9, 10**9, LEAST_BYTES - 1))
+    with pytest.raises(ConfigurationError, match=r"at least 0\.013 MB, got 0\.013 MB"):
+        generate(CHEAP, tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_path, monkeypatch):
+    """Sixteen frames, twice, would take half an hour."""
+    touched = SceneGroup("touch", count=30, angle_deg=(10.0, 20.0), support=Plates())
+    recipe = Recipe("slow", scenes=(SceneGroup("touch", count=30), touched))
+    assert solved_frames(recipe) == 30
+    clock, runs = [0.0], []
+
+    def simulated(_recipe, numbers):
+        runs.append(len(numbers))
+        clock[0] += 50.0 * len(numbers)
+
+    monkeypatch.setattr(preparation, "prepare", lambda *_, **__: None)
+    monkeypatch.setattr(preparation, "simulate_frames", simulated)
+    monkeypatch.setattr(preparation, "shard_bytes", lambda _: b"data")
+    monkeypatch.setattr(preparation, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    found = estimate_cost(recipe, tmp_path, workers=1)
+    assert runs == [2]
+    assert (found.measured_frames, found.seconds) == (2, pytest.approx(60 * 50.0))
+
+
+# Generating by any protocol and board: what the recipe names is what is measured
+
+
+def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
+    meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=-4.0, step=0.25, reads="magnitude")
+    recipe = Recipe(
+        "loaded",
+        resolution="coarse",
+        protocol=Protocol.opposite(8),
+        instrument=Instrument(snr_db=0.0, meter=meter),
+        scenes=(SceneGroup("idle", count=1),),
+    )
+    data = simulate_frames(recipe, [0])
+    made = specimen(recipe, 0)
+    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
+    read, _ = meter.reading(meter.transfer_impedance(Z, recipe.protocol))
+    assert data.impedance[0] == pytest.approx(read, abs=0.26)  # a step of rounding
+    assert data.reference[0] == pytest.approx(data.impedance[0])
+    assert data.quantity == "magnitude"
+    assert parse_toml(Recipe, data.recipe).instrument == recipe.instrument
+    leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
+    with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
+        dataclasses.replace(recipe, instrument=leaking)
+
+
+def test_frames_are_measured_by_the_protocol_of_the_recipe():
+    plain = Recipe(
+        "own",
+        scenes=(SceneGroup("idle", count=1),),
+        resolution="coarse",
+        instrument=Instrument(0.0),
+    )
+    adjacent = dataclasses.replace(plain, protocol=Protocol.adjacent(8))
+    pairs, found = simulate_shard(plain, 0), simulate_shard(adjacent, 0)
+    assert found.protocol == Protocol.adjacent(8)
+    assert found.reference.shape == found.impedance.shape == (1, 40)
+    z = dict(zip(((a, b) for a, b, *_ in pairs.protocol.table), pairs.impedance[0], strict=True))
+    # Impedance of pairs, z_ab = Z_aa + Z_bb - 2 Z_ab; four terminals by superposition.
+    expected = [
+        (
+            z[min(a, d), max(a, d)]
+            + z[min(b, c), max(b, c)]
+            - z[min(a, c), max(a, c)]
+            - z[min(b, d), max(b, d)]
+        )
+        / 2.0
+        for a, b, c, d in found.protocol.table
+    ]
+    assert found.impedance[0] == pytest.approx(expected, abs=1e-3)  # single precision

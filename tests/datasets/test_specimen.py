@@ -8,18 +8,28 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from eitskin.datasets import Recipe
-from eitskin.datasets.generation.preparation import missing_press_tables, prepare
-from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets import Recipe, generate, read_shard
+from eitskin.datasets.generation import preparation
+from eitskin.datasets.generation.preparation import (
+    deciding_specimens,
+    missing_bend_tables,
+    missing_press_tables,
+    prepare,
+)
+from eitskin.datasets.generation.shard_simulation import simulate_frames
+from eitskin.datasets.recipe.frame_sampling import instrument, sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncated_normal
+from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Mounts, Specimens, truncated_normal
+from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Clamp, Electrode, Layer, SensorDesign
-from eitskin.simulator import Cylinder, Mechanics
+from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
+from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics, Scene, Simulator
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
 from eitskin.simulator.deformation.press_table import PressTable, press_table
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
+
+from shards_here import in_this_process
 
 DESIGN = SensorDesign.reference()
 SPREAD = Specimens(
@@ -143,15 +153,6 @@ def test_a_thicker_sensor_is_thicker_in_everything():
     assert each.grid.thickness == 0.005
 
 
-def test_conductivities_of_layers_scatter_together():
-    layers = (Layer(0.002, 0.5), Layer(0.003, 2.0))
-    design = dataclasses.replace(DESIGN, layers=layers)
-    found = [each.design.layers for each in made(Specimens(50, conductivity=0.1), sensor=design)]
-    conductivity = np.array([[layer.conductivity for layer in layers] for layers in found])
-    assert conductivity[:, 1] / conductivity[:, 0] == pytest.approx(np.full(50, 4.0))
-    assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15
-
-
 def test_the_electrodes_that_cannot_move_are_named():
     """Those at a corner, around it, or beside each other."""
     spread = Specimens(electrode_place=0.0005)
@@ -249,3 +250,175 @@ def test_forces_must_be_within_reach_of_every_specimen():
     prepare(one)
     with pytest.raises(ConfigurationError, match=r"force.*above 0"):
         prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
+
+
+# Sets of many specimens: what a shard solves and holds, and which tables are needed
+
+
+MANY = Recipe(
+    "many specimens",
+    seed=4,
+    frames_per_shard=6,
+    specimens=Specimens(count=400, conductivity=0.05, thickness=0.02, gel_modulus=0.1),
+    scenes=(SceneGroup("bend", count=1200, angle_deg=(-20.0, 30.0)),),
+)
+
+
+def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
+    flat, prepared = [], []
+    measure_all, bend_problems = Simulator.measure_all, preparation.bend_problems
+
+    def measuring(self, scenes, *arguments, **options):
+        flat.append(scenes == [Scene()])
+        return measure_all(self, scenes, *arguments, **options)
+
+    def preparing(*clamped):
+        prepared.append(clamped)
+        return bend_problems(*clamped)
+
+    monkeypatch.setattr(Simulator, "measure_all", measuring)
+    monkeypatch.setattr(preparation, "bend_problems", preparing)
+    in_this_process(monkeypatch)
+    assert generate(MANY, tmp_path / "set", shard=150) is None
+    data = read_shard(tmp_path / "set" / shard_name(150))
+    assert data.specimen_number.tolist() == [300, 301]
+    assert sum(flat) == len(prepared) == 2
+    assert data.specimen.tolist() == [0, 0, 0, 1, 1, 1]
+    numbers = data.specimen_number[data.specimen].tolist()
+    assert numbers == [sample(MANY, index).specimen for index in MANY.shard_range(150)]
+    assert len(np.unique(data.reference, axis=0)) == 2
+
+
+@pytest.mark.slow
+def test_few_specimens_decide_for_many_which_tables_are_needed():
+    few = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=2))
+    assert deciding_specimens(few) == (0, 1)
+    chosen = deciding_specimens(MANY)
+    assert len(chosen) <= 48
+    made = [specimen(MANY, number) for number in range(400)]
+    thickness = [each.design.thickness for each in made]
+    modulus = [each.mechanics.gel.shear_modulus for each in made]
+    for values in (thickness, modulus):
+        assert {int(np.argmin(values)), int(np.argmax(values))} <= set(chosen)
+    wider = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=1000))
+    assert len(deciding_specimens(wider)) <= 48
+
+
+# Mounts: clamps that fill their ranges evenly, shared by specimens, and never impossible
+
+
+MOUNTS = Mounts(12, (0.025, 0.060), (0.004, 0.014), (0.5, 2.0), ("both", "bottom"))
+
+
+def mounted(mounts=MOUNTS, specimens=60, **changes) -> Recipe:
+    scenes = (SceneGroup("bend", count=specimens, angle_deg=(-20.0, 50.0)),)
+    made = Specimens(specimens, conductivity=0.1)
+    return Recipe("mounts", scenes=scenes, specimens=made, mounts=mounts, **changes)
+
+
+def test_the_mounts_fill_their_ranges_evenly():
+    many = dataclasses.replace(MOUNTS, count=64)
+    clamps = [many.clamp(number) for number in range(64)]
+    ratios = [
+        many.mechanics(number, Mechanics()).encapsulation.shear_modulus for number in range(64)
+    ]
+    for values, (low, high) in (
+        ([clamp.span for clamp in clamps], many.span),
+        ([clamp.offset for clamp in clamps], many.offset),
+        (np.log2(ratios), tuple(np.log2(28e3 * np.array(many.stiffness)))),
+    ):
+        counts, _ = np.histogram(values, 8, (low, high))
+        assert counts.sum() == 64
+        assert counts.min() >= 5
+    places = np.array([[clamp.span, clamp.offset] for clamp in clamps])
+    assert abs(np.corrcoef(places.T)[0, 1]) < 0.1
+    assert {clamp.faces for clamp in clamps} == {"both", "bottom"}
+
+
+def test_specimens_have_the_mounts_in_turn_and_deviate_from_them():
+    asked = mounted()
+    made = [specimen(asked, number) for number in range(24)]
+    assert [each.fixture for each in made[:12]] == [each.fixture for each in made[12:]]
+    assert len({each.fixture for each in made}) == 12
+    assert len({each.design.conductivity for each in made}) == 24
+    # What a specimen is besides does not depend on the mounts.
+    without = mounted(Mounts())
+    assert [specimen(without, number).design for number in range(24)] == [x.design for x in made]
+    assert specimen(without, 3).fixture == Clamp()
+
+
+def test_each_mount_is_solved_once():
+    assert set(range(12)) <= set(deciding_specimens(mounted()))
+    assert len(missing_bend_tables(mounted())) == 12
+    assert len(missing_bend_tables(mounted(specimens=5))) == 5
+
+
+def test_frames_say_the_clamp_of_their_specimen():
+    flat = (SceneGroup("idle", count=12),)
+    asked = dataclasses.replace(mounted(specimens=12), scenes=flat, resolution="fast")
+    data = simulate_frames(asked, range(12))
+    made = [specimen(asked, number) for number in data.specimen_number[data.specimen].tolist()]
+    ratios = [
+        each.mechanics.encapsulation.shear_modulus / each.mechanics.gel.shear_modulus
+        for each in made
+    ]
+    assert np.array_equal(data.clamp_span, np.float32([each.fixture.span for each in made]))
+    assert np.array_equal(data.clamp_offset, np.float32([each.fixture.offset for each in made]))
+    held = [1 if each.fixture.faces == "bottom" else 2 for each in made]
+    assert np.array_equal(data.clamp_faces, held)
+    assert set(held) == {1, 2}
+    assert np.array_equal(data.clamp_stiffness, np.float32(ratios))
+
+
+def test_hinges_are_no_clamps():
+    flat = (SceneGroup("idle", count=1),)
+    data = simulate_frames(Recipe("h", scenes=flat, fixture=Hinge(), resolution="fast"), range(1))
+    assert np.isnan([data.clamp_span, data.clamp_offset, data.clamp_faces]).all()
+    assert np.isnan(data.clamp_stiffness).all()
+
+
+# Boards of specimens: loads that differ as asked for, in frames and references of each
+
+
+TERMS = ("source", "sink", "sense_plus", "sense_minus", "idle", "common_mode")
+METER = FourTerminalMeter(2e-5, 1e-5, 3e-5, 1e-5, 2e-5, common_mode=0.003, scale=2.0)
+
+
+def boarded(loads, count=3, meter=METER) -> Recipe:
+    return Recipe(
+        "boards",
+        scenes=(SceneGroup("idle", count=count),),
+        seed=3,
+        instrument=Instrument(snr_db=0.0, gain=0.002, meter=meter),
+        specimens=Specimens(count, conductivity=0.2, board_loads=loads),
+        resolution="coarse",
+    )
+
+
+def test_every_load_has_the_spread_that_was_asked_for():
+    asked = boarded(3.0, 400)
+    meters = [instrument(asked, number).meter for number in range(400)]
+    ratios = np.log([[getattr(m, t) / getattr(METER, t) for t in TERMS] for m in meters])
+    sd = np.sqrt(np.log1p(3.0**2))  # of a lognormal factor
+    np.testing.assert_allclose(ratios.std(axis=0), 0.986 * sd, rtol=4 / np.sqrt(800))
+    assert np.abs(ratios.mean(axis=0)).max() < 4 * sd / np.sqrt(400)
+    assert np.abs(ratios).max() <= MAX_DEVIATIONS * sd * (1 + 1e-9)
+    apart = np.corrcoef(ratios.T) - np.eye(len(TERMS))
+    assert np.abs(apart).max() < 0.2
+    assert {each.scale for each in meters} == {2.0}
+
+
+def test_frames_and_references_of_a_specimen_are_read_by_its_own_board():
+    asked = boarded(3.0)
+    data = simulate_frames(asked, range(3))
+    for row, number in enumerate(data.specimen_number[data.specimen].tolist()):
+        own = dataclasses.replace(
+            asked,
+            instrument=instrument(asked, number),
+            specimens=dataclasses.replace(asked.specimens, board_loads=0.0),
+        )
+        alone = simulate_frames(own, [int(data.number[row])])
+        np.testing.assert_array_equal(data.impedance[row], alone.impedance[0])
+        np.testing.assert_array_equal(data.reference[data.specimen[row]], alone.reference[0])
+    usual = simulate_frames(boarded(0.0), range(3))
+    assert np.abs(data.impedance / usual.impedance - 1.0).max() > 1e-3

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from eitskin.contained import Answer, Limits, contained
+from eitskin.contained import Limits, contained
 from eitskin.errors import ConfigurationError, DataError
 
 LIMITS = Limits(seconds=1, memory=100 << 20)
@@ -89,7 +89,3 @@ def test_a_reader_that_is_left_is_ended():
     left = next(reading).data
     reading.close()
     assert answers("[Answer(os.getpid())]")[0].data != left
-
-
-def test_answers_of_another_type_are_no_answers():
-    assert Answer().data is None

@@ -1,12 +1,18 @@
 """Files that appear whole or not at all, and files that others may have made."""
 
 import os
+import zipfile
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from eitskin.config import parse_toml, read_toml
 from eitskin.datasets import Recipe
-from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
 from eitskin.files import (
     TEMPORARY,
     atomic_file,
@@ -15,12 +21,13 @@ from eitskin.files import (
     printable,
     quoted,
     read_bytes,
-    read_text,
     remove_file,
     remove_leftovers,
     write_file,
 )
 from eitskin.geometry import SensorDesign
+
+from parsers import PARSERS
 
 
 def test_a_file_takes_its_name_at_the_end_and_a_failed_one_leaves_the_old(tmp_path) -> None:
@@ -114,12 +121,6 @@ def test_leftovers_of_killed_writers_are_removed_and_nothing_else(tmp_path) -> N
 # Files that others may have made
 
 
-def test_a_regular_file_is_read(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"\r\n\x1a")
-    assert read_bytes(path) == b"\r\n\x1a"
-
-
 def test_only_regular_files_of_bounded_size_are_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "sparse").open("wb") as file:
@@ -135,12 +136,6 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path):
     for path, reason in wrong.items():
         with pytest.raises(DataError, match=reason):
             read_bytes(path, failure=DataError)
-
-
-def test_bytes_that_are_no_text_are_refused(tmp_path):
-    (tmp_path / "a").write_bytes(b"\xff")
-    with pytest.raises(ConfigurationError, match="UTF-8"):
-        read_text(tmp_path / "a")
 
 
 def test_toml_that_python_cannot_hold_is_refused(tmp_path):
@@ -164,11 +159,6 @@ def test_counts_beyond_every_memory_are_refused():
             parse_toml(Recipe, f"name = 'a'\n{text}")
 
 
-def test_integers_beyond_every_float_are_refused():
-    with pytest.raises(ConfigurationError):
-        parse_toml(SensorDesign, f"thickness = 1{'0' * 400}")
-
-
 def test_json_that_python_cannot_hold_is_refused():
     for content in (b"[" * 200_000, b"9" * 5000, b'{"a": "\xff"}', b"1e999", b"NaN"):
         with pytest.raises(ValueError, match="JSON"):
@@ -181,3 +171,71 @@ def test_values_of_files_are_quoted_in_part():
     assert printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"
     long = f"expected {'x' * 9000} at the end"
     assert printable(long) == str(DataError(long)) == f"{long[:2000]} ... {long[-2000:]}"
+
+
+# Files from strangers, edited at random: read, or one clear error
+
+
+CORPUS = Path(__file__).parents[1] / "data" / "hostile.zip"
+QUICK = [kind for kind in PARSERS if kind != "saved pipelines: pipeline.json"]
+BYTES = (b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b"\n\n", b'"', b",", b";", b"\t", b"{", b"]")
+WORDS = (b"nan", b"-inf", b"1e999", b"-0", b"%n%s", b"../../etc/passwd", b"/dev/zero", b"\x1b[2J")
+NUMBERS = (b"1e308", b"5e-324", b"9" * 400, b"true", b"null", b'"\\u0000"', b"[]", b"1979-05-27")
+EDITS = st.lists(
+    st.tuples(
+        st.floats(0, 1),
+        st.integers(0, 40),
+        st.binary(max_size=8) | st.sampled_from((*BYTES, *WORDS, *NUMBERS)),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder for the files of this module."""
+    return tmp_path_factory.mktemp("hostile")
+
+
+@cache
+def corpus():
+    """Inputs that reached more of a parser than those before them, by kind."""
+    inputs = {}
+    with zipfile.ZipFile(CORPUS) as file:
+        for name in file.namelist():
+            inputs.setdefault(name.rpartition("/")[0], []).append(file.read(name))
+    return inputs
+
+
+def parsed(kind, content, folder):
+    """Read an input; whatever but an EitskinError is raised."""
+    with suppress(EitskinError):
+        PARSERS[kind].parse(content, folder)
+
+
+@pytest.mark.slow
+def test_good_inputs_are_read_and_those_that_reached_more_of_a_parser_do_no_harm(folder):
+    assert set(corpus()) == set(PARSERS)
+    for kind in QUICK:
+        for content in PARSERS[kind].good():
+            PARSERS[kind].parse(content, folder)
+        for content in corpus()[kind]:
+            parsed(kind, content, folder)
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=100,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(st.sampled_from(QUICK), st.data())
+def test_edited_inputs_are_read_or_refused(folder, kind, data):
+    content = data.draw(st.sampled_from((*PARSERS[kind].good(), *corpus()[kind])))
+    for place, length, piece in data.draw(EDITS):
+        at = int(place * len(content))
+        content = content[:at] + piece + content[at + length :]
+    parsed(kind, content, folder)

@@ -14,12 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.datasets import compact, open_dataset, verify
+from eitskin.datasets import open_dataset
 from eitskin.hardware import open_board
 from eitskin.training import Pipeline, RecordedTouches, open_pipeline
 from eitskin.training.evaluation.position_score import held_out_positions
-
-from small_dataset import assert_same
 
 DATA = Path(__file__).parents[1] / "data" / "v0.1"
 EXPECTED = json.loads((DATA / "expected.json").read_text())
@@ -53,14 +51,6 @@ def test_a_dataset_has_the_same_values_to_the_last_bit(saved, name):
     assert table == expected["table"]
     electrodes = dataset.design and [[e.x, e.y] for e in dataset.design.electrodes]
     assert electrodes == expected["electrodes"]
-
-
-@pytest.mark.parametrize("name", ["dataset", "recording", "presses"])
-def test_a_dataset_becomes_one_of_the_newest_version_with_the_same_values(saved, tmp_path, name):
-    before = open_dataset(saved / name)
-    compact(saved / name, tmp_path / "new")
-    assert verify(tmp_path / "new").damage == ()
-    assert_same(open_dataset(tmp_path / "new"), before)
 
 
 def test_a_pipeline_gives_the_same_estimates(saved):

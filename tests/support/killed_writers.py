@@ -14,11 +14,6 @@ def killed_once(recipe, folder: Path, shard: int):
     return make_shard(recipe, folder, shard)
 
 
-def die(_recipe, _folder: Path, _shard: int) -> None:
-    """Stands in for the task of a worker: its process ends."""
-    os._exit(1)
-
-
 def was_killed(folder: Path) -> bool:
     """Whether a worker began to write into `folder` and was killed."""
     return _mark(folder).exists()

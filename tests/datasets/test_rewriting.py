@@ -1,0 +1,241 @@
+"""Combining different datasets of one sensor: numbers of specimens, and what is refused."""
+
+import dataclasses
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from eitskin.cli.commands.import_recording import command
+from eitskin.datasets import combine, compact, open_dataset, read_shard, save_dataset, verify
+from eitskin.datasets.store import worker_processes
+from eitskin.datasets.store.manifest import Names
+from eitskin.datasets.store.summary import specimens_in_words
+from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol
+
+from shards_here import contents
+from small_dataset import assert_same, make
+from version_one import save_version_one
+
+
+@pytest.fixture
+def simulated(tmp_path):
+    save_dataset(make(40, specimens=3), tmp_path / "simulated", frames_per_shard=15)
+    return tmp_path / "simulated"
+
+
+def own(tmp_path, **changes):
+    """Dataset of own presses, with values of about the same size."""
+    known = {"source": "measured", "recipe": "", "seed": 0, "quantity": ""} | changes
+    data = dataclasses.replace(make(12, specimens=2), **known)
+    values = {name: 1.2 * getattr(data, name) for name in ("impedance", "reference")}
+    save_dataset(dataclasses.replace(data, **values), tmp_path / "own")
+    return tmp_path / "own"
+
+
+def test_own_presses_follow_simulated_ones(simulated, tmp_path):
+    done = []
+    manifest = combine(
+        [simulated, own(tmp_path)], tmp_path / "both", progress=lambda *at: done.append(at)
+    )
+    assert (manifest.frames, len(manifest.shards), done[-1]) == (52, 4, (4, 4))
+    both, first, second = (open_dataset(tmp_path / n) for n in ("both", "simulated", "own"))
+    assert (both.source, both.recipe, both.design) == ("measured", "", first.design)
+    assert np.array_equal(both.impedance, np.concatenate([first.impedance, second.impedance]))
+    assert both.specimen_number.tolist() == [0, 1, 2, 3, 4]
+    assert np.array_equal(both.reference, np.concatenate([first.reference, second.reference]))
+    assert np.array_equal(both.specimen[40:], second.specimen + 3)
+    assert np.array_equal(both.episode[40:], second.episode + 4)
+
+
+def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path):
+    folder = own(tmp_path, quantity="magnitude")
+    with pytest.raises(DataError, match=r"magnitude, expected impedance.*--magnitudes"):
+        combine([simulated, folder], tmp_path / "both")
+    combine([simulated, folder], tmp_path / "both", magnitudes=True)
+    both = open_dataset(tmp_path / "both")
+    assert both.quantity == "magnitude"
+    assert np.allclose(both.impedance[:40], np.abs(open_dataset(simulated).impedance))
+
+
+@pytest.mark.parametrize(
+    ("changes", "messages"),
+    [
+        ({"protocol": None}, ["no known protocol", "pairwise:8", "--protocol"]),
+        ({"protocol": Protocol.from_rows(Protocol.pairwise(8).table[::-1], 8)}, ["table"]),
+        ({"design": None}, ["--sensor"]),
+        (
+            {"design": dataclasses.replace(SensorDesign.reference(), thickness=0.004)},
+            ["thickness"],
+        ),
+        ({"frequency": 1e3, "quantity": "voltage"}, ["1000 Hz", "voltage"]),  # all differences
+    ],
+)
+def test_differences_are_named_with_remedies(simulated, tmp_path, changes, messages):
+    with pytest.raises(DataError) as caught:
+        combine([simulated, own(tmp_path, **changes)], tmp_path / "both")
+    assert all(message in str(caught.value) for message in messages)
+    assert not (tmp_path / "both").exists()
+
+
+def test_values_of_another_unit_the_same_frames_and_lone_sets_are_refused(simulated, tmp_path):
+    data = make(10)
+    save_dataset(
+        dataclasses.replace(data, reference=40 * data.reference, quantity=""), tmp_path / "counts"
+    )
+    with pytest.raises(DataError, match=r"\d\d\.?\d* times the expected"):
+        combine([simulated, tmp_path / "counts"], tmp_path / "both")
+    with pytest.raises(DataError, match="same frames"):
+        combine([simulated, simulated], tmp_path / "both")
+    with pytest.raises(ConfigurationError, match="at least two"):
+        combine([simulated], tmp_path / "both")
+
+
+# Datasets written anew in other shards
+
+
+@pytest.fixture
+def data():
+    return make(47, specimens=5, specimen=np.arange(47) // 10)
+
+
+@pytest.mark.slow
+def test_a_set_of_version_one_becomes_one_of_version_two(tmp_path, data):
+    cut, counts = 20, [20, 20, 7]
+    folder, seen = save_version_one(data, tmp_path / "old", frames_per_shard=12), []
+    manifest = compact(folder, tmp_path / "new", cut, lambda *counts: seen.append(counts))
+    assert manifest.format_version == 2
+    assert [entry.count for entry in manifest.shards] == counts
+    assert seen == [(number + 1, len(counts)) for number in range(len(counts))]
+    assert_same(open_dataset(tmp_path / "new"), data)
+    assert verify(tmp_path / "new").damage == ()
+    last = read_shard(tmp_path / "new" / manifest.shards[-1].name)
+    assert last.specimen_number.tolist() == sorted({*(data.specimen[-counts[-1] :].tolist())})
+
+
+def test_shards_may_be_kept_as_they_are_cut(tmp_path, data):
+    save_dataset(data, tmp_path / "direct", frames_per_shard=12)
+    save_version_one(data, tmp_path / "old", frames_per_shard=12)
+    compact(tmp_path / "old", tmp_path / "new", None)
+    assert contents(tmp_path / "new") == contents(tmp_path / "direct")
+
+
+@pytest.mark.slow
+def test_bytes_do_not_depend_on_the_workers(tmp_path, data, monkeypatch):
+    monkeypatch.setattr(worker_processes, "_SMALL", 0)
+    save_dataset(data, tmp_path / "set", frames_per_shard=5)
+    for workers in (1, 2):
+        compact(tmp_path / "set", tmp_path / f"by-{workers}", 12, workers=workers)
+    assert contents(tmp_path / "by-1") == contents(tmp_path / "by-2")
+    (tmp_path / "by-1" / "shard-000001.h5").write_bytes(b"rubbish")
+    one, other = (verify(tmp_path / "by-1", workers=workers) for workers in (1, 2))
+    assert one == other
+    assert (one.shards, one.frames) == (3, 35)
+
+
+def test_damage_and_occupied_folders_are_refused_and_nothing_counts_as_complete(tmp_path, data):
+    save_dataset(data, tmp_path / "set", frames_per_shard=12)
+    with pytest.raises(ConfigurationError, match="not empty"):
+        compact(tmp_path / "set", tmp_path / "set")
+    with pytest.raises(ConfigurationError, match="frames_per_shard"):
+        compact(tmp_path / "set", tmp_path / "new", 0)
+    (tmp_path / "set" / "shard-000002.h5").write_bytes(b"rubbish")
+    with pytest.raises(DataError, match=r"shard-000002\.h5.*SHA-256"):
+        compact(tmp_path / "set", tmp_path / "new", 12)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+def test_an_interrupt_or_a_full_disk_leaves_nothing(tmp_path, data, monkeypatch):
+    save_dataset(data, tmp_path / "set", frames_per_shard=12)
+
+    def interrupt(done, _total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compact(tmp_path / "set", tmp_path / "new", 12, interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+    write, room = Path.write_bytes, iter(range(3))
+
+    def full(path, content):
+        if next(room, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(PartialError, match=r"new: No space left.*compact again"):
+        compact(tmp_path / "set", tmp_path / "new", 12)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+# Names of specimens and sessions, from a recording through datasets made of it
+
+
+ROWS = """specimen,sensor,session,x,y,v0,v1,v2
+gel B,left,monday,0.01,0.02,1.0,2.0,3.0
+gel A,left,monday,0.01,0.02,1.1,2.0,3.0
+gel B,left,tuesday,0.01,0.02,1.2,2.0,3.0
+gel A,right,tuesday,0.01,0.02,1.3,2.0,3.0
+"""
+SPECIMENS = {0: "gel B left", 1: "gel A left", 2: "gel A right"}
+SESSIONS = {0: "monday", 1: "tuesday"}
+
+
+def run(app_, *arguments):
+    done = CliRunner().invoke(app_, [str(each) for each in arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.fixture
+def named(tmp_path):
+    (tmp_path / "mine.csv").write_text(ROWS)
+    importing = typer.Typer()
+    importing.command()(command)
+    run(importing, tmp_path / "mine.csv", "--out", tmp_path / "mine", "--protocol", "pairwise:3")
+    return tmp_path / "mine"
+
+
+def test_names_of_an_import_stay_with_the_dataset(named):
+    data = open_dataset(named)
+    assert data.names == Names(SPECIMENS, SESSIONS)
+    assert data.specimen_names == tuple(SPECIMENS.values())
+    assert data.select([1, 3]).specimen_names == ("gel A left", "gel A right")
+    assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
+
+
+def test_compacting_keeps_them(named, tmp_path):
+    compact(named, tmp_path / "compact")
+    assert open_dataset(tmp_path / "compact").names == Names(SPECIMENS, SESSIONS)
+
+
+def test_combined_sets_keep_them_with_their_new_numbers(named, tmp_path):
+    data = dataclasses.replace(open_dataset(named), names=Names(), impedance=np.ones((4, 3)))
+    save_dataset(data, tmp_path / "yours")
+    combine([tmp_path / "yours", named], tmp_path / "both")
+    both = open_dataset(tmp_path / "both")
+    unnamed = ("yours 0", "yours 1", "yours 2")
+    assert both.specimen_names == (*unnamed, *SPECIMENS.values())
+    assert both.names.sessions == {2: "monday", 3: "tuesday"}
+    assert both.select(both.specimen == 4).specimen_names == ("gel A left",)
+
+
+def test_simulated_specimens_have_numbers_alone(tmp_path):
+    save_dataset(make(12, specimens=3), tmp_path / "simulated")
+    assert b"names" not in (tmp_path / "simulated" / "manifest.json").read_bytes()
+    data = open_dataset(tmp_path / "simulated")
+    assert not data.names
+    assert data.specimen_names == ("0", "1", "2")
+    assert specimens_in_words(data) == "3 specimens"
+
+
+def test_many_names_are_told_by_the_first_few():
+    data = dataclasses.replace(make(40, specimens=20), names=Names({3: "mine"}))
+    told = specimens_in_words(data)
+    assert told == "20 specimens (0, 1, 2, mine, 4, 5, 6, 7 and 12 more)"
