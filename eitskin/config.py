@@ -72,15 +72,10 @@ def read_toml(kind: type[T], path: str | Path) -> T:
 
 
 def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path | None = None) -> T:
-    """Read TOML text into the dataclass `kind`.
+    """Read TOML text into the dataclass `kind`; errors name `where` as the source.
 
-    Args:
-        kind: the dataclass.
-        text: TOML.
-        where: name of the source in error messages.
-        folder: start of relative paths; without it the text may name no files.
-
-    Raises ConfigurationError where the text is not TOML or does not fit.
+    Without a `folder`, where relative paths start, the text may name no files. Raises
+    ConfigurationError where the text is not TOML or does not fit.
     """
     return from_dict(kind, toml_table(text, where), where, folder)
 

@@ -66,17 +66,11 @@ class Limits:
 def contained(
     reader: str, argument: Any, content: bytes, limits: Limits
 ) -> Generator[Answer, None, None]:
-    """Answers of a reader that is called in a child.
+    """Answers of a reader that is called in a child with plain data as `argument`, and with bytes.
 
-    Args:
-        reader: "module:function" of a function of `argument` and `content` that yields `Answer`s.
-        argument: plain data.
-        content: bytes for the reader.
-        limits: of the child.
-
-    Raises:
-        DataError: where the reader raises anything but a ConfigurationError or an ImportError, ends
-            its process, or is ended at its limits.
+    The reader is "module:function" of a function of `argument` and `content` that yields `Answer`s.
+    Raises DataError where it raises anything but a ConfigurationError or an ImportError, ends its
+    process, or is ended at its limits.
     """
     child = _Child.idle()
     clean = False

@@ -25,11 +25,8 @@ def require(module: str, extra: str) -> ModuleType:
 def require_all(**extras: str) -> None:
     """Check before long work that all packages it needs are installed, without importing them.
 
-    Args:
-        extras: for each extra, the names of packages, separated by spaces.
-
-    Raises:
-        ImportError: names the missing packages and the extras that install them.
+    For each extra, names of packages are separated by spaces. Raises ImportError that names the
+    missing packages and the extras that install them.
     """
     missing = {
         name: extra

@@ -44,13 +44,9 @@ def atomic_file(
     """Context manager of a temporary file beside `path`, which is renamed to `path` at the end.
 
     Where the block raises, or the machine fails, an older file at `path` is left as it was. The
-    temporary file has the suffix of `path`, from which writers of pictures tell the format.
-
-    Args:
-        path: of the file.
-        failure: class of the error that is raised where the file cannot be written.
-        remedy: end of that error's message.
-        mode: permissions of the file; until the end only its owner can read it.
+    temporary file has the suffix of `path`, from which writers of pictures tell the format. Until
+    the end, when it has the permissions `mode`, only its owner can read it. Where the file cannot
+    be written, `failure` is raised with `remedy` at the end of its message.
     """
     path = Path(path)
     try:

@@ -51,13 +51,7 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """Files and frames that an export wrote.
-
-    Attributes:
-        frames: of each split that has any.
-        files: number of files.
-        size: of all files [bytes].
-    """
+    """Frames of each split that has any, number of files, and their size together [bytes]."""
 
     frames: dict[str, int]
     files: int
@@ -116,7 +110,7 @@ def export_dataset(
         if data.recipe:
             (temporary / "recipe.toml").write_text(data.recipe, encoding="utf-8")
         if form != "parquet":
-            shown = columns(data) if form == "huggingface" else ()
+            shown = tuple(columns(data)) if form == "huggingface" else ()
             text = card(folder.resolve().name, license_name, sizes, data, shown)
             (temporary / "README.md").write_text(text, encoding="utf-8")
         files, size = _write_sums(temporary)
@@ -181,12 +175,8 @@ def card(
 ) -> str:
     """Content of README.md: a dataset card.
 
-    Args:
-        title: of the dataset.
-        license_name: identifier of Hugging Face, such as cc-by-4.0.
-        sizes: of the splits.
-        data: of which the origin and the recipe are told.
-        shown: columns of the table of frames; none for episodes.
+    `license_name` is an identifier of Hugging Face, such as cc-by-4.0; `shown` are the columns of
+    the table of frames, none for episodes.
     """
     version, frames = metadata.version("eitskin"), sum(count for count, _ in sizes.values())
     made = "measured, and exported" if data.source == "measured" else "simulated"

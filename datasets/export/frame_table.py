@@ -26,11 +26,6 @@ def specimen_splits(numbers: Iterable[int], names: Names, seed: int) -> dict[int
     and its number, so that one sensor stays in one split whatever else is recorded or drawn. About
     80 % are in `train`, 10 % in each other. Where `train` would be empty, as it may be for one or
     two specimens, all are in `train`.
-
-    Args:
-        numbers: of the specimens.
-        names: of specimens, where a recording gave them.
-        seed: of the dataset, from which simulated specimens are drawn.
     """
     found = {n: split_of(names.specimens.get(n, f"{seed}:{n}")) for n in numbers}
     if SPLITS[0] not in found.values():
@@ -56,7 +51,7 @@ FILE_BYTES = 1 << 28
 GROUP_BYTES = 1 << 25
 """Size in memory of the rows that are kept before they are written [bytes]."""
 
-_ROWS = {field.name: field for field in FIELDS}
+_LENGTHS = [field.name for field in FIELDS if field.units == "m"]
 _UNITS = {"impedance": "ohm", "magnitude": "ohm", "voltage": "V", "": "1"}
 _TOUCH_TEXT = "places [m] on the flat sensor; force [N]; radius of the indenter and depth [m]"
 
@@ -80,23 +75,19 @@ class Column:
     description: str
 
 
-def columns(data: Dataset) -> tuple[Column, ...]:
+def columns(data: Dataset) -> Iterator[Column]:
     """Columns of the frames of a dataset."""
-    return tuple(_columns(data.channels, _UNITS[data.quantity]))
-
-
-def _columns(channels: int, units: str) -> Iterator[Column]:
-    said = {name: field.description for name, field in _ROWS.items()}
+    channels, units = data.channels, _UNITS[data.quantity]
+    said = {field.name: field.description.replace("NaN", "null") for field in FIELDS}
     yield Column("specimen", "int32", 0, "1", "number of the sensor within the dataset")
     yield Column("state", "text", 0, "1", "idle, touch or bend; null where unknown")
     yield Column("bend_angle_deg", "float32", 0, "degree", "bend; null where unknown")
     yield Column("touches", "touches", 0, "SI", f"{_TOUCH_TEXT}; null where unknown")
     for name in CLAMP_FIELDS:
-        what = said[name].replace("NaN", "null")
-        yield Column(name, "float32", 0, _ROWS[name].units, what)
+        yield Column(name, "float32", 0, "m" if name in _LENGTHS else "1", said[name])
     for name in ("impedance", "touch_reference", "reference"):
         for part in ("real", "imag"):
-            what = f"{part} part: {said[name].replace('NaN', 'null')}"
+            what = f"{part} part: {said[name]}"
             yield Column(f"{name}_{part}", "float32", channels, units, what)
     yield Column("status", "uint8", channels, "1", said["status"])
     yield Column("time", "float64", 0, "s", said["time"])
@@ -107,14 +98,8 @@ def _columns(channels: int, units: str) -> Iterator[Column]:
 def frame_table(data: Dataset, told: str, split: NDArray[np.str_] | None = None) -> Any:
     """Table of the frames of a dataset, or of a part of one, (n rows).
 
-    Unknown values are null; numbers that are finite are the dataset's own, to the last bit.
-
-    Args:
-        data: the frames.
-        told: kept under `METADATA`.
-        split: of each frame, (n,); adds a column where it is given.
-
-    Raises ImportError naming the extra, where pyarrow is missing.
+    Unknown values are null; numbers that are finite are the dataset's own, to the last bit. `told`
+    is kept under `METADATA`; the `split` of each frame, (n,), is a column where it is given.
     """
     arrow = require("pyarrow", "recordings")
     arrays, fields = [], []
@@ -210,13 +195,7 @@ class ParquetFiles:
     """
 
     def __init__(self, folder: Path, stem: str, file_bytes: int = FILE_BYTES) -> None:
-        """Begin without files.
-
-        Args:
-            folder: of the files; it exists.
-            stem: beginning of their names.
-            file_bytes: size in memory of the rows of one file, beyond which the next one begins.
-        """
+        """Begin without files, each of which is to hold rows of `file_bytes` in memory."""
         self.size = self._in_file = 0
         self._folder, self._stem, self._file_bytes = folder, stem, file_bytes
         self._group_bytes = min(GROUP_BYTES, file_bytes)

@@ -45,14 +45,7 @@ class Episodes:
     """
 
     def __init__(self, data: Dataset, splits: dict[int, str]) -> None:
-        """Find the episodes of a dataset.
-
-        Args:
-            data: columns `episode`, `time` and `specimen` are read.
-            splits: split of each specimen, by its number.
-
-        Raises DataError where no two frames follow each other in time.
-        """
+        """Find the episodes; raises DataError where no two frames follow each other in time."""
         import pandas as pd
 
         data.read("episode", "time", "specimen")  # of a large dataset, in one pass
@@ -102,14 +95,8 @@ def write_lerobot(
 ) -> dict[str, int]:
     """Write the episodes of a dataset into a folder; returns the frames of each split.
 
-    Args:
-        folder: of the dataset.
-        out: folder that exists.
-        data: the dataset, whose columns are read as they are needed.
-        splits: split of each specimen, by its number.
-        progress: called with the number of shards read and of all shards, for each split.
-
-    Raises DataError where no frames follow each other in time.
+    `progress` is called with the number of shards read and of all shards, for each split. Raises
+    DataError where no frames follow each other in time.
     """
     import pandas as pd
 

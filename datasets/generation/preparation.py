@@ -78,15 +78,10 @@ def prepare(
 ) -> None:
     """Solve the tables that specimens share, and check the recipe's forces and bends on them.
 
-    Args:
-        recipe: of the dataset.
-        progress: called with the numbers of solved bends or presses and of all in the tables that
-            are being solved.
-        workers: number of processes.
-        specimens: their numbers; `deciding_specimens` when omitted. Others find their tables
-            solved; one that needs another table solves it when it is simulated.
-
-    Raises ConfigurationError for forces or bends out of reach on one of the specimens.
+    `progress` is called with the numbers of solved bends or presses and of all in the tables that
+    are being solved. Specimens are `deciding_specimens` when omitted: others find their tables
+    solved, and one that needs another table solves it when it is simulated. Raises
+    ConfigurationError for forces or bends out of reach on one of the specimens.
     """
     specimens = deciding_specimens(recipe) if specimens is None else specimens
     clamped = list(_clamped(recipe, specimens))
@@ -240,14 +235,7 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     The frames come from all parts of the dataset: 16, then 64, then four times as many until a run
     takes a second. Work done once per process counts once, untouched specimens once for each shard
     in which they occur, the rest per frame; the one or two seconds in which workers start are
-    neglected.
-
-    Args:
-        recipe: of the dataset.
-        out: folder of the dataset, for the free space.
-        workers: number of processes.
-
-    Raises ConfigurationError for forces beyond the reach of the presses.
+    neglected. Raises ConfigurationError for forces beyond the reach of the presses.
     """
     prepare(recipe, workers=workers)
     most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))

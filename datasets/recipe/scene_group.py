@@ -149,18 +149,10 @@ class SceneGroup:
 def draw_positions(
     amount: int, outline: PlaneOutline, margin: float, spacing: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Random positions (amount, 2) [m], uniform over all sets with the given distances.
+    """Random positions (amount, 2) [m], uniform over all sets with the given distances [m].
 
-    Rejection sampling of whole sets: placing one touch after another would favour the rim.
-
-    Args:
-        amount: number of touches.
-        outline: of the sensor.
-        margin: least distance from the rim [m].
-        spacing: least distance between two touches [m].
-        rng: random generator.
-
-    Raises ConfigurationError where no set of many has these distances.
+    Rejection sampling of whole sets: placing one touch after another would favour the rim. Raises
+    ConfigurationError where no set of many has these distances.
     """
     low = np.array([margin, margin])
     high = np.array([outline.length, outline.width]) - margin

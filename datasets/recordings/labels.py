@@ -55,11 +55,7 @@ class Place:
 
     @classmethod
     def parsed(cls, text: str) -> "Place":
-        """Place of a text NAME, NAME:COLUMN, NAME*FACTOR, or a number.
-
-        Raises:
-            ConfigurationError: for another text.
-        """
+        """Place of NAME, NAME:COLUMN, NAME*FACTOR, or a number; raises ConfigurationError."""
         try:
             return cls(None, value=float(text))
         except ValueError:
@@ -82,13 +78,9 @@ def find_labels(
 ) -> dict[str, Place]:
     """Places of the labels that a file has, by label.
 
-    Args:
-        source: the file.
-        given: texts for `Place.parsed` by label; other labels are taken from tables of their names.
-        positions: name of the table with x and y as first columns; None where there is none.
-
-    Raises:
-        ConfigurationError: for unknown labels, and tables that the file does not have.
+    Places that are `given` are texts for `Place.parsed`; other labels are taken from tables of
+    their names, `positions` from a table with x and y as first columns. Raises ConfigurationError
+    for unknown labels, and tables that the file does not have.
     """
     for label in given:
         if label not in _LABELS:
@@ -119,17 +111,10 @@ def find_labels(
 
 
 def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dict[str, Any]:
-    """Labels of a block of frames under the names of `Dataset`'s attributes.
+    """Labels of a block of frames under the names of `Dataset`'s attributes; `unit` of lengths [m].
 
-    Frames with a position and without a state are touches.
-
-    Args:
-        tables: block of tables.
-        places: of the labels.
-        unit: of lengths in the file [m].
-
-    Raises:
-        DataError: for labels that are no numbers, and states that are unknown.
+    Frames with a position and without a state are touches. Raises DataError for labels that are no
+    numbers, and states that are unknown.
     """
     known: dict[str, Any] = {}
     for label, place in places.items():
@@ -246,12 +231,8 @@ def _states(given: NDArray[Any]) -> NDArray[np.uint8]:
 def origin_on(design: SensorDesign | None, origin: str) -> tuple[float, float]:
     """Position of the recording's origin on the design [m].
 
-    Args:
-        design: of the sensor; None where unknown.
-        origin: "corner" of the bounding box, its "centre", or "X,Y" [m].
-
-    Raises:
-        ConfigurationError: for another text, and a centre without a design.
+    An origin is "corner" of the bounding box, its "centre", or "X,Y" [m]. Raises ConfigurationError
+    for another text, and a centre without a design.
     """
     if origin == "corner":
         return 0.0, 0.0
@@ -275,11 +256,7 @@ def require_plausible(
 ) -> None:
     """Raise DataError for positions beside the sensor, and sizes and forces of other units.
 
-    Args:
-        known: labels of frames under the names of `Dataset`'s attributes, positions as they are on
-            the design.
-        design: of the sensor; None where unknown.
-        origin: of the recording's positions on the design [m], for the message.
+    Positions are those on the design, on which the recording's own count from `origin` [m].
     """
     extent = LONGEST
     if design is not None and not isinstance(design.outline, Surface):

@@ -59,12 +59,7 @@ class Contents:
 
 
 class Reader(ABC):
-    """Reader of one kind of file.
-
-    Attributes:
-        path: of the file.
-        contents: of the file.
-    """
+    """Reader of one kind of file."""
 
     contents: Contents
 
@@ -74,11 +69,7 @@ class Reader(ABC):
 
     @abstractmethod
     def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        """Tables of consecutive rows, `wanted.block_rows` in all but the last ones.
-
-        Raises:
-            DataError: where the content cannot be used.
-        """
+        """Tables of consecutive rows, `wanted.block_rows` in all but the last; raises DataError."""
 
 
 @contextmanager

@@ -283,15 +283,9 @@ def _protocol_of_patterns(
 ) -> tuple[Protocol, NDArray[np.float64]]:
     """Protocol and current of each measurement, all sense patterns for each drive pattern in turn.
 
-    Args:
-        drive: currents into each electrode, one pattern per column, (electrodes, drives).
-        sense: weights of each electrode's voltage, one pattern per column, (electrodes, senses).
-
-    Returns:
-        The protocol, and the currents in the unit of `drive`, (drives * senses,).
-
-    Raises:
-        DataError: for patterns that do not use exactly one electrode of each sign.
+    Patterns are currents into the electrodes or weights of their voltages, one pattern per column,
+    (electrodes, patterns). Currents (drives * senses,) are in the unit of `drive`. Raises DataError
+    for patterns that do not use exactly one electrode of each sign.
     """
     pairs, currents = _pairs(drive, "drive")
     senses, weights = _pairs(sense, "sense")

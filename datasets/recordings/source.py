@@ -59,15 +59,9 @@ class Source:
     def __init__(self, path: Path, sheet: str | None = None) -> None:
         """Read the names of the tables.
 
-        Args:
-            path: of the file.
-            sheet: name of the sheet, for a file that has sheets.
-
-        Raises:
-            DataError: where the file is missing, no regular one, damaged, or takes too much to
-                read.
-            ConfigurationError: for another kind of file.
-            ImportError: where the package that reads the file is not installed.
+        Raises DataError where the file is missing, no regular one, damaged, or takes too much to
+        read, ConfigurationError for another kind of file, and ImportError where the package that
+        reads the file is not installed.
         """
         _known_ending(path)
         self.path, self._sheet, self._size = path, sheet, path.stat().st_size

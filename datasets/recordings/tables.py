@@ -163,12 +163,7 @@ class SpreadsheetReader(TableReader):
     """First sheet, or a named one, of an Excel file; values of formulas, as they were saved."""
 
     def __init__(self, path: Path, sheet: str | None = None) -> None:
-        """Read the header.
-
-        Args:
-            path: of the file.
-            sheet: name of the sheet; the first one when omitted.
-        """
+        """Read the header of a sheet, the first one when omitted."""
         import pandas as pd
 
         super().__init__(path)

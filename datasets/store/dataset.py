@@ -327,11 +327,7 @@ class SpecimenReferences:
         return len(self._rows)
 
     def add(self, numbers: NDArray[np.uint32], reference: NDArray[Any]) -> None:
-        """Add the specimens of one part.
-
-        Args:
-            numbers: of the specimens within the dataset, rising, (S,).
-            reference: a row for each specimen, (S, C).
+        """Add the specimens of one part: rising numbers (S,), and a row of `reference` for each.
 
         Raises DataError where a specimen has another reference than in the parts before.
         """
@@ -349,11 +345,7 @@ class SpecimenReferences:
 
 
 class ColumnCollector:
-    """Columns of a dataset that are filled from its parts, one at a time.
-
-    Attributes:
-        references: of the specimens of all parts.
-    """
+    """Columns of a dataset, filled from its parts one at a time, and references of specimens."""
 
     def __init__(self, like: Dataset, frames: int, names: Collection[str]) -> None:
         """Begin with uninitialised columns `names` of as many frames, in the shapes of `like`."""

@@ -114,16 +114,9 @@ def save_parts(
 ) -> Manifest:
     """Write the parts of one dataset into a new or empty folder, a shard for each, as they come.
 
-    Args:
-        parts: at least one, which share what is not said of single frames.
-        folder: of the new dataset.
-        progress: called with the number of written shards.
-
-    Returns:
-        The manifest.
-
-    Raises ConfigurationError where the folder holds something, and PartialError where a file cannot
-    be written.
+    There is at least one part. `progress` is called with the number of written shards. Raises
+    ConfigurationError where the folder holds something, and PartialError where a file cannot be
+    written.
     """
     folder = new_folder(Path(folder))
     entries: list[ShardEntry] = []

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import msgspec
 
@@ -68,7 +69,7 @@ class ShardEntry:
 
     name: str
     first_index: int
-    count: int
+    count: Annotated[int, msgspec.Meta(ge=1, le=LIMITS["frame"])]
     sha256: str
     known: bool = field(default=False, compare=False)
 
@@ -87,7 +88,7 @@ class Manifest:
 
     source: str
     recipe_sha256: str
-    seed: int
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
     frames: int
     shards: tuple[ShardEntry, ...]
     format: str = FORMAT
@@ -126,7 +127,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
     content = read_bytes(path, MOST_BYTES, DataError)
     try:
-        _check_version(path, content)
+        _require_format(path, parse_json(content))  # a newer manifest may have unknown keys
         manifest: Manifest = parse_json(content, Manifest)
     except DataError:
         raise
@@ -198,9 +199,8 @@ def shard_content(folder: Path, entry: ShardEntry) -> bytes:
     return content
 
 
-def _check_version(path: Path, content: bytes) -> None:
-    """Check format and version first: a newer manifest may have unknown keys."""
-    head = parse_json(content)
+def _require_format(path: Path, head: Any) -> None:
+    """Raise DataError unless a manifest is of this format, in a version that is known."""
     if not isinstance(head, dict):
         raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
     name, version = head.get("format"), head.get("format_version")
@@ -217,8 +217,6 @@ def _check_version(path: Path, content: bytes) -> None:
 
 def _check_shards(path: Path, manifest: Manifest) -> None:
     """Raise DataError for shards outside the folder, gaps and overlaps."""
-    if not 0 <= manifest.seed < 1 << 63:
-        raise DataError(f"{path} is not a manifest: its seed is not from 0 to 2^63 - 1")
     following = 0
     for entry in manifest.shards:
         name = quoted(entry.name)
@@ -227,10 +225,6 @@ def _check_shards(path: Path, manifest: Manifest) -> None:
         if entry.first_index != following:
             raise DataError(
                 f"{path}: {name} must start at frame {following}, got {entry.first_index}"
-            )
-        if not 1 <= entry.count <= LIMITS["frame"]:
-            raise DataError(
-                f"{path}: {name} must hold 1 to {LIMITS['frame']} frames, got {entry.count}"
             )
         following += entry.count
     if not manifest.shards or following != manifest.frames:

@@ -54,16 +54,12 @@ def read_shard(path: str | Path) -> Dataset:
 def shard_of(
     content: bytes, path: Path, first_index: int | None = None, known: bool = False
 ) -> Dataset:
-    """Dataset of the shard whose file has this content.
+    """Dataset of the shard at `path` whose file has this content.
 
-    Args:
-        content: of the file.
-        path: of the file, for messages.
-        first_index: expected number of the first frame within the whole dataset, where known.
-        known: whether the content does no harm to HDF5. Else it is read in a child first, which
-            damage may end or keep busy; what a child has read can be read here.
-
-    Raises DataError for any violation of the format.
+    Where the number of its first frame within the whole dataset is known, it is compared. Content
+    that is `known` does no harm to HDF5. Else it is read in a child first, which damage may end or
+    keep busy; what a child has read can be read here. Raises DataError for any violation of the
+    format.
     """
     with _as_data_errors(path):
         image, _ = unsealed(content)

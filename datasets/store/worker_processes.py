@@ -46,10 +46,8 @@ def run_tasks(
         scheduler: address of a dask.distributed scheduler, for its workers instead.
         remedy: end of the message where workers died.
 
-    Raises:
-        ConfigurationError: where the scheduler has no workers, or they have other packages.
-        PartialError: where workers died twice with the same tasks, or the scheduler goes away.
-        ImportError: without dask.distributed, where a scheduler is given.
+    Raises PartialError where workers died twice with the same tasks, or the scheduler goes away;
+    ConfigurationError where the scheduler has no workers, or they have other packages.
     """
     if not workers and scheduler is None:
         yield from ((item, task(item)) for item in items)

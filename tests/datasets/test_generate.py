@@ -60,13 +60,17 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_two_workers_make_the_same_bytes_and_report_every_shard(whole, tmp_path):
-    reports = []
-    generate(RECIPE, tmp_path / "set", 2, lambda *report: reports.append(report))
+def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
+    whole, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(generation, "make_shard", killed_once)
+    reports, folder = [], tmp_path / "set"
+    generate(RECIPE, folder, 2, lambda *report: reports.append(report))
+    assert was_killed(folder)
     assert reports[0] == (0, 14)
     assert sorted(reports) == reports
     assert reports[-1] == (14, 14)
-    assert contents(tmp_path / "set") == contents(whole)
+    assert contents(folder) == contents(whole)
 
 
 @pytest.mark.slow
@@ -117,15 +121,6 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
         assert values.imag.std() == pytest.approx(1.0, abs=0.15)
     together = np.corrcoef(np.array(noise).real.ravel(), np.array(reference_noise).real.ravel())
     assert abs(together[0, 1]) < 0.2
-
-
-@pytest.mark.slow
-def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(generation, "make_shard", killed_once)
-    folder = tmp_path / "set"
-    generate(RECIPE, folder, workers=1)
-    assert was_killed(folder)
-    assert contents(folder) == contents(whole)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 ROOMS = ("eitskin", "geometry", "simulator", "datasets", "training", "hardware", "cli")
-LAZY = {"starlette", "torch", "uvicorn"}  # imported by modules that are imported where used
+LAZY = {"numba", "starlette", "torch", "uvicorn"}  # in modules imported where they are used
 OLD = ROOT / "tests" / "data" / "v0.1" / "saved.zip"
 
 
