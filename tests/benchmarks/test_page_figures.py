@@ -63,7 +63,7 @@ def test_a_number_altered_in_a_page_is_rendered_back():
             count += 1
         altered = "".join([*parts, text[done:]])
         assert rendered(altered, PUBLISHED) == text, page
-    assert count >= 1491
+    assert count >= 1000
 
 
 def test_numbers_are_written_as_those_before_them():
