@@ -1,6 +1,6 @@
 """Settings of a training run: method, hyper-parameters, seed, and the part that is held out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.bounds import require_seed
-from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
 
@@ -203,11 +202,6 @@ class TrainingSettings:
         return kept, held_out, held_out
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> "TrainingSettings":
-        """Settings as a saved pipeline has them, with one number of steps in place of two."""
-        return from_dict(cls, _with_one_number_of_steps(document), "settings")
-
-    @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
         """Settings by name: "joint", "quick", "paper", or one of `BASELINES`.
 
@@ -259,14 +253,3 @@ def single_touches(dataset: Dataset) -> NDArray[np.int64]:
     one = np.flatnonzero(dataset.touch_count == 1)
     order = np.lexsort((one, dataset.time[one], dataset.episode[one]))
     return one[order]
-
-
-def _with_one_number_of_steps(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The document, networks of which once had `least_steps` beside `fewest_steps`."""
-    read: dict[str, Any] = {
-        key: _with_one_number_of_steps(value) if isinstance(value, dict) else value
-        for key, value in document.items()
-    }
-    if "learning_rate" in read and "least_steps" in read:
-        read["fewest_steps"] = max(read.get("fewest_steps", 0), read.pop("least_steps"))
-    return read

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
@@ -423,7 +424,7 @@ class Pipeline:
         try:
             document, weights = saved.document, saved.weights
             noise = require_possible(weights, saved.golden, document.get("noise"))
-            settings = TrainingSettings.from_document(document["settings"])
+            settings = from_dict(TrainingSettings, document["settings"], "settings")
             examples = Observations.from_arrays(arrays_under("input", saved.golden))
             positions = document["method"] == POSITIONS
             reference = examples.flat[0] if positions else weights["layout.reference"]

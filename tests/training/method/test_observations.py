@@ -2,14 +2,13 @@
 
 import copy
 import dataclasses
-from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches
@@ -56,18 +55,6 @@ def test_there_are_more_epochs_where_frames_are_few():
     assert epochs == [800, 400, 100, 40, 40]
     assert NetworkSettings(1e-3, epochs=40, batch=32).epochs_of(5) == 40
     assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.epochs_of(5) == 3
-
-
-def test_settings_that_were_saved_with_two_numbers_of_steps_are_read():
-    settings = TrainingSettings.preset("quick")
-    document = asdict(settings)
-    assert TrainingSettings.from_document(document) == settings
-    for network in (document["joint"]["response"], document["postprocessor"]):
-        network |= {"fewest_steps": 0, "least_steps": network["fewest_steps"]}
-    document["classifier"]["least_steps"] = 0
-    assert TrainingSettings.from_document(document) == settings
-    with pytest.raises(ConfigurationError, match="stepss"):
-        TrainingSettings.from_document({"joint": {"stepss": 3}})
 
 
 UNKNOWN = UNKNOWN_STATE
