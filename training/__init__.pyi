@@ -1,16 +1,16 @@
 """Public names of eitskin.training, and where each is defined."""
 
 from eitskin.training.evaluation.evaluate import (
+    PositionScore as PositionScore,
+)
+from eitskin.training.evaluation.evaluate import (
+    RecordedTouches as RecordedTouches,
+)
+from eitskin.training.evaluation.evaluate import (
     Report as Report,
 )
 from eitskin.training.evaluation.evaluate import (
     evaluate as evaluate,
-)
-from eitskin.training.evaluation.position_score import (
-    PositionScore as PositionScore,
-)
-from eitskin.training.evaluation.position_score import (
-    RecordedTouches as RecordedTouches,
 )
 from eitskin.training.method.input_spec import InputSpec as InputSpec
 from eitskin.training.method.interface import Method as Method

@@ -38,9 +38,8 @@ from eitskin.provenance import package_versions
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.drawing import CaptionedFigure
-from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.evaluate import Evaluation, held_out_positions
 from eitskin.training.evaluation.figures import draw_error_vectors, loss_curves
-from eitskin.training.evaluation.position_score import held_out_positions
 from eitskin.training.evaluation.report import PICTURES
 from eitskin.training.evaluation.scores import match_distances
 from eitskin.training.method.observations import fingerprint

@@ -17,7 +17,7 @@ import pytest
 from eitskin.datasets import open_dataset
 from eitskin.hardware import open_board
 from eitskin.training import Pipeline, RecordedTouches, open_pipeline
-from eitskin.training.evaluation.position_score import held_out_positions
+from eitskin.training.evaluation.evaluate import held_out_positions
 
 DATA = Path(__file__).parents[1] / "data" / "v0.1"
 EXPECTED = json.loads((DATA / "expected.json").read_text())

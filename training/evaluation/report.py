@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.training.evaluation.drawing import EXTRA, CaptionedFigure, NoFigure, style
-from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.evaluate import Evaluation, PositionScore, held_out_positions
 from eitskin.training.evaluation.figures import (
     MOST_VECTORS,
     bend_angles,
@@ -31,7 +31,6 @@ from eitskin.training.evaluation.figures import (
     touch_maps_by_angle,
     touch_maps_by_count,
 )
-from eitskin.training.evaluation.position_score import PositionScore, held_out_positions
 from eitskin.training.evaluation.scores import SSIM_DEFINITION, Consistency, Report
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.pipeline.pipeline import Pipeline

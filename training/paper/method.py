@@ -32,12 +32,14 @@ from eitskin.training.method.targets import (
     untouched_angles,
 )
 from eitskin.training.paper.bend_angle import BendAngle
-from eitskin.training.paper.reconstruction import (
+from eitskin.training.paper.stages import (
+    Classifier,
+    PostProcessor,
     Reconstruction,
     bend_free_projection,
+    find_touches,
     signal_to_noise,
 )
-from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
 from eitskin.training.reconstruction.linear_model import linear_model
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.paper.reconstruction import MAX_SNR, Reconstruction, signal_to_noise
+from eitskin.training.paper.stages import MAX_SNR, Reconstruction, signal_to_noise
 from eitskin.training.reconstruction.linear_model import linear_model
 
 SHAPE = (8, 16)

@@ -13,8 +13,13 @@ from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import LayerNetwork, mirrored, weights_of
-from eitskin.training.paper.reconstruction import Reconstruction, bend_free_projection
-from eitskin.training.paper.stages import Classifier, PostProcessor, find_touches
+from eitskin.training.paper.stages import (
+    Classifier,
+    PostProcessor,
+    Reconstruction,
+    bend_free_projection,
+    find_touches,
+)
 
 SHAPE = (8, 16)
 OUTLINE = (0.16, 0.08)
