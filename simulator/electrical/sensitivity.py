@@ -126,7 +126,11 @@ def _prisms_gram(
             elements = chosen[start : start + step]
             plane = shares @ corners[elements]
             area = (space.jacobians[elements, None] * weights)[..., None] * upright
-            products = _products(assembly, potentials, elements, plane, heights, area, along)
+            both = _gradients_and_fluxes(
+                assembly, potentials, elements, plane, heights, area, along
+            )
+            first, second = (np.moveaxis(g, 1, 2).reshape(*plane.shape[:2], -1, k) for g in both)
+            products = first.swapaxes(2, 3) @ second
             sizes = np.sqrt(space.jacobians[elements, None] * weights).ravel() * (n > 1)
             sums = pixels.sums(plane.reshape(-1, 2), products.reshape(-1, k, k), sizes)
             np.add(total, sums, out=total)
@@ -175,15 +179,16 @@ def _boxes_gram(
         # Boxes of a structured mesh are numbered upwards first, then along y.
         elements = (x_cell[part, None] * (len(y) - 1) + y_cell).ravel()
         area = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
-        products = _products(assembly, potentials, elements, plane, z_nodes, area, along)
-        products = products.sum(axis=1)
+        both = _gradients_and_fluxes(assembly, potentials, elements, plane, z_nodes, area, along)
+        gradients, fluxes = (each.reshape(len(plane), -1, count) for each in both)
+        products = gradients.swapaxes(1, 2) @ fluxes
         shares = _pairs(x_shares[part], y_shares).prod(axis=-1)
         products -= shares[..., None] * unseen[elements]
         np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
     return total
 
 
-def _products(
+def _gradients_and_fluxes(
     assembly: Assembly,
     potentials: Numbers,
     elements: Indices,
@@ -191,21 +196,18 @@ def _products(
     heights: Array,
     weights: Array,
     along: Tensors | None,
-) -> Numbers:
-    """Integrals over heights of grad u_k . S grad u_l, (n, p, k, k).
+) -> tuple[Numbers, Numbers]:
+    """Gradients of u_k, and S times these by weights (n, p, q) [m3], both (n, 3, p, q, k).
 
-    At points of the plane (n, p, 2) [m] in the columns `elements`; weights are (n, p, q) [m3].
+    At heights (q,) [m] above points of the plane (n, p, 2) [m] in the columns `elements`.
     """
     gradients = assembly.space.column_gradients(potentials, elements, plane, heights)
-    gradients = np.moveaxis(gradients, 1, 3)
     fluxes = gradients
     if along is not None:
-        points = np.empty(gradients.shape[:4])
+        points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
         points[..., :2], points[..., 2] = plane[:, :, None], heights
-        fluxes = along(points) @ gradients
-    fluxes = weights[..., None, None] * fluxes
-    flat = (*plane.shape[:2], -1, gradients.shape[-1])
-    return np.asarray(gradients.reshape(flat).swapaxes(2, 3) @ fluxes.reshape(flat))
+        fluxes = np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
+    return gradients, weights[:, None, ..., None] * fluxes
 
 
 def _unseen(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:

@@ -196,7 +196,8 @@ class SensorImpedances:
                 return solved.base if flat else solved.impedance(layer, tolerance)
         if layer.is_flat:
             return model.flat_impedance
-        return model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
+        z = None if layer.shift is None else layer.contact_impedance
+        return model.impedance(layer.conductivity, layer.area_ratio, z)
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis | None:
         """Reanalysis based on the flat sensor.
