@@ -10,14 +10,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli.options import (
-    TRAINING,
-    Output,
-    ended_by_signals,
-    own_method,
-    watched,
-    with_output,
-)
+from eitskin.cli import options
 from eitskin.cli.terminal import FigureTable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
@@ -65,42 +58,44 @@ _SEEDED = {
 def _seeded(name: str) -> Callable[..., None]:
     """Command of one of `_SEEDED`."""
 
-    def command(out: Out = _OUT, *, quick: Quick = False, seed: int = 0, output: Output) -> None:
+    def command(
+        out: Out = _OUT, *, quick: Quick = False, seed: int = 0, output: options.Output
+    ) -> None:
         from eitskin.benchmarks import accuracy, speed, world
         from eitskin.benchmarks.stability import run as stability
 
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
         require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
         _make(out)
-        _present(output, modules[name].run(seed, quick, watched(output)), out)
+        _present(output, modules[name].run(seed, quick, options.watched(output)), out)
 
     return command
 
 
 for _name, _help in _SEEDED.items():
-    app.command(_name, help=_help)(with_output(_seeded(_name)))
+    app.command(_name, help=_help)(options.with_output(_seeded(_name)))
 
 
 @app.command()
-@with_output
+@options.with_output
 def recordings(
     data: Annotated[Path, typer.Argument(help="Folder of the real recordings.")],
     out: Out = _OUT,
     *,
     quick: Quick = False,
     leaderboard: LeaderboardFile = None,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Measure real recordings: presses of a round skin, a frame of another board, a water tank."""
     from eitskin.benchmarks.recordings import run
 
-    require_all(training=TRAINING, bench="matplotlib")
+    require_all(training=options.TRAINING, bench="matplotlib")
     _require_whole(leaderboard, quick)
-    _present(output, run(data, quick, watched(output)), out, leaderboard)
+    _present(output, run(data, quick, options.watched(output)), out, leaderboard)
 
 
 @app.command()
-@with_output
+@options.with_output
 def transfer(
     pipelines: Annotated[
         list[Path] | None,
@@ -112,7 +107,7 @@ def transfer(
     seed: int = 0,
     workers: Workers = 2,
     leaderboard: LeaderboardFile = None,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Measure pipelines on sensors with other clamps, layers, contacts and boards.
 
@@ -121,7 +116,7 @@ def transfer(
     from eitskin.benchmarks.transfer import run
     from eitskin.training.pipeline.saved_form import SHIPPED
 
-    require_all(training=TRAINING)
+    require_all(training=options.TRAINING)
     named = {path.stem: path for path in pipelines or [SHIPPED]}
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
@@ -132,7 +127,7 @@ def transfer(
 
 
 @app.command()
-@with_output
+@options.with_output
 def methods(
     out: Out = _OUT,
     *,
@@ -142,7 +137,7 @@ def methods(
     seed: int = 0,
     workers: Workers = 2,
     leaderboard: LeaderboardFile = None,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Train methods on the same frames, and judge them on the same unseen sensors.
 
@@ -150,8 +145,8 @@ def methods(
     """
     from eitskin.benchmarks.methods import run
 
-    require_all(training=TRAINING)
-    own = {each.KIND: (each, code) for code in method or () if (each := own_method(code))}
+    require_all(training=options.TRAINING)
+    own = {each.KIND: (each, code) for code in method or () if (each := options.own_method(code))}
     _require_whole(leaderboard, quick, seed)
     classes = [each for each, _ in own.values()]
     with _folder(output, out, "methods") as (folder, progress):
@@ -161,7 +156,7 @@ def methods(
 
 
 @app.command()
-@with_output
+@options.with_output
 def paper(
     out: Out = _OUT,
     *,
@@ -182,7 +177,7 @@ def paper(
     method: Methods = None,
     leaderboard: LeaderboardFile = None,
     quick: Quick = False,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Repeat the paper's experiments: published, its pipeline trained here, ours, and others.
 
@@ -190,9 +185,9 @@ def paper(
     """
     from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
 
-    require_all(training=TRAINING, bench="matplotlib")
+    require_all(training=options.TRAINING, bench="matplotlib")
     contenders = [Contender(each) for each in preset or ()]
-    own = [Contender(method=own_method(each)) for each in method or ()]
+    own = [Contender(method=options.own_method(each)) for each in method or ()]
     for each in (*contenders, *own):
         each.settings(0)  # unknown names are told before the work
     _require_whole(leaderboard, quick)
@@ -212,7 +207,7 @@ def paper(
 
 
 @app.command()
-@with_output
+@options.with_output
 def layouts(
     out: Out = _OUT,
     *,
@@ -225,7 +220,7 @@ def layouts(
     ] = None,
     workers: Workers = 2,
     quick: Quick = False,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Cramer-Rao bounds of touches for electrode layouts: sweeps, and a search for the best eight.
 
@@ -246,7 +241,7 @@ def layouts(
 
 
 @app.command("all")
-@with_output
+@options.with_output
 def run_all(
     out: Out = _OUT,
     *,
@@ -266,7 +261,7 @@ def run_all(
         typer.Option(help="Folder with real recordings, which one benchmark needs."),
     ] = None,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Run all benchmarks, one after the other, into one folder with an index.md.
 
@@ -277,10 +272,10 @@ def run_all(
 
     chosen = suite.chosen(only, long or quick)
     if only is None:
-        require_all(training=TRAINING, hardware="serial cobs", bench="matplotlib")
+        require_all(training=options.TRAINING, hardware="serial cobs", bench="matplotlib")
     _make(out)
     done = []
-    with ended_by_signals():  # or the benchmark that runs would go on without this one
+    with options.ended_by_signals():  # or the benchmark that runs would go on without this one
         for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
             done.append(each)
             why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
@@ -300,7 +295,7 @@ def run_all(
 
 
 def _present(
-    output: Output,
+    output: options.Output,
     found: "Report",
     out: Path,
     leaderboard: Path | None = None,
@@ -353,7 +348,7 @@ def _make(folder: Path) -> None:
 
 
 @contextmanager
-def _folder(output: Output, out: Path, name: str) -> Iterator[tuple[Path, "Progress"]]:
+def _folder(output: options.Output, out: Path, name: str) -> Iterator[tuple[Path, "Progress"]]:
     """Folder of one benchmark, made, and the progress of its parts on a bar.
 
     Each part is shown by the name before its colon.

@@ -10,19 +10,15 @@ import typer
 from rich.console import Group, RenderableType
 from rich.table import Column, Table
 
+from eitskin import geometry, simulator
 from eitskin.cli import options
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.frame import Frame
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.geometry.meshing.mesh import Mesh
     from eitskin.geometry.meshing.mesh_design import CellKind
     from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.simulator.instrument.instrument import Instrument
-    from eitskin.simulator.scene.scene import PressedTouch, Scene
-    from eitskin.simulator.simulator import Simulator
+    from eitskin.simulator.scene.scene import PressedTouch
     from eitskin.simulator.view.scene_pictures import Colour
 
 
@@ -60,16 +56,15 @@ def command(
     import numpy as np
 
     from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.view.scene_pictures import draw_scenes
 
-    what = on_support(Scene.from_toml(scene), support)
+    what = on_support(simulator.Scene.from_toml(scene), support)
     board = _instrument(noise, instrument)
     design = options.read_design(sensor.sensor)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
     sim = sensor.simulator(options.one_of("--resolution", resolution, Resolution), design)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
-    flat = sim.measure(Scene(), _noise_free(board), np.random.default_rng(seed))
+    flat = sim.measure(simulator.Scene(), _noise_free(board), np.random.default_rng(seed))
     announce_unsolved(sim, what, output)
     start = time.perf_counter()
     frame = sim.measure(what, board, np.random.default_rng(seed))
@@ -84,23 +79,19 @@ def command(
         output.note(f"picture: {view}")
 
 
-def _instrument(noise: float | None, name: str | None) -> "Instrument | None":
+def _instrument(noise: float | None, name: str | None) -> "simulator.Instrument | None":
     """Instrument model: white noise, a named board, that board with other noise, or none."""
-    from eitskin.simulator.instrument.instrument import Instrument
-
     if name is None:
-        return None if noise is None else Instrument(noise)
-    board = Instrument.named(name)
+        return None if noise is None else simulator.Instrument(noise)
+    board = simulator.Instrument.named(name)
     return board if noise is None else dataclasses.replace(board, snr_db=noise)
 
 
-def _noise_free(board: "Instrument | None") -> "Instrument | None":
+def _noise_free(board: "simulator.Instrument | None") -> "simulator.Instrument | None":
     """Circuit and reading of a board, by which the flat sensor's values are those of its frames."""
-    from eitskin.simulator.instrument.instrument import Instrument
-
     if board is None or board.meter is None:
         return None
-    return Instrument(snr_db=0.0, meter=board.meter)
+    return simulator.Instrument(snr_db=0.0, meter=board.meter)
 
 
 def _colours(
@@ -123,7 +114,7 @@ def _colours(
     return what, options.electrode_pair(drive, electrodes)
 
 
-def _title(name: str, scene: "Scene") -> str:
+def _title(name: str, scene: "simulator.Scene") -> str:
     """Title of a scene: name, deformation and number of touches."""
     parts = [f"bent by {scene.bend.angle_deg:g} deg"] if scene.bend.angle_deg else []
     parts += [f"rolled by {scene.roll.angle_deg:g} deg"] if scene.roll else []
@@ -133,7 +124,7 @@ def _title(name: str, scene: "Scene") -> str:
     return f"{name}: {', '.join(parts) or 'flat, untouched'}"
 
 
-def _relative_change(frame: "Frame", flat: "Frame") -> list[float | None]:
+def _relative_change(frame: "simulator.Frame", flat: "simulator.Frame") -> list[float | None]:
     """Relative change of resistance from the flat frame; None where that is zero but rounding."""
     import numpy as np
 
@@ -145,7 +136,9 @@ def _relative_change(frame: "Frame", flat: "Frame") -> list[float | None]:
     ]
 
 
-def _as_data(frame: "Frame", flat: "Frame", seconds: float) -> dict[str, object]:
+def _as_data(
+    frame: "simulator.Frame", flat: "simulator.Frame", seconds: float
+) -> dict[str, object]:
     return {
         "measurements": list(frame.protocol.labels),
         "independent": frame.protocol.rank,
@@ -222,28 +215,29 @@ def _touch_tables(touches: list[dict[str, Any]]) -> Iterator[RenderableType]:
             yield f"caution: touch at {place} mm: {each['caution']}"
 
 
-def on_support(scene: "Scene", support: str | None) -> "Scene":
+def on_support(scene: "simulator.Scene", support: str | None) -> "simulator.Scene":
     """Scene on the support of the option --support, where one is given.
 
     Raises ConfigurationError where the option names no support.
     """
     from eitskin.config import from_dict
-    from eitskin.simulator.scene.scene import Scene
 
     if support is None:
         return scene
-    given = from_dict(Scene, {"support": support}, "--support")
+    given = from_dict(simulator.Scene, {"support": support}, "--support")
     return dataclasses.replace(scene, support=given.support)
 
 
-def announce_unsolved(simulator: "Simulator", scene: "Scene", output: options.Output) -> None:
+def announce_unsolved(
+    sim: "simulator.Simulator", scene: "simulator.Scene", output: options.Output
+) -> None:
     """Note what has to be solved for a scene's touches first: dents, or presses in 3D."""
     from eitskin.simulator.deformation.press_table import press_problems
     from eitskin.simulator.deformation.solution_store import cache_folder, missing
 
-    sensor = simulator.supported(scene), simulator.mechanics
+    sensor = sim.supported(scene), sim.mechanics
     indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
-    unsolved = sum(bool(missing(press_problems(*sensor, i, simulator.grid))) for i in indenters)
+    unsolved = sum(bool(missing(press_problems(*sensor, i, sim.grid))) for i in indenters)
     if unsolved:
         several = unsolved > 1
         output.note(
@@ -251,7 +245,7 @@ def announce_unsolved(simulator: "Simulator", scene: "Scene", output: options.Ou
             f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
             f"minutes each; kept in {cache_folder()}"
         )
-    if simulator.solves_presses(scene):
+    if sim.solves_presses(scene):
         output.note(
             "solving the scene's touches in 3D, since no tables ship for them or the sensor is "
             "pressed in its bent state: half a minute to some minutes"
@@ -305,7 +299,7 @@ def mesh(
 
 
 def _mesh_data(
-    design: "SensorDesign", mesh: "Mesh", kind: "CellKind", seconds: float
+    design: "geometry.SensorDesign", mesh: "geometry.Mesh", kind: "CellKind", seconds: float
 ) -> dict[str, Any]:
     """Numbers of the mesh as plain data."""
     import numpy as np

@@ -20,7 +20,6 @@ from eitskin.extras import require_all
 if TYPE_CHECKING:
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
-    from eitskin.training.method.settings import TrainingSettings
 
 AUTO = "auto"
 
@@ -117,13 +116,13 @@ def command(
 
 def _positions_alone(data: "datasets.Dataset") -> str:
     """Reason why only positions of touches can be learned; empty where more can be."""
-    from eitskin.training.method.targets import Targets, with_implied_labels
+    from eitskin.training.method.targets import with_implied_labels
 
     if data.design is None:
         return "no geometry in this dataset"
     if data.protocol is None:
         return "no table of measurements in this dataset"
-    if Targets.of(with_implied_labels(data)).positions_only:
+    if training.Targets.of(with_implied_labels(data)).positions_only:
         return "neither untouched frames nor bend angles in this dataset"
     return ""
 
@@ -151,12 +150,12 @@ class Choice:
         epochs: passes over the frames; None for those of the settings.
     """
 
-    settings: "TrainingSettings | None"
+    settings: "training.TrainingSettings | None"
     method: "type[training.Method] | None"
     seed: int
     epochs: int | None
 
-    def adjusted(self, settings: "TrainingSettings") -> "TrainingSettings":
+    def adjusted(self, settings: "training.TrainingSettings") -> "training.TrainingSettings":
         """Settings with the wanted number of epochs."""
         return settings if self.epochs is None else settings.with_epochs(self.epochs)
 

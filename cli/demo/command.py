@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eitskin import training
 from eitskin.cli.options import TRAINING, Output, ended_by_signals, with_output
 from eitskin.errors import PartialError
 from eitskin.extras import require_all
@@ -157,7 +158,6 @@ def _paper_rows(document: Document) -> list[list[str]]:
     """
     import msgspec
 
-    from eitskin.training.evaluation.evaluate import Report
     from eitskin.training.evaluation.report import table_rows
 
     rows: dict[tuple[str, str], list[str]] = {}
@@ -168,7 +168,7 @@ def _paper_rows(document: Document) -> list[list[str]]:
         ("shipped", 3),
     ):
         experiment = ""
-        for name, published, here in table_rows(msgspec.convert(document[stage], Report)):
+        for name, published, here in table_rows(msgspec.convert(document[stage], training.Report)):
             experiment = experiment if name.startswith(" ") else name
             key, shown = (experiment, name), name
             if "indentation" in stage:

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from eitskin import hardware
+from eitskin.bounds import require_within
 from eitskin.cli.page.plan import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
@@ -51,7 +52,7 @@ class PageTouch:
 
     def __post_init__(self) -> None:
         """Check the force; the position is checked with the sensor."""
-        _require_within("force", self.force, FORCE_RANGE, "N")
+        require_within("force", self.force, *FORCE_RANGE, "N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class SceneCommand:
 
     def __post_init__(self) -> None:
         """Check angle and number."""
-        _require_within("bend_deg", self.bend_deg, BEND_RANGE, "deg")
+        require_within("bend_deg", self.bend_deg, *BEND_RANGE, "deg")
         if len(self.touches) > MOST_TOUCHES:
             raise ConfigurationError(
                 f"at most {MOST_TOUCHES} touches at once, got {len(self.touches)}"
@@ -188,9 +189,3 @@ def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:
             f"touches are on the sensor, {region.length:g} x {region.width:g} m, got one at "
             f"({press.x:g}, {press.y:g}) m"
         )
-
-
-def _require_within(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
-    least, most = limits
-    if not least <= value <= most:
-        raise ConfigurationError(f"{name} must be from {least:g} to {most:g} {unit}, got {value:g}")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from eitskin import datasets, simulator
+from eitskin import datasets, simulator, training
+from eitskin.cli import options
 from eitskin.cli.commands.own_sensor.poses import (
     TerminalDialogue,
     asked,
@@ -18,27 +19,13 @@ from eitskin.cli.commands.own_sensor.poses import (
 )
 from eitskin.cli.commands.recorded_frames import Recorded, Values, of_one_sensor, read_recorded
 from eitskin.cli.commands.tare import ReferenceFile, use_reference
-from eitskin.cli.options import (
-    TRAINING,
-    BoardUri,
-    MeasuredPairs,
-    MethodCode,
-    Model,
-    Output,
-    Replace,
-    opened_board,
-    own_method,
-    with_output,
-)
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.training.evaluation.adaptation_curve import CurvePoint
-    from eitskin.training.method.input_spec import InputSpec
-    from eitskin.training.method.interface import Calibration, Method
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.method.interface import Calibration
 
 ANGLES = "-20,15,30,42.5,50"  # deg
 NOTHING = "none"
@@ -53,7 +40,7 @@ StartModel = Annotated[
 ]
 
 
-@with_output
+@options.with_output
 def command(
     model: StartModel,
     recording: Recorded,
@@ -63,8 +50,8 @@ def command(
         int | None, typer.Option(min=0, help="Number of the specimen in the dataset.")
     ] = None,
     values: Values = None,
-    protocol: MeasuredPairs = None,
-    method: MethodCode = None,
+    protocol: options.MeasuredPairs = None,
+    method: options.MethodCode = None,
     twin: Annotated[
         Path | None,
         typer.Option(help="Folder of `twin fit`, whose response to touches is taken."),
@@ -72,8 +59,8 @@ def command(
     no_table: Annotated[
         bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
     ] = False,
-    replace: Replace = False,
-    output: Output,
+    replace: options.Replace = False,
+    output: options.Output,
 ) -> None:
     """Adapt a pipeline to one sensor, from frames of which it is known what they show.
 
@@ -83,9 +70,9 @@ def command(
     """
     from eitskin.training.pipeline.saved_form import require_writable
 
-    require_all(training=TRAINING)
+    require_all(training=options.TRAINING)
     require_writable(out, replace)
-    before = open_start(model, own_method(method))
+    before = open_start(model, options.own_method(method))
     data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
     if before is not None and data.protocol is not None:
         before.layout.require_same_measurements(data.protocol, data.frequency)
@@ -100,43 +87,41 @@ def command(
     output.note("use it with this sensor only")
 
 
-def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | None":
+def open_start(model: Path, method: "type[training.Method] | None") -> "training.Pipeline | None":
     """The pipeline to start from; None for the word `none`, unless a folder has that name."""
-    from eitskin.training.pipeline.pipeline import open_pipeline
-
     if str(model) == NOTHING and not model.exists():
         return None
-    return open_pipeline(model, method)
+    return training.open_pipeline(model, method)
 
 
 def adapt(
-    before: "Pipeline | None", data: "datasets.Dataset", twin: Path | None = None
-) -> "Pipeline":
+    before: "training.Pipeline | None", data: "datasets.Dataset", twin: Path | None = None
+) -> "training.Pipeline":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
     Raises the errors of `Pipeline.adapt`, `InputSpec.described`, `Pipeline.fit` and
     `PressedTwin.read`, and ConfigurationError for a twin beside touch positions.
     """
-    from eitskin.training.method.settings import POSITIONS, TrainingSettings
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.method.settings import POSITIONS
 
     if before is None or before.settings.method == POSITIONS:
         if twin is None:
-            settings = TrainingSettings(POSITIONS, options={"share": 1.0})
-            return Pipeline.fit(before.layout.described(data) if before else data, settings)
+            settings = training.TrainingSettings(POSITIONS, options={"share": 1.0})
+            return training.Pipeline.fit(
+                before.layout.described(data) if before else data, settings
+            )
         raise ConfigurationError(
             "expected a pipeline that knows the forces of touches with --twin, got one of touch "
             "positions, which learns from presses alone; leave out --twin"
         )
-    from eitskin.training.twin.twin import PressedTwin
 
     layout = before.layout
-    before.adapt(data, twin=PressedTwin.read(twin, layout.protocol) if twin else None)
+    before.adapt(data, twin=training.PressedTwin.read(twin, layout.protocol) if twin else None)
     return before
 
 
 def curve_of(
-    before: "Pipeline | None", data: "datasets.Dataset", output: Output
+    before: "training.Pipeline | None", data: "datasets.Dataset", output: options.Output
 ) -> "tuple[CurvePoint, ...]":
     """Errors against the number of labelled frames; none, with a note, where these are too few."""
     from eitskin.training.adaptation.press_fit import LabelledPresses
@@ -180,13 +165,13 @@ def _lost(point: "CurvePoint") -> float | None:
     return None if point.found is None or point.found == 1.0 else 100.0 * (1.0 - point.found)
 
 
-def said(adapted: "Pipeline") -> dict[str, object]:
+def said(adapted: "training.Pipeline") -> dict[str, object]:
     """Facts of an adaptation for JSON."""
     known = adapted.adaptation or adapted.trained_on["validated"]
     return {"estimates": adapted.targets.as_dict(), "adaptation": dict(known)}
 
 
-def in_words(adapted: "Pipeline") -> str:
+def in_words(adapted: "training.Pipeline") -> str:
     """A sentence about an adapted pipeline: what it learned from."""
     if not adapted.adaptation:
         frames, error = (
@@ -236,12 +221,12 @@ Angles = Annotated[
 ]
 
 
-@with_output
+@options.with_output
 def calibrate(
-    model: Model,
+    model: options.Model,
     *,
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
-    board: BoardUri,
+    board: options.BoardUri,
     reference: ReferenceFile = None,
     angles: Angles = ANGLES,
     frames: Annotated[
@@ -255,10 +240,10 @@ def calibrate(
             "through the angles by itself, in turn.",
         ),
     ] = False,
-    method: MethodCode = None,
-    replace: Replace = False,
+    method: options.MethodCode = None,
+    replace: options.Replace = False,
     seed: int = 0,
-    output: Output,
+    output: options.Output,
 ) -> None:
     """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
 
@@ -266,12 +251,11 @@ def calibrate(
     --reference the angles count from the stored state, and the sensor is not asked to be flat.
     Frames that were recorded before are taken by `eitskin adapt`.
     """
-    from eitskin.training.pipeline.pipeline import open_pipeline
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
 
     require_writable(out, replace)
-    pipeline = open_pipeline(model, own_method(method))
+    pipeline = training.open_pipeline(model, options.own_method(method))
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)
@@ -303,14 +287,14 @@ def angles_of(text: str) -> list[float]:
 
 def _from_board(
     uri: str,
-    layout: "InputSpec",
+    layout: "training.InputSpec",
     angles: Sequence[float],
     frames: int,
     no_prompt: bool,
     seed: int,
-    output: Output,
+    output: options.Output,
 ) -> "Iterator[simulator.Frame]":
-    with opened_board(uri, seed) as board:
+    with options.opened_board(uri, seed) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
         alone = left_alone if board.stage is None or "scene=" in uri else staged(0.0)
         hand = alone if no_prompt else asked(TerminalDialogue(output))
