@@ -16,7 +16,7 @@ from eitskin.simulator.bodies.pressed_body import BodyPress, heights
 from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField, TetrahedralSolid
 from eitskin.simulator.mechanics.load_stepping import Load, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.scene.indenters import Cylinder, Sphere
+from eitskin.simulator.scene.indenters import Sphere
 from eitskin.simulator.scene.scene import Touch
 
 from on_demand import OnDemand
@@ -129,7 +129,7 @@ def test_a_box_bends_as_the_clamped_stack_does(design, flat) -> None:
     work = 4.0 * clamped.plates.moment(10.0) + clamped.plates.moment(20.0)
     energy = clamped.plates.energy(20.0)
     assert energy == pytest.approx(work * np.radians(20.0) / 6.0, rel=0.01)
-    grading = Grading(finest=1.5e-3, coarsest=4e-3, growth=0.5)
+    grading = Grading(finest=2e-3, coarsest=4e-3, growth=0.5)
     (stack,) = ClampedStack(flat, Clamp(0.020, 0.004), BARE, grading).equilibria([20.0])
     X = inside(2000)
     moved = stack.positions(X) - X
@@ -158,17 +158,13 @@ def few_cells(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
-@pytest.mark.parametrize(
-    ("indenter", "depth", "thinning"),
-    [(Sphere(0.006), 1.957e-3, 0.201), (Cylinder(0.005, edge=0.2), 0.837e-3, 0.086)],
-)
-def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design, indenter, depth, thinning) -> None:
-    """Depth and thinning by quadratic hexahedra of 2 to 5 mm, rough indenters, 1 N."""
-    touch = Touch(0.020, 0.010, force=1.0, indenter=indenter)
+def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design) -> None:
+    """Depth and thinning by quadratic hexahedra of 2 to 5 mm, a rough indenter, 1 N."""
+    touch = Touch(0.020, 0.010, force=1.0, indenter=Sphere(0.006))
     found = BodyPress(design, [touch], BARE, COARSE).equilibrium()
     assert found.forces == pytest.approx([1.0], rel=1e-6)
-    assert found.depths == pytest.approx([depth], rel=0.08)
-    assert found.thinnings == pytest.approx([thinning], rel=0.10)
+    assert found.depths == pytest.approx([1.957e-3], rel=0.08)
+    assert found.thinnings == pytest.approx([0.201], rel=0.10)
 
 
 @pytest.mark.slow

@@ -38,16 +38,15 @@ def disc(dent, n=40):
 @pytest.mark.slow
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
     press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 40)
-    for depth in (2e-4, 9e-4, 2.2e-3):
-        dent, pressed = table.at_depth(depth), press.to_depth(depth)
-        assert dent.force == pytest.approx(pressed.force, rel=0.01)
-        assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
-        in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
-        r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - 0.0035, indexing="ij")
-        near = r < dent.reach
-        u = moved(dent, r[near], z[near])[:2].T
-        solved = pressed.displacement[:, in_gel][near]
-        assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
+    dent, pressed = table.at_depth(9e-4), press.to_depth(9e-4)
+    assert dent.force == pytest.approx(pressed.force, rel=0.01)
+    assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
+    in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
+    r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - 0.0035, indexing="ij")
+    near = r < dent.reach
+    u = moved(dent, r[near], z[near])[:2].T
+    solved = pressed.displacement[:, in_gel][near]
+    assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
 
 
 def moved(dent, r, z):
@@ -108,12 +107,12 @@ def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
 @pytest.mark.slow
 def test_the_layer_carries_its_share(table) -> None:
     """A stack relaxes by shares that differences of moduli give as well."""
-    step, depth = 0.05, 0.0015
+    step, depth = 0.05, 8e-4
     around = [
         AxisymmetricPress(
             dataclasses.replace(REFERENCE, gel=NeoHookean(20e3 * k)).stack(DESIGN),
             Cylinder(),
-            finest=8e-4,
+            finest=2e-3,
         )
         .to_depth(depth)
         .force

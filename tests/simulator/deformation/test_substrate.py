@@ -35,9 +35,8 @@ def test_a_substrate_is_the_lowest_layer() -> None:
     assert Mechanics().stack(dataclasses.replace(bare, support=SOFT)).gel == 1
 
 
-@pytest.mark.parametrize("force", [1.0, 10.0])
-def test_a_very_stiff_substrate_is_a_rigid_base(force) -> None:
-    rigid, stiff = pressed(on(Rigid()), force), pressed(on(Substrate(0.010, 28e6)), force)
+def test_a_very_stiff_substrate_is_a_rigid_base() -> None:
+    rigid, stiff = pressed(on(Rigid()), 3.0), pressed(on(Substrate(0.010, 28e6)), 3.0)
     assert stiff.depth == pytest.approx(rigid.depth, rel=0.01)
     assert stiff.thinning(2) == pytest.approx(rigid.thinning(1), rel=0.01)
     assert abs(stiff.thinning(0)) < 5e-4
