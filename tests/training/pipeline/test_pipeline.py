@@ -37,7 +37,7 @@ def dataset(sensor):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     path, told = trained_pipeline(tmp_path_factory)
-    assert {("state classifier", 9, 9), ("touch map", 1, 9)} <= set(map(tuple, told))
+    assert {("state classifier", 9, 9), ("touch map", 1, 24)} <= set(map(tuple, told))
     return Pipeline.load(path)
 
 
@@ -106,7 +106,7 @@ def test_a_session_of_bends_and_touches(pipeline, session):
     assert len(touched.touches) == 1
     assert away(touched, PLACE) < 0.005
     assert 0 < touched.touches[0].strength <= 1
-    assert touched.touch_map.shape == (32, 80)
+    assert touched.touch_map.shape == (16, 40)
     assert touched.probabilities.sum() == pytest.approx(1.0)
     assert touched.time == pytest.approx(1.5)
     session(-10.0)
