@@ -350,7 +350,7 @@ def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     score = learned.metrics
     stage.numbers["presses"] = {"presses": len(recording), **score}
     true, found = held_out_positions(learned, recording)
-    figure = draw_error_vectors(None, true, true, found, true[:0]).figure
+    figure = draw_error_vectors(None, true, found).figure
     caption = (
         f"{path.name}: the last {len(true)} presses of a robot on a real, round hydrogel skin, "
         "left out of the training; to scale. Lines from true to estimated positions."

@@ -223,26 +223,24 @@ def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     if not single.size:
         return NoFigure("no frame has exactly one touch of known position")
     mine = np.isin(matches.frame, single)
-    touches = np.stack([data.touch_x, data.touch_y], axis=2)[single].astype(float)
-    places: Array = np.nanmax(touches, axis=1)
-    lost = places[~np.isin(single, matches.frame[mine])]
+    lost = single[~np.isin(single, matches.frame[mine])]
+    missed: Array = np.nanmax([data.touch_x[lost], data.touch_y[lost]], axis=2).T.astype(float)
     design = evaluation.pipeline.layout.design
-    return draw_error_vectors(design, places, matches.true[mine], matches.found[mine], lost)
+    return draw_error_vectors(design, matches.true[mine], matches.found[mine], missed)
 
 
 def draw_error_vectors(
-    design: SensorDesign | None, places: Array, true: Array, found: Array, missed: Array
+    design: SensorDesign | None, true: Array, found: Array, missed: Array = NOWHERE
 ) -> CaptionedFigure:
-    """Error vectors over a sensor.
+    """Error vectors over a sensor, whose design may be unknown.
 
     Args:
-        design: of the sensor; None where it is not known.
-        places: true positions of all touches (n, 2) [m].
-        true, found: positions of those that were found (k, 2) [m].
-        missed: true positions of the others (n - k, 2) [m].
+        design: of the sensor.
+        true, found: positions of touches that were found (k, 2) [m].
+        missed: true positions of others (m, 2) [m].
     """
     figure = new_figure(9.6, 4.7)
-    axes = figure.subplots()
+    axes, places = figure.subplots(), np.concatenate([true, missed])
     caption = (
         f"{len(places)} single touches at {len(np.unique(np.round(1e3 * places, 1), axis=0))} "
         "positions, to scale: a line leads from the true to the found position; "

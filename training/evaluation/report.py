@@ -142,11 +142,10 @@ def write_position_report(
     score = PositionScore.of(touches, dataset).as_dict()
     true, found = held_out_positions(touches, dataset)
     errors = np.linalg.norm(found - true, axis=1)
-    shown = true[:MOST_VECTORS]
     caption = f"Localisation errors of {len(true)} touches; the largest are in the last bin."
     drawings = {
         "error_vectors.png": lambda: draw_error_vectors(
-            touches.layout.known_design, shown, shown, found[:MOST_VECTORS], true[:0]
+            touches.layout.known_design, true[:MOST_VECTORS], found[:MOST_VECTORS]
         ),
         "localisation_errors.png": lambda: draw_errors(errors, caption),
     }
