@@ -7,6 +7,7 @@ from statistics import median
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
@@ -21,6 +22,10 @@ from eitskin.training.pipeline.references import (
 
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
+NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
+FEWEST_SCATTERS = 5  # frames that the noise of training counts as
+JUMPS = 5.0  # times the noise of training; what scatters more has jumped
+MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
     "angle, idle and bend are unknown; straighten and release it and begin anew, or use its stored "
@@ -148,6 +153,87 @@ def _told(frame: Frame, problem: str) -> tuple[str, ...]:
 
 
 @dataclass
+class HeldTouch:
+    """The latest frames of a touch: as many as show it where it is now.
+
+    Windows of the latest frames are tested for motion, from two frames on: over a window of n
+    frames the squared slopes of the channels, in units of their variance 12 s^2 / (n^3 - n), have a
+    mean of one where nothing moves. The mean of frames is taken over the longest window without
+    motion, and, once a touch has moved, only over windows in which that motion would show again;
+    else the latest frame stands for itself. So a touch that slides is not dragged behind.
+
+    Attributes:
+        noise: rms relative difference of two frames of a still sensor, until frames tell.
+    """
+
+    noise: float
+    _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
+    _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
+    _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
+    _speed: float = 0.0  # squared change from frame to frame of the latest motion, over s^2
+
+    def add(self, V: Voltages, flat: Voltages, held: bool) -> tuple[Voltages, int]:
+        """Mean of the frames that show the touch of frame V, and their number.
+
+        Args:
+            V: frame (measurements,) [ohm], NaN where a channel is bad.
+            flat: reference (measurements,) [ohm] that changes are relative to.
+            held: whether the frame before it was touched; else V stands for itself.
+        """
+        change = relative_difference(V, flat)
+        if len(self._changes) >= 2:  # neither offset nor slope is left in this difference
+            bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
+            known = bent[np.isfinite(bent)]
+            scatter = float(known @ known) / (1.5 * max(len(known), 1))
+            if 0.0 < scatter < (JUMPS * self.noise) ** 2:
+                self._scatter.append(scatter)
+        self._changes.append(change)
+        if not held:
+            self._frames.clear()
+            self._speed = 0.0
+        self._frames.append(V)
+        count = self._still()
+        mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
+        return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
+
+    def _noise(self, channels: int) -> tuple[float, float]:
+        """Variance of a channel's relative change, and the deviation of its mean over channels.
+
+        The latter is a share of the former, larger where channels share their noise. Both are
+        medians over the latest frames, few of which are of moments when the touch jumps.
+        """
+        alone = np.sqrt(2.0 / channels)
+        variance = median([*self._scatter, *[self.noise**2] * FEWEST_SCATTERS])
+        if len(self._scatter) < 2 * FEWEST_SCATTERS:
+            return variance, alone
+        away = median(abs(each / variance - 1.0) for each in self._scatter)
+        return variance, max(1.5 * away, alone)
+
+    def _still(self) -> int:
+        """Number of the latest frames over which the touch stands still."""
+        rows = np.array(self._changes)[-len(self._frames) :]
+        count = 1
+        for n in range(2, len(rows) + 1):
+            window = rows[-n:, np.isfinite(rows[-n:]).all(axis=0)]
+            if not window.size:
+                break
+            time = np.arange(n) - 0.5 * (n - 1)
+            weight = n * (n * n - 1) / 12.0  # sum of squared times
+            variance, deviation = self._noise(window.shape[1])
+            shown = float(((time @ window) ** 2).mean() / weight / variance)
+            limit = 1.0 + MOTION * deviation
+            if shown > limit:
+                self._speed = (shown - 1.0) / weight
+                break
+            if self._speed * weight > 2.0 * limit or not self._speed:
+                count = n
+        else:
+            if len(rows) == LONGEST_HELD:
+                self._speed = 0.0
+        return count
+
+
+@dataclass
 class Session:
     """References of consecutive frames of one sensor, and the memory of a held touch.
 
@@ -188,7 +274,7 @@ class Session:
             self.static, self.dynamic = (
                 RunningMean(self.noise, self.stored.impedance, count) for _ in range(2)
             )
-        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
+        self._held = HeldTouch(self.noise)
         self._opening = self.stored is None
         self.touched, self._outdated, self.doubt = False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
@@ -258,10 +344,11 @@ class Session:
     def observed(self, voltages: Voltages) -> Observations:
         """Relative differences of a frame (measurements,) [ohm] to both references.
 
-        Instead of a frame of an unchanged touch the mean of these frames is taken.
+        Instead of a frame of a touch that stands still the mean of such frames is taken; frames of
+        an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
         elapsed = self._order.elapsed
-        held, count = self._held_touch(voltages)
+        held, count = self._held.add(voltages, self.bend, self.averages and self.touched)
         rows = {
             "static": relative_difference(held, self.bend),
             "dynamic": relative_difference(held, self.touch),
@@ -273,18 +360,6 @@ class Session:
             "dynamic_age": elapsed - self._renewed,
         }
         return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
-
-    def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
-        """Mean over the frames of an unchanged touch, and their number; else the frame and 1.
-
-        Frames of an unchanged touch differ by noise only. Untouched frames are not averaged: the
-        angle would lag behind a slow bend.
-        """
-        departed = self._held.add(voltages)
-        if self.averages and self.touched and not departed and self._held.mean.size:
-            return np.where(np.isfinite(voltages), self._held.mean, np.nan), self._held.count
-        self._held.restart(voltages)
-        return voltages, 1
 
     def renew(self, voltages: Voltages, touched: bool) -> None:
         """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else."""

@@ -139,6 +139,52 @@ def test_one_frame_far_ahead_is_told(wrong):
     assert (step.new_session, len(step.problems)) == (False, 1)
 
 
+def shown(places, noise=1e-4, seed=0):
+    """Places that frames of a moving touch show in a session, and how many frames each is of."""
+    rng, flat, turn = np.random.default_rng(seed), np.full(28, 500.0), np.arange(28)
+    response = {p: flat * (1.0 + 1e-3 * np.sin(0.08 * p + turn)) for p in np.arange(0.0, 60.0, 0.1)}
+    session, seen, counts = Session(3e-4, averages=True), [], []
+    for number, place in enumerate([None] * 12 + list(places)):
+        value = flat if place is None else response[min(response, key=lambda p: abs(p - place))]
+        V = value * (1.0 + noise * rng.standard_normal(28)) + 0j
+        session.follow(Frame(V, Protocol.pairwise(8), time=0.3 * number, number=number))
+        if session.empty:
+            session.average(V)
+        row = session.observed(V)
+        session.renew(V, touched=place is not None)
+        if place is None:
+            continue
+        near = min(response, key=lambda p: np.linalg.norm(response[p] / flat - 1.0 - row.static[0]))
+        seen.append(near)
+        counts.append(int(row.frames[0]))
+    return np.array(seen), np.array(counts)
+
+
+def test_frames_of_a_touch_that_stands_are_averaged():
+    seen, counts = shown([20.0] * 12)
+    assert list(counts) == [1, 2, 3, 4, 5, 6, 7, 8, 8, 8, 8, 8]
+    assert abs(seen[-1] - 20.0) < 0.6
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 4.0])
+def test_a_touch_that_slides_is_not_dragged_behind(speed):
+    """The mean over eight frames lags by three and a half of them."""
+    places = 10.0 + speed * np.arange(12)
+    seen, _ = shown(places)
+    assert np.sqrt(np.mean((seen - places)[4:] ** 2)) < 0.9
+
+
+def test_a_touch_that_stops_is_averaged_again():
+    _, counts = shown([*np.arange(10.0, 22.0), *[22.0] * 12])
+    assert max(counts[5:12]) <= 2
+    assert counts[-1] == 8
+
+
+@pytest.mark.parametrize("noise", [0.5e-4, 1e-4, 6e-4])
+def test_the_noise_that_motion_is_told_from_is_that_of_the_session(noise):
+    assert np.mean(shown([20.0] * 30, noise)[1][8:]) > 7.0
+
+
 @pytest.mark.parametrize("bends", [True, False])
 def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
     protocol, values = Protocol.pairwise(4), np.ones(6)
