@@ -43,11 +43,7 @@ def main(only_bends: bool) -> None:
         thickness=_VARIED * reference.thickness,
         encapsulated_thickness=_VARIED * reference.encapsulated_thickness,
     )
-    stiffer = replace(
-        materials,
-        encapsulation=NeoHookean(_VARIED * materials.encapsulation.shear_modulus),
-    )
-    clamp = Clamp()
+    stiffer, clamp = _stiffened(materials, _VARIED), Clamp()
     moved = Clamp(_VARIED * clamp.span, _VARIED * clamp.offset)
     grid = SensorGrid.about(reference, clamp, materials)
     below = replace(clamp, faces="bottom")
@@ -56,35 +52,35 @@ def main(only_bends: bool) -> None:
     _solve("bends of neighbours", bend_problems(varied, moved, stiffer, grid))
     if only_bends:
         return
-    _solve("dents of the reference", press_problems(reference, materials, Cylinder()))
-    for factor in _SPREAD:
-        law = NeoHookean(factor * materials.encapsulation.shear_modulus)
-        spread = varied, replace(materials, encapsulation=law), Cylinder(), grid
-        _solve(f"dents of neighbours, {factor:g} times as stiff", press_problems(*spread))
+    press = Cylinder()
     square = Polygon(((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)))
     polygon = replace(reference, outline=square, electrodes=uniform(square, 8))
-    _solve("reference", correction_problems(reference, materials, Cylinder()))
-    _solve("a straight side, for polygons", correction_problems(polygon, materials, Cylinder()))
-    _solve("neighbours", correction_problems(varied, stiffer, Cylinder(), grid))
+    _solve("dents of the reference", press_problems(reference, materials, press))
+    for factor in _SPREAD:
+        dents = press_problems(varied, _stiffened(materials, factor), press, grid)
+        _solve(f"dents of neighbours, {factor:g} times as stiff", dents)
+    _solve("reference", correction_problems(reference, materials, press))
+    _solve("a straight side, for polygons", correction_problems(polygon, materials, press))
+    _solve("neighbours", correction_problems(varied, stiffer, press, grid))
     for factor in _FARTHER:
-        around = NeoHookean(factor * materials.encapsulation.shear_modulus)
-        mechanics = replace(materials, encapsulation=around)
-        farther = correction_problems(reference, mechanics, Cylinder())
+        farther = correction_problems(reference, _stiffened(materials, factor), press)
         _solve(f"encapsulation {factor:g} times as stiff", farther)
+
+
+def _stiffened(materials: Mechanics, factor: float) -> Mechanics:
+    """Materials with an encapsulation `factor` times as stiff."""
+    law = NeoHookean(factor * materials.encapsulation.shear_modulus)
+    return replace(materials, encapsulation=law)
 
 
 def _solve(name: str, problems: Iterable[Problem]) -> None:
     """Solve what is missing; print the time, and the sizes of the new files."""
     start, before = time.perf_counter(), set(cache_folder().glob("*.npz"))
-    prepare(problems, _progress)
+    prepare(problems, lambda done, total: print(f"  {done} of {total}", flush=True))
     new = sorted(set(cache_folder().glob("*.npz")) - before)
     print(f"{name}: {len(new)} tables, {time.perf_counter() - start:.0f} s")
     for path in new:
         print(f"  {path.name}: {1e-3 * path.stat().st_size:.0f} kB")
-
-
-def _progress(done: int, total: int) -> None:
-    print(f"  {done} of {total}", flush=True)
 
 
 if __name__ == "__main__":

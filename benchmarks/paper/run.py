@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.benchmarks.paper import scores as paper_scores
-from eitskin.benchmarks.paper.scores import Figures, SignalToNoise
+from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.paper.sets import Sets, make
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured, plot_errors
 from eitskin.datasets.store.dataset import Dataset
@@ -214,7 +214,7 @@ def run(
         count = BOUNDED_QUICK if quick else BOUNDED
         bounds.append(paper_scores.bounds(sets.unseen, sets.recipe, count, seed))
         note("done", len(trained) + 2)
-        ratios.append(SignalToNoise.of(sets.unseen))
+        ratios.append(paper_scores.signal_to_noise(sets.unseen))
     options = f"--seeds {seeds} --paper-seeds {len(figures[OWN])}"
     options += "".join(f" {each.option}" for each in contenders)
     measured_columns = {name: values for name, values in figures.items() if values}
@@ -241,8 +241,8 @@ def run(
             f"touches are matched by the Hungarian method within {1e3 * GATE:g} mm",
             "bounds: white noise alone, of the nominal sensor, some of the frames, each by itself",
             *(
-                f"seed {seed}: signal to noise of a touch, rms, per channel: {ratio.least:.1f} "
-                f"least, {ratio.median:.1f} median, {ratio.most:.1f} most"
+                f"seed {seed}: signal to noise of a touch, rms, per channel: {ratio.min():.1f} "
+                f"least, {np.median(ratio):.1f} median, {ratio.max():.1f} most"
                 for seed, ratio in enumerate(ratios)
             ),
             f"instrument: {_terms(sets.recipe.instrument)}",

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,23 +162,17 @@ def _given(name: str, value: float | None) -> Figures:
     return {} if value is None else {name: value}
 
 
-@dataclass(frozen=True, slots=True)
-class SignalToNoise:
-    """Root mean square of touches' signals over that of a frame's noise, over the channels."""
+def signal_to_noise(sets: Mapping[str, Dataset]) -> Array:
+    """Root mean square of all touches' signals over that of a frame's noise, (channels,).
 
-    least: float
-    median: float
-    most: float
-
-    @classmethod
-    def of(cls, sets: Mapping[str, Dataset]) -> "SignalToNoise":
-        """Signal-to-noise ratio of all touches in `sets`; idle frames minus reference are noise."""
-        touched = [_changes(sets[name]) for name in ("indentation", "touch")]
-        idle = sets["states"].select(sets["states"].state == State.IDLE)
-        # The reference adds the noise of the mean of its frames.
-        noise = _rms(_changes(idle)) / np.sqrt(1.0 + 1.0 / idle.reference_frames)
-        ratio = _rms(np.concatenate(touched)) / noise
-        return cls(float(ratio.min()), float(np.median(ratio)), float(ratio.max()))
+    Idle frames minus their reference are noise.
+    """
+    touched = [_changes(sets[name]) for name in ("indentation", "touch")]
+    idle = sets["states"].select(sets["states"].state == State.IDLE)
+    # The reference adds the noise of the mean of its frames.
+    noise = _rms(_changes(idle)) / np.sqrt(1.0 + 1.0 / idle.reference_frames)
+    ratio: Array = _rms(np.concatenate(touched)) / noise
+    return ratio
 
 
 def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -> dict[str, float]:
