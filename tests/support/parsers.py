@@ -17,7 +17,6 @@ from eitskin.contained import Answer
 from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recordings.source import read_source
-from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import save_dataset
 from eitskin.datasets.store.manifest import read_manifest
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
@@ -36,6 +35,8 @@ from eitskin.training.pipeline.pipeline import open_pipeline
 from eitskin.training.pipeline.references import StoredReference
 from eitskin.training.pipeline.saved_form import DOCUMENT, SHIPPED, SUMS
 from eitskin.training.twin.parameters import TwinPrior
+
+import small_dataset
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def _protocols() -> tuple[bytes, ...]:
 @lru_cache
 def _manifests() -> tuple[bytes, ...]:
     def save(path: Path) -> None:
-        save_dataset(small_dataset(), path.parent / "set", frames_per_shard=4)
+        save_dataset(small_dataset.make(12), path.parent / "set", frames_per_shard=4)
         shutil.copyfile(path.parent / "set" / path.name, path)
 
     return _saved("manifest.json", save)
@@ -190,23 +191,6 @@ def _of_lines(path: Path) -> list[object]:
 def _toml(kind: Any, *good: Any) -> Parser:
     """Parser of the TOML form of a kind."""
     return Parser("input.toml", lambda: _written(*good), partial(read_toml, kind))
-
-
-def small_dataset(frames: int = 12) -> Dataset:
-    """A few frames of nothing in particular, with something in most arrays."""
-    rng = np.random.default_rng(0)
-    touch = np.full((frames, 4), np.nan)
-    touch[::2, 0] = 0.03
-    return Dataset.from_arrays(
-        500 + rng.normal(size=(frames, 28)) * (1 + 0.1j),
-        np.full((1, 28), 500.0),
-        touch_x=touch,
-        touch_y=touch,
-        state=np.arange(frames) % 3,
-        bend_angle_deg=np.zeros(frames),
-        protocol=Protocol.pairwise(8),
-        design=SensorDesign.reference(),
-    )
 
 
 PARSERS: Final[Mapping[str, Parser]] = {
