@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.support.toy_skin import toy_presses
 
 from eitskin.datasets import Dataset, RecordingNames, State, read_recording
 from eitskin.errors import DataError, FrameError
@@ -20,7 +21,6 @@ from eitskin.training.adaptation.locator import (
     precision_products,
 )
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
-from tests.support.toy_skin import toy_presses
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
 
