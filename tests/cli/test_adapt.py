@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from command_line import printed_json, run
 from rich.console import Console
+from toy_skin import toy_presses
 
 from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
@@ -21,21 +22,6 @@ from eitskin.training.evaluation.adaptation_curve import CurvePoint, press_curve
 from eitskin.training.method.interface import TwinTrial
 
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
-
-
-CENTRES = 0.05 * np.stack(
-    [np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1
-)
-
-
-def toy_presses(count=60, seed=0):
-    """Ratios (n, 8), places (n, 2) [m] and depths (n,) [m]; each channel feels its own region."""
-    rng = np.random.default_rng(seed)
-    places = rng.uniform(-0.05, 0.05, size=(count, 2))
-    depth = rng.uniform(0.005, 0.015, size=count)
-    distance = np.linalg.norm(places[:, None] - CENTRES, axis=2)
-    change = 0.02 * ((depth / 0.01) ** 1.5)[:, None] * np.exp(-((distance / 0.04) ** 2))
-    return np.exp(change + rng.normal(size=change.shape) * 2e-5), places, depth
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.support.toy_skin import toy_presses
+from toy_skin import toy_presses
 
 from eitskin.datasets import Dataset, RecordingNames, State, read_recording
 from eitskin.errors import DataError, FrameError
