@@ -4,7 +4,6 @@ import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -233,7 +232,7 @@ def compact(
         )
     out = new_folder(Path(out))
     out.rmdir()  # until it is complete
-    pieces = _pieces(manifest, frames_per_shard)
+    pieces = list(_pieces(manifest, frames_per_shard))
     entries: list[ShardEntry] = []
     workers = worthwhile(workers, (folder / entry.name for entry in manifest.shards))
     with (
@@ -251,38 +250,30 @@ def compact(
     return made
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """New shard: its number, its frames, and the old shards that hold them."""
-
-    number: int
-    frames: range
-    sources: tuple[ShardEntry, ...]
+_Piece = tuple[int, range, tuple[ShardEntry, ...]]
+"""New shard: its number, its frames, and the old shards that hold them."""
 
 
-def _pieces(manifest: Manifest, frames_per_shard: int | None) -> list[_Piece]:
+def _pieces(manifest: Manifest, frames_per_shard: int | None) -> Iterator[_Piece]:
     shards, frames = manifest.shards, manifest.frames
     pieces = [entry.frames for entry in shards]
     if frames_per_shard is not None:
         starts = range(0, frames, frames_per_shard)
         pieces = [range(start, min(start + frames_per_shard, frames)) for start in starts]
     firsts = [entry.first_index for entry in shards]
-    return [
-        _Piece(
-            n, piece, shards[bisect_right(firsts, piece[0]) - 1 : bisect_right(firsts, piece[-1])]
-        )
-        for n, piece in enumerate(pieces)
-    ]
+    for number, piece in enumerate(pieces):
+        first, stop = (bisect_right(firsts, frame) for frame in (piece[0], piece[-1]))
+        yield number, piece, shards[first - 1 : stop]
 
 
 def _write(folder: Path, out: Path, piece: _Piece) -> ShardEntry:
     """Write one new shard; returns its entry."""
-    frames = piece.frames
+    number, frames, sources = piece
 
     def part(entry: ShardEntry) -> Dataset:
         """Frames of an old shard that are among those of the new one."""
         first, stop = (max(edge - entry.first_index, 0) for edge in (frames.start, frames.stop))
         return read_entry(folder, entry).select(slice(first, stop))
 
-    data = Dataset.collect(map(part, piece.sources), len(frames))
-    return write_entry(out, piece.number, data, piece.frames.start, Path.write_bytes)
+    data = Dataset.collect(map(part, sources), len(frames))
+    return write_entry(out, number, data, frames.start, Path.write_bytes)

@@ -1,7 +1,7 @@
 """Summary of a dataset: what its frames hold, collected shard by shard."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,24 +13,19 @@ from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 Values = NDArray[Any]
 
 
-def _sizes(data: Dataset, wanted: bool) -> Values:
-    """Magnitudes of all values where they are of the wanted quantity, else none."""
-    return np.abs(data.impedance) if wanted else np.zeros(0)
-
-
-# Quantities whose range is told, in units of daily use.
-_RANGES: dict[str, Callable[[Dataset], Values]] = {
-    "bend_angle_deg": lambda data: data.bend_angle_deg,
-    "touch_x_mm": lambda data: 1e3 * data.touch_x,
-    "touch_y_mm": lambda data: 1e3 * data.touch_y,
-    "force_n": lambda data: data.touch_force,
-    "depth_mm": lambda data: 1e3 * data.touch_depth,
-    "radius_mm": lambda data: 1e3 * data.touch_radius,
-    "clamp_span_mm": lambda data: 1e3 * data.clamp_span,
-    "clamp_offset_mm": lambda data: 1e3 * data.clamp_offset,
-    "clamp_stiffness": lambda data: data.clamp_stiffness,
-    "impedance_ohm": lambda data: _sizes(data, data.quantity != "voltage"),
-    "voltage_v": lambda data: _sizes(data, data.quantity == "voltage"),
+# Columns whose range is told, each with the factor that makes a unit of daily use.
+_RANGES = {
+    "bend_angle_deg": ("bend_angle_deg", 1.0),
+    "touch_x_mm": ("touch_x", 1e3),
+    "touch_y_mm": ("touch_y", 1e3),
+    "force_n": ("touch_force", 1.0),
+    "depth_mm": ("touch_depth", 1e3),
+    "radius_mm": ("touch_radius", 1e3),
+    "clamp_span_mm": ("clamp_span", 1e3),
+    "clamp_offset_mm": ("clamp_offset", 1e3),
+    "clamp_stiffness": ("clamp_stiffness", 1.0),
+    "impedance_ohm": ("impedance", 1.0),
+    "voltage_v": ("impedance", 1.0),
 }
 
 
@@ -56,10 +51,12 @@ class DatasetSummary:
         self._touches += np.bincount(data.touch_count, minlength=len(self._touches))
         self._episodes.append(np.unique(data.episode))
         self._references.add(data.specimen_number, data.reference)
-        for name, values in _RANGES.items():
-            found = values(data)
-            known = found[np.isfinite(found)]
-            if known.size:
+        other = "impedance_ohm" if data.quantity == "voltage" else "voltage_v"
+        for name, (column, factor) in _RANGES.items():
+            values = getattr(data, column)
+            values = np.abs(values) if column == "impedance" else factor * values
+            known = values[np.isfinite(values)]
+            if known.size and name != other:
                 least, most = self._ranges[name]
                 self._ranges[name] = min(least, float(known.min())), max(most, float(known.max()))
 
