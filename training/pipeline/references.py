@@ -37,11 +37,13 @@ class RunningMean:
         noise: rms over the channels of the relative difference of two frames of a still sensor.
         mean: complex (measurements,) [ohm], NaN where never measured; size 0 at first.
         count: number of frames in the mean.
+        longest: number of frames beyond which the mean becomes exponential.
     """
 
     noise: float
     mean: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     count: int = 0
+    longest: int = LONGEST_MEAN
 
     def restart(self, impedance: ArrayLike) -> None:
         """Begin a new mean with this frame (measurements,) [ohm]."""
@@ -61,7 +63,7 @@ class RunningMean:
         known = np.isfinite(V) & np.isfinite(self.mean)
         change = relative_difference(V[known], self.mean[known])
         departed = bool(change.size and np.sqrt(np.mean(change**2)) > 2 * self.noise)
-        self.count = 1 if departed else min(self.count + 1, LONGEST_MEAN)
+        self.count = 1 if departed else min(self.count + 1, self.longest)
         step = np.where(known, (V - self.mean) / self.count, 0)
         only_new = np.isfinite(V) & ~np.isfinite(self.mean)
         self.mean = np.where(only_new, V, self.mean + step)
