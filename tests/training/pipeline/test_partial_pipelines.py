@@ -23,38 +23,24 @@ from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
 
+from made_up_sensor import FLAT
+from made_up_sensor import frames as made_up_frames
 from small_dataset import make
 
 BRIEF = NetworkSettings(1e-3, epochs=1, batch=32)
 SETTINGS = TrainingSettings(classifier=BRIEF, postprocessor=BRIEF, bend_squares=False)
-FLAT = np.linspace(400.0, 820.0, 28)
 
 
-def frames(kept, n=48, **changes):
-    """Idle, touched and bent frames of three specimens of which only some states are kept."""
-    rng = np.random.default_rng(0)
-    state = np.tile([State.IDLE, State.TOUCH, State.BEND], n // 3)
-    angle = np.where(state == State.BEND, rng.uniform(-20.0, 50.0, n), 0.0)
-    moved = 1e-3 * np.outer(angle, np.linspace(-1, 1, 28)) + 2e-2 * (state == State.TOUCH)[:, None]
-    touches = np.full((4, n, 4), np.nan)
-    touches[:, state == State.TOUCH, 0] = np.array([0.05, 0.02, 8.0, 0.0075])[:, None]
-    names = ("touch_x", "touch_y", "touch_force", "touch_radius")
-    noise = 1e-4 * rng.standard_normal((2, n, 28))
-    made = make(
-        n,
-        3,
-        state=state,
-        specimen=np.arange(n) // 3 % 3,
-        bend_angle_deg=angle,
-        status=np.zeros((n, 28)),
-        **dict(zip(names, touches, strict=True)),
-    )
-    bend = np.where(state == State.TOUCH, 0.0, 1.0)[:, None] * moved
+def frames(kept, **changes):
+    """Idle, bent, and flat touched frames of three specimens, of which some states are kept."""
+    made = made_up_frames(48, most=1, specimens=3)
+    bent = (made.state == State.TOUCH) & (made.bend_angle_deg != 0)
+    moved = np.where(bent[:, None], made.impedance * FLAT / made.touch_reference, made.impedance)
     made = dataclasses.replace(
         made,
-        impedance=FLAT * (1 + moved + noise[0]),
-        touch_reference=FLAT * (1 + bend + noise[1]),
-        reference=np.tile(FLAT, (3, 1)),
+        impedance=moved,
+        touch_reference=np.where(bent[:, None], FLAT, made.touch_reference),
+        bend_angle_deg=np.where(bent, 0.0, made.bend_angle_deg),
     )
     return dataclasses.replace(made.select(np.isin(made.state, kept)), **changes)
 

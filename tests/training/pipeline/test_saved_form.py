@@ -11,10 +11,8 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from eitskin.cli.commands import train
-from eitskin.datasets import Dataset, State
+from eitskin.datasets import Dataset
 from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
-from eitskin.geometry import SensorDesign
-from eitskin.simulator import Protocol
 from eitskin.training import NetworkSettings, Pipeline, PositionScore, TrainingSettings
 from eitskin.training.pipeline.saved_form import (
     SHIPPED,
@@ -25,29 +23,15 @@ from eitskin.training.pipeline.saved_form import (
     write_pipeline,
 )
 
-FLAT = np.linspace(400.0, 820.0, 28)
+from made_up_sensor import frames
+
 FILES = ["README.md", "SHA256SUMS", "golden.safetensors", "pipeline.json", "weights.safetensors"]
 
 
 @pytest.fixture(scope="module")
 def dataset():
-    """Sixty frames of nothing in particular: what is learned from them does not matter here."""
-    rng = np.random.default_rng(0)
-    state = np.arange(60) % 3
-    x = np.full((60, 4), np.nan)
-    x[state == State.TOUCH, 0] = rng.uniform(0.02, 0.04, 20)
-    return Dataset.from_arrays(
-        FLAT * (1 + rng.normal(size=(60, 28)) * 1e-3),
-        FLAT,
-        specimen=np.zeros(60),
-        state=state,
-        bend_angle_deg=np.where(state == State.BEND, rng.uniform(5, 50, 60), 0.0),
-        touch_x=x,
-        touch_y=x,
-        touch_radius=np.where(np.isfinite(x), 0.0075, np.nan),
-        protocol=Protocol.pairwise(8),
-        design=SensorDesign.reference(),
-    )
+    """Sixty frames: what is learned from them does not matter here."""
+    return frames(60, most=1, specimens=1)
 
 
 @pytest.fixture(scope="module")
