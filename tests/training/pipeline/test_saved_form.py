@@ -1,5 +1,6 @@
 """Pipelines on disk: the same after loading, refused when anything is wrong with them."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -11,7 +12,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from eitskin.cli.commands import train
-from eitskin.datasets import Dataset
+from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
 from eitskin.training import NetworkSettings, Pipeline, PositionScore, TrainingSettings
 from eitskin.training.pipeline.saved_form import (
@@ -163,16 +164,8 @@ def test_a_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
 
 @pytest.mark.slow
 def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
-    rng = np.random.default_rng(0)
-    places = rng.uniform(-0.05, 0.05, size=(40, 2))
-    x, y = np.full((2, 40, 4), np.nan)
-    x[:, 0], y[:, 0] = places.T
-    own = rng.uniform(-0.05, 0.05, size=(6, 2))
-    change = np.exp(-(((places[:, None] - own) ** 2).sum(axis=2)) / 2e-3)
-    values = 100.0 * (1 + 0.02 * change)
-    recording = Dataset.from_arrays(
-        values, np.full(6, 100.0), specimen=np.zeros(40), state=np.ones(40), touch_x=x, touch_y=y
-    )
+    data = dataclasses.replace(frames(120, most=1, specimens=1), design=None)
+    recording = data.select(data.state == State.TOUCH)
     learned = Pipeline.fit(recording, TrainingSettings("touch position"))
     folder = learned.save(tmp_path / "skin.eitmodel")
     assert sorted(path.name for path in folder.iterdir()) == FILES
