@@ -13,12 +13,7 @@ from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_thread
-from eitskin.training.joint.adaptation import (
-    ErrorScale,
-    adapted_curve,
-    noise_scale,
-    own_error_scale,
-)
+from eitskin.training.joint.adaptation import adapted_curve, noise_scale
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import (
@@ -29,9 +24,11 @@ from eitskin.training.joint.combinations import (
 )
 from eitskin.training.joint.fit_kernels import STILL_DEG
 from eitskin.training.joint.frame_predictions import (
+    ErrorScale,
     calibration_problems,
     disc_map,
     fit_problems,
+    own_error_scale,
     state_probabilities,
 )
 from eitskin.training.joint.model_selection import FrameFit, fit_frame

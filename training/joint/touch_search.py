@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from eitskin.training.joint.fit_kernels import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT
 from eitskin.training.joint.objective import (
@@ -42,25 +43,6 @@ class TouchCandidates:
     places: Array
     force: float
     change: Array
-    _pairs: dict[float, tuple[Array, Array, NDArray[np.bool_]]] = field(
-        default_factory=dict, init=False, repr=False
-    )
-
-    def for_pairs(self, separation: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Places (m, 2) and changes (m, K) of those that may be one of a pair, and which may be.
-
-        Args:
-            separation: least distance of a pair [m].
-
-        Returns:
-            whether two of the places are as far apart, last (m, m).
-        """
-        if separation not in self._pairs:
-            places = np.ascontiguousarray(self.places[::PAIR_STRIDE])
-            across, along = (axis[:, None] - axis for axis in places.T)
-            apart = across**2 + along**2 > separation**2
-            self._pairs[separation] = places, self.change[::PAIR_STRIDE], apart
-        return self._pairs[separation]
 
 
 def initial_touches(objective: TouchObjective, places: Array, untouched: Linearisation) -> Unknowns:
@@ -129,7 +111,8 @@ def pair_starts(
         misfit to first order, and unknowns with the pair.
     """
     objective = found.objective
-    places, change, apart = candidates.for_pairs(objective.prior.separation)
+    places, change = (each[::PAIR_STRIDE] for each in (candidates.places, candidates.change))
+    apart = cdist(places, places) > objective.prior.separation
     shapes = change @ found.whitening.T
     gram = shapes @ shapes.T
     limits = objective.prior.low[2], objective.prior.high[2]

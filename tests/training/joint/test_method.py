@@ -9,8 +9,8 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.simulator.instrument.session import DRIFT_TIME
-from eitskin.training.joint.adaptation import ErrorScale
 from eitskin.training.joint.combinations import CLIP_SIGMA
+from eitskin.training.joint.frame_predictions import ErrorScale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.observations import Observations
 

@@ -8,8 +8,12 @@ from scipy.stats import norm
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.errors import DataError
-from eitskin.training.joint.adaptation import STRANGEST, ErrorScale, own_error_scale
-from eitskin.training.joint.frame_predictions import disc_map
+from eitskin.training.joint.frame_predictions import (
+    STRANGEST,
+    ErrorScale,
+    disc_map,
+    own_error_scale,
+)
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.predictions import FoundTouches
 

@@ -15,7 +15,7 @@ from eitskin.training.joint import touch_training
 from eitskin.training.joint import (
     training as joint_training,
 )
-from eitskin.training.joint.adaptation import ErrorScale
+from eitskin.training.joint.frame_predictions import ErrorScale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
