@@ -2,5 +2,5 @@
 
 Learned by `training`: features, touch response, bend curves, priors, networks. A frame passes
 `method`, `networks` (proposals), `model_selection`, `objective`; `specimen_model` estimates the
-angle of an untouched one, and `adaptation` and `own_response` learn from known frames of a sensor.
+angle of an untouched one, and `adaptation` learns from known frames of a sensor.
 """

@@ -1,10 +1,12 @@
-"""Adaptation of the joint method to one sensor: its bend curve and the noise of its frames.
+"""Adaptation of the joint method to one sensor: bend curve, noise and response to touches.
 
 The posterior of the bend curve by Bayes' rule is that of the sensor's random effects, whose prior
-was learned from the training specimens; hinge, layers and contacts act on it together.
+was learned from the training specimens; hinge, layers and contacts act on it together. The response
+gets a last layer of its own by presses on a twin, by known touches, or by both.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +14,16 @@ from numpy.typing import NDArray
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior, mixture_curve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.joint.objective import whitening_matrix
 from eitskin.training.joint.specimen_model import LOG_ODDS, angle_standard_error, estimate_angle
-from eitskin.training.method.interface import Calibration
-from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames
+from eitskin.training.joint.touch_response import (
+    LOG_STRENGTH_STD,
+    MARGIN,
+    SpecimenResponse,
+    TouchPrior,
+)
+from eitskin.training.method.interface import Calibration, TwinTrial
+from eitskin.training.method.known_frames import FLAT_DEG, KnownFrames, TwinPresses, held_numbers
 from eitskin.training.method.observations import UNKNOWN_AGE
 
 Array = NDArray[np.float64]
@@ -27,6 +36,17 @@ NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 # (`BendCurvePrior.widened`). The usual ones were learned from sensors that differ by a tenth as
 # much, so that any other is strange among them.
 WIDENING, USUAL_WIDENING = 1.0, 0.2
+
+FLAT_PRESSES, BENT_PRESSES = 240, 30  # on the flat twin, and at each of some bends
+BENDS = 3
+MISMATCH = 0.05  # error of each change relative to itself, beside the noise of a frame
+LATENT_LEFT = 0.5  # of what latent variables describe: the twin tells the rest
+RIDGE = 1e-5  # of the largest eigenvalue: combinations of features below are not resolved
+FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
+PLACE_ERROR = 0.0003  # m, of known places
+MOST_CHANGE = (-0.5, 1.0)  # of an unknown force in one round, relative
+SHARES = (1.0, 0.25, 0.06, 0.0)  # of the information of known touches, that are tried
+ROUNDS = 3  # of finding latent variables and unknown forces in turn
 
 
 def adapted_curve(
@@ -106,3 +126,245 @@ def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
         total += float(np.sum((white - white.mean()) ** 2)) / size
         count += len(white) - 1.0
     return float(np.clip(np.sqrt(total / count), *NOISE_SCALE))
+
+
+def own_output(
+    learned: SpecimenResponse,
+    prior: TouchPrior,
+    radius: float,
+    combinations: Combinations,
+    twin: TwinPresses,
+    bends: bool,
+) -> Array:
+    """Last layer (K, hidden + 1) with which the response is that of a twin.
+
+    Ridge regression of what the learned response leaves of simulated single presses, spread evenly
+    over places, forces and, with `bends`, angles that it was learned for. The layers before stay as
+    learned. The radius of the indenters is in m. Raises the errors of `TwinPresses.changes`.
+    """
+    response, unit = learned.response, np.sqrt(2.0) * combinations.unit
+    ranges = response.ranges
+    angles = np.linspace(*ranges.angle_deg, BENDS) if bends else np.zeros(0)
+    bounds = np.array([prior.low[:2] + MARGIN, prior.high[:2] - MARGIN])
+    touches = _spread(bounds, ranges.force, FLAT_PRESSES + BENT_PRESSES * len(angles))
+    touches = touches[twin.inside(touches[:, :2])]
+    ends = len(touches) - BENT_PRESSES * np.arange(len(angles), -1, -1)
+    groups = zip([0.0, *angles.tolist()], [0, *ends[:-1]], ends, strict=True)
+    rows, left = [], []
+    for angle_deg, first, last in groups:
+        some = touches[first:last]
+        change = twin.changes(some, angle_deg, radius) @ combinations.forward
+        # A frame is compared with another one, and the response errs in proportion to the change.
+        error = np.sqrt(np.mean((MISMATCH * change) ** 2 + unit**2, axis=1, keepdims=True))
+        rows.append(response.hidden(some, angle_deg) / error)
+        left.append((change - learned(some, angle_deg)) / error)
+    inputs = np.concatenate(rows)
+    gram = inputs.T @ inputs
+    ridge = RIDGE * float(np.linalg.eigvalsh(gram)[-1])
+    step = np.linalg.solve(gram + ridge * np.eye(len(gram)), inputs.T @ np.concatenate(left))
+    output: Array = learned.output + step.T
+    return output
+
+
+def own_response(
+    learned: SpecimenResponse, output: Array, latent_output: Array | None = None
+) -> SpecimenResponse:
+    """Response of a sensor with a last layer of its own (K, hidden + 1).
+
+    And its derivatives by the latent variables (Q, K, hidden + 1): those that a twin leaves when
+    omitted.
+    """
+    if latent_output is None:
+        latent_output = LATENT_LEFT * learned.response.latent_output
+    return SpecimenResponse(replace(learned.response, latent_output=latent_output), output)
+
+
+def twin_trial(
+    learned: SpecimenResponse, output: Array, touched: KnownFrames, combinations: Combinations
+) -> TwinTrial:
+    """Residuals of known touches by the learned response and by that with a twin's last layer."""
+    if not len(touched):
+        return TwinTrial(0)
+    both = (learned, own_response(learned, output))
+    left = (_relative_residual(each, touched, combinations) for each in both)
+    return TwinTrial(len(touched), *left)
+
+
+def _spread(bounds: Array, force: tuple[float, float], count: int) -> Array:
+    """Touches (n, 3) spread evenly, by a Halton sequence, between bounds (2, 2) [m] and forces."""
+    from scipy.stats import qmc  # takes half a second, which a live session has no use for
+
+    low, high = (np.append(bounds[end], force[end]) for end in (0, 1))
+    return np.asarray(low + (high - low) * qmc.Halton(3, seed=0).random(count))
+
+
+def _relative_residual(
+    response: SpecimenResponse, touched: KnownFrames, combinations: Combinations
+) -> float:
+    """Residual of a response in the changes of known touches, relative to these.
+
+    Each frame has a strength of its own, by least squares, since forces are known less well than
+    places, or not at all.
+    """
+    left = size = 0.0
+    for row, known in enumerate(touched.touches):
+        touches = known[np.isfinite(known[:, 0])]
+        forces = touches[:, 2]
+        touches[:, 2] = np.where(np.isfinite(forces), forces, response.response.ranges.middle_force)
+        change = log_change(touched.observations.dynamic[row])
+        angle_deg = np.nan_to_num(touched.reference_deg[row])
+        modelled = response(touches, float(angle_deg)).sum(axis=0) @ combinations.back
+        good = np.isfinite(change)
+        change, modelled = change[good], modelled[good]
+        strength = float(modelled @ change) / max(float(modelled @ modelled), 1e-300)
+        left += float(np.sum((change - strength * modelled) ** 2))
+        size += float(change @ change)
+    return float(np.sqrt(left / size))
+
+
+def response_given(
+    prior: SpecimenResponse,
+    touched: KnownFrames,
+    combined: Combined,
+    touches: TouchPrior,
+    forces: bool,
+) -> SpecimenResponse:
+    """Response of a sensor given frames with known touches.
+
+    A touch of a sensor of strength e^s, with latent variables q, changes
+
+        y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
+
+    which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
+    freedom where that is above one (Birge 1932): a response that explains the touches badly tells
+    little of the sensor. Unknown forces are found with them. Errors that touches share are larger
+    than the response has them, so the touches count by the share that lets them tell each other
+    best (`_trusted_share`).
+
+    Args:
+        prior: response before.
+        touched: frames with touches at known places.
+        combined: as of `adapted_curve`.
+        touches: prior of touches, which bounds forces.
+        forces: whether known forces count.
+    """
+    seen, known = touched.observations, []
+    for rows in _held(touched):
+        labels = touched.touches[rows[0]]
+        places = labels[np.isfinite(labels[:, 0])]
+        free = ~(np.isfinite(places[:, 2]) & forces)
+        places[free, 2] = prior.response.ranges.middle_force
+        share = 1.0 / seen.frames[rows].sum() + 1.0 / seen.dynamic_frames[rows[0]]
+        age = float(seen.dynamic_age[rows].mean())
+        change = combined(_mean_change(seen.dynamic[rows]), float(share), age)
+        angle_deg = float(np.nan_to_num(touched.reference_deg[rows[0]]))
+        known.append(KnownTouches(change, places, free, angle_deg))
+    latent = prior.response.latent_output
+    precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
+    share = _trusted_share(precision, [each.regression(prior, prior, 1.0) for each in known])
+    found: Array = np.zeros(1 + len(latent))
+    response, strength = prior, 1.0
+    for _ in range(ROUNDS):
+        told = [each.regression(prior, response, strength) for each in known]
+        rows, left = (np.concatenate(parts, axis=-1) for parts in zip(*told, strict=True))
+        information = precision + share * rows @ rows.T
+        gradient = share * rows @ (left + found @ rows)
+        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        for each, (_, own) in zip(known, told, strict=True):
+            each.adjust_forces(own, touches)
+        strength = float(np.exp(found[0]))
+        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
+        response = own_response(prior, output, latent)
+    size = sum(each.seen.told - int(each.free.sum()) for each in known)
+    growth = max(share * float(left @ left) / max(size, 1), 1.0)
+    spread = strength * np.linalg.cholesky(growth * np.linalg.inv(information)[1:, 1:])
+    return own_response(prior, response.output, np.tensordot(spread.T, latent, axes=1))
+
+
+def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
+    """Rows of frames in succession that see the same touches from the same reference."""
+    places = touched.touches.reshape(len(touched), -1)
+    numbers = held_numbers(np.column_stack([places, np.nan_to_num(touched.reference_deg)]))
+    return np.split(np.arange(len(touched)), 1 + np.flatnonzero(np.diff(numbers)))
+
+
+def _mean_change(dynamic: Array) -> Array:
+    """Mean of log(V / reference) (C,) of frames dV (n, C); NaN where no frame has it."""
+    changes = log_change(dynamic)
+    good = np.isfinite(changes)
+    total = np.where(good, changes, 0.0).sum(axis=0)
+    return np.where(good.any(axis=0), total / np.maximum(good.sum(axis=0), 1), np.nan)
+
+
+@dataclass(slots=True, eq=False)
+class KnownTouches:
+    """Known touches of one frame.
+
+    Attributes:
+        seen: combinations of the change by them.
+        places: x [m], y [m] and force [N] of each (k, 3); of a free force a guess.
+        free: whether each force is unknown (k,).
+        angle_deg: of the bend [deg].
+    """
+
+    seen: CombinedChange
+    places: Array
+    free: NDArray[np.bool_]
+    angle_deg: float
+    _by_force: Array = field(init=False, repr=False)  # of `regression`: share of what is left
+
+    def regression(
+        self, prior: SpecimenResponse, now: SpecimenResponse, strength: float
+    ) -> tuple[Array, Array]:
+        """Regression of the touches on strength and latent variables, to first order, whitened.
+
+        Errors are those of the noise, of the response, and of places and forces.
+
+        Args:
+            prior: response before.
+            now: response about which it is linear.
+            strength: of that beside the prior one.
+
+        Returns:
+            derivatives of the change by the unknowns (n, K).
+            change that the response leaves of the measured one (K,).
+        """
+        changes = now.with_derivatives(self.places, self.angle_deg)
+        errors = np.where(self.free, UNKNOWN_FORCE, FORCE_ERROR)[:, None]
+        forward, back = self.seen.combinations.forward, self.seen.combinations.back
+        variance = now.response.mismatch**2 * np.sum((changes[0] @ back) ** 2, axis=0)
+        moved = np.concatenate([PLACE_ERROR * changes[1], PLACE_ERROR * changes[2]])
+        moved = np.concatenate([moved, errors * changes[0]])
+        covariance = self.seen.noise + forward.T * variance @ forward + moved.T @ moved
+        whitening = whitening_matrix(covariance)
+        latent_changes = strength * prior.latent_changes(self.places, self.angle_deg)
+        rows = np.concatenate([changes[0].sum(axis=0)[None], latent_changes])
+        self._by_force = errors**2 * (changes[0] @ whitening.T)
+        return rows @ whitening.T, whitening @ (self.seen.change - changes[0].sum(axis=0))
+
+    def adjust_forces(self, left: Array, touches: TouchPrior) -> None:
+        """Change free forces, within bounds, as the change `left` by a `regression` asks."""
+        more = np.clip(self._by_force @ left, *MOST_CHANGE)
+        force = np.clip(self.places[:, 2] * (1.0 + more), touches.low[2], touches.high[2])
+        self.places[:, 2] = np.where(self.free, force, self.places[:, 2])
+
+
+def _trusted_share(precision: Array, told: list[tuple[Array, Array]]) -> float:
+    """Share of the information of touches by which the others tell each of them best.
+
+    From the precision of the unknowns (n, n) and regressions by the response before.
+    """
+    information = [rows @ rows.T for rows, _ in told]
+    gradients = [rows @ left for rows, left in told]
+    total, gradient = sum(information), sum(gradients)
+
+    def missed(share: float) -> float:
+        """Misfit of the touches, each by what all others tell."""
+        misfit = 0.0
+        for (rows, left), own, pull in zip(told, information, gradients, strict=True):
+            others = precision + share * (total - own)
+            step: Array = np.asarray(np.linalg.solve(others, share * (gradient - pull)), float)
+            misfit += float(np.sum((left - step @ rows) ** 2))
+        return misfit
+
+    return min(SHARES, key=missed)

@@ -13,7 +13,14 @@ from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.threads import one_thread
-from eitskin.training.joint.adaptation import adapted_curve, noise_scale
+from eitskin.training.joint.adaptation import (
+    adapted_curve,
+    noise_scale,
+    own_output,
+    own_response,
+    response_given,
+    twin_trial,
+)
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import (
@@ -34,7 +41,6 @@ from eitskin.training.joint.frame_predictions import (
 from eitskin.training.joint.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, network_inputs
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, TouchObjective
-from eitskin.training.joint.own_response import own_output, own_response, response_given, twin_trial
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
     AngleEstimate,

@@ -8,8 +8,8 @@ import pytest
 from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
+from eitskin.training.joint.adaptation import own_output, own_response
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.own_response import own_output, own_response
 
 from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR
 
