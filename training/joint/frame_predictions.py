@@ -1,4 +1,4 @@
-"""What a fit says of a frame: states, how far errors are to be trusted, and warnings in words."""
+"""States that follow from a fit, scales of standard errors, and warnings in words."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
