@@ -1,15 +1,16 @@
 """`eitskin adapt`, `eitskin calibrate`: a pipeline for one sensor, from its labelled frames."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
-from eitskin import datasets, simulator, training
+from eitskin import datasets, training
 from eitskin.cli import options
 from eitskin.cli.commands.own_sensor.poses import (
+    Pose,
     TerminalDialogue,
     asked,
     bent,
@@ -150,14 +151,13 @@ def curve_table(curve: "Sequence[CurvePoint]") -> Table:
     ]
     told = [each for each in shown if any(each[1](point) is not None for point in curve)]
     title = f"errors in blocks of time that were left out, {BLOCKS} in turn"
-    table = Table("labelled frames", "method", title=title)
-    for name, _, _ in told:
-        table.add_column(name, justify="right")
+    rows = []
     for point in sorted(curve, key=lambda point: point.frames):
         values = [(read(point), form) for _, read, form in told]
         cells = ["" if value is None else form.format(value) for value, form in values]
-        table.add_row(str(point.frames), point.method, *cells)
-    return table
+        rows.append((str(point.frames), point.method, *cells))
+    figures = (Column(name, justify="right") for name, _, _ in told)
+    return table_of(("labelled frames", "method", *figures), rows, title=title)
 
 
 def _lost(point: "CurvePoint") -> float | None:
@@ -260,14 +260,27 @@ def calibrate(
     if reference is not None:
         use_reference(pipeline, reference, None, output)
     wanted = ([0.0] if pipeline.stored is None else []) + angles_of(angles)
-    taken = list(_from_board(board, pipeline.layout, wanted, frames, no_prompt, seed, output))
+    layout, taken = pipeline.layout, []
+    with options.opened_board(board, seed) as opened:
+        layout.require_same_measurements(opened.protocol, opened.info.frequency)
+        alone = left_alone if opened.stage is None or "scene=" in board else staged(0.0)
+        hand = alone if no_prompt else asked(TerminalDialogue(output))
+        poses, newest = [bent(angle) for angle in wanted], not no_prompt
+
+        def done(pose: Pose) -> None:
+            output.note(f"{frames} frames: {pose.words}")
+
+        for frame, label in frames_in_poses(opened, poses, frames, hand, done, newest=newest):
+            if label.flat:  # refused now, not after the work of all angles
+                layout.require_same_sensor(layout.voltages(frame)[0], adapting=True)
+            taken.append(frame)
     known = [angle for angle in wanted for _ in range(frames)]
     if pipeline.stored is not None:
-        bent = [pair for pair in zip(taken, known, strict=True) if pair[1]]
+        moved = [pair for pair in zip(taken, known, strict=True) if pair[1]]
         begun = taken[0].time - STORED_AGE
-        taken = [pipeline.stored.frame(begun), *(frame for frame, _ in bent)]
-        known = [0.0, *(angle for _, angle in bent)]
-    elif doubt := pipeline.doubt(pipeline.layout.voltages(taken[0])[0]):
+        taken = [pipeline.stored.frame(begun), *(frame for frame, _ in moved)]
+        known = [0.0, *(angle for _, angle in moved)]
+    elif doubt := pipeline.doubt(layout.voltages(taken[0])[0]):
         output.note(f"{doubt}; calibrating nevertheless, since you said that it is flat")
     calibration = pipeline.calibrate(taken, known)
     saved = pipeline.save(out)
@@ -283,31 +296,3 @@ def angles_of(text: str) -> list[float]:
         raise ConfigurationError(
             f"expected angles in degrees, apart by commas, such as -20,15,50, got {text!r}"
         ) from error
-
-
-def _from_board(
-    uri: str,
-    layout: "training.InputSpec",
-    angles: Sequence[float],
-    frames: int,
-    no_prompt: bool,
-    seed: int,
-    output: options.Output,
-) -> "Iterator[simulator.Frame]":
-    with options.opened_board(uri, seed) as board:
-        layout.require_same_measurements(board.protocol, board.info.frequency)
-        alone = left_alone if board.stage is None or "scene=" in uri else staged(0.0)
-        hand = alone if no_prompt else asked(TerminalDialogue(output))
-        poses = [bent(angle) for angle in angles]
-        taken = frames_in_poses(
-            board,
-            poses,
-            frames,
-            hand,
-            lambda pose: output.note(f"{frames} frames: {pose.words}"),
-            newest=not no_prompt,
-        )
-        for frame, label in taken:
-            if label.flat:  # refused now, not after the work of all angles
-                layout.require_same_sensor(layout.voltages(frame)[0], adapting=True)
-            yield frame
