@@ -1,6 +1,5 @@
 """Full 3D model of a bend: the encapsulated gel clamped by two turning plates."""
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -20,7 +19,7 @@ from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.mechanics.turning_plates import TurningPlates, plate_rotation, turned
+from eitskin.simulator.mechanics.turning_plates import TurningPlates
 
 Array = NDArray[np.float64]
 
@@ -69,7 +68,6 @@ class BentStack(Deformation):
         displacement: of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
         pressure: mean stress of the mixed form in that quarter [Pa].
         centre: middle of the sensor at mid-layer [m].
-        offset: of the axis of the plates below `centre` [m].
         energy: stored in the whole sensor [J].
         moment: of each plate about the axis, the derivative of the energy by the angle in
             radians [N m].
@@ -79,30 +77,22 @@ class BentStack(Deformation):
     displacement: QuadraticField
     pressure: CornerField
     centre: tuple[float, float, float]
-    offset: float
     energy: float
     moment: float
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions, and gradients that jump between cells of the mesh, slightly."""
-        place, sides, solved = self._quarter(points)
-        beyond = turned(place, self._half_angle, np.array([0.0, 0.0, -self.offset]))
-        moved = np.where(solved[..., None], place + self.displacement(place), beyond)
+        place, sides = self._quarter(points)
+        moved = place + self.displacement(place)
         F = np.eye(3) + self.displacement.derivative(place)
-        F = np.where(solved[..., None, None], F, plate_rotation(self._half_angle))
         return self.centre + sides * moved, sides[..., :, None] * F * sides[..., None, :]
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress of the mixed form [Pa], (...), without the part that acts directly."""
-        place, _, solved = self._quarter(points)
-        return np.where(solved, self.pressure(place), 0.0)
+        return self.pressure(self._quarter(points)[0])
 
-    @property
-    def _half_angle(self) -> float:
-        return 0.5 * math.radians(self.angle_deg)
-
-    def _quarter(self, points: Points) -> tuple[Points, Array, NDArray[np.bool_]]:
-        """Points mirrored to the quarter, signs of mirroring, and whether in the solved part."""
+    def _quarter(self, points: Points) -> tuple[Points, Array]:
+        """Points mirrored to the quarter, and the signs of mirroring."""
         x = np.asarray(points, dtype=float) - self.centre
         sides = np.where(x < 0.0, -1.0, 1.0)
         sides[..., 2] = 1.0
@@ -114,7 +104,7 @@ class BentStack(Deformation):
                 f"{int(outside.sum())} of {outside.size} points lie beside the bent sensor of "
                 f"width {2 * Y[-1]:g} m and thickness {2 * Z[-1]:g} m"
             )
-        return x, sides, x[..., 0] <= self.displacement.lines[0][-1]
+        return x, sides
 
 
 class ClampedStack:
@@ -141,7 +131,6 @@ class ClampedStack:
         clamp: Clamp | None = None,
         mechanics: Mechanics | None = None,
         grading: Grading | None = None,
-        inside: float | None = None,
         lines: tuple[Array, Array, Array] | None = None,
     ) -> None:
         """Mesh a quarter of the sensor by boxes.
@@ -153,18 +142,13 @@ class ClampedStack:
             grading: finest at the edges of the plates, at the sides and at the held faces, with
                 `layers` cells in the gel and as many or more in the encapsulation above and below;
                 by the thickness of the sensor when omitted.
-            inside: length solved within each clamp, beyond which the sensor turns rigidly with the
-                plate [m]; the whole clamp when omitted.
-            lines: grid lines in place of those by `grading` and `inside`, through the edges of
-                plates and gel [m].
+            lines: grid lines in place of those by `grading`, through the edges of plates and gel
+                [m].
         """
         clamp, self._mechanics = clamp or Clamp(), mechanics or Mechanics()
         slab = design if isinstance(design, Slab) else Slab.of(design)
         self._clamp, self.half_sizes = clamp, slab.half_sizes
-        if inside is not None and not inside > 0.0:
-            raise ConfigurationError(f"inside must be a positive length in m, got {inside}")
-        self.lines = lines or clamped_lines(slab, clamp, self._mechanics, grading, inside)
-        self._truncated = self.lines[0][-1] < self.half_sizes[0] + self._mechanics.margin - _SAME
+        self.lines = lines or clamped_lines(slab, clamp, self._mechanics, grading)
         self.solid = self._meshed()
         x, y, z = self.half_sizes.tolist()
         self._centre = (x, y, z)
@@ -197,19 +181,17 @@ class ClampedStack:
         """Plate of the quarter; where it is compliant, the bond has traction = gap / compliance."""
         solid, compliance = self.solid, self._clamp.compliance
         X = solid.nodes
-        end = X[:, 0] > self.lines[0][-1] - _SAME if self._truncated else np.zeros(len(X), bool)
-        plate = self._on_plate(X.T)
-        prescribed = np.flatnonzero(end if compliance else plate | end)
-        moved = (3 * prescribed[:, None] + np.arange(3)).ravel()
+        plate = np.flatnonzero(self._on_plate(X.T))
+        moved = [] if compliance else [(3 * plate[:, None] + np.arange(3)).ravel()]
         mirrored = [3 * np.flatnonzero(X[:, axis] < _SAME) + axis for axis in (0, 1)]
-        fixed = np.unique(np.concatenate([moved, *mirrored]))
+        fixed = np.unique(np.concatenate([*moved, *mirrored]))
         bond = None
         if compliance:
             facets = solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
             springs = np.eye(3) / compliance
             bond = LinearSprings(Face(solid, facets, 4).stiffness(springs, solid.unknowns))
-        held, axis = np.flatnonzero(plate | end), np.array([0.0, 0.0, -self._clamp.offset])
-        return TurningPlates(solid, {1.0: held}, axis, fixed, bond)
+        axis = np.array([0.0, 0.0, -self._clamp.offset])
+        return TurningPlates(solid, {1.0: plate}, axis, fixed, bond)
 
     def _result(self, angle_deg: float, x: Array) -> BentStack:
         solid = self.solid
@@ -220,7 +202,6 @@ class ClampedStack:
             QuadraticField(self.lines, solid.displacement(x)[order].reshape(*shape, 3)),
             CornerField.of(solid.mesh, self.lines, solid.cell_mean_stress(x)),
             self._centre,
-            self._clamp.offset,
             4.0 * self._plates.energy(angle_deg),  # of four quarters
             4.0 * self._plates.moment(angle_deg),
         )
@@ -231,7 +212,6 @@ def clamped_lines(
     clamp: Clamp,
     mechanics: Mechanics,
     grading: Grading | None = None,
-    inside: float | None = None,
 ) -> tuple[Array, Array, Array]:
     """Grid lines of a clamped quarter along x, y and z from the middle of the sensor [m].
 
@@ -244,9 +224,8 @@ def clamped_lines(
         raise ConfigurationError(
             f"the span of {clamp.span:g} m must not exceed the sensor's length of {slab.length:g} m"
         )
-    end = whole if inside is None else min(whole, edge + inside)
     return (
-        graded_lines(end, {edge}, {length}, grading),
+        graded_lines(whole, {edge}, {length}, grading),
         graded_lines(width + margin, {width + margin}, {width}, grading),
         _heights(height, 0.5 * slab.encapsulated_thickness, grading, clamp.faces),
     )

@@ -88,7 +88,6 @@ class Solid(ForceTerm):
         kinematics: plane strain, axisymmetric or solid.
         basis: shape functions of one displacement component, one per node.
         nodes: positions of the displacement nodes, (nodes, dim) [m].
-        pressure_nodes: positions of the pressures, (multipliers, dim) [m].
         unknowns: number of displacements and pressures.
         cells_of_law: cells of each material.
     """
@@ -308,7 +307,6 @@ class Solid(ForceTerm):
         pairs = pressure.element_dofs.T.astype(np.int64) * len(self.laws) + law_of_cell[:, None]
         kept, numbers = np.unique(pairs, return_inverse=True)
         self._pressure_numbers: Indices = self.nodes.size + numbers.reshape(pairs.shape)
-        self.pressure_nodes: Array = pressure.doflocs.T[kept // len(self.laws)]
         self.unknowns = self.nodes.size + len(kept)
         self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 

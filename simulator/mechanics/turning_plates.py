@@ -121,17 +121,16 @@ class TurningPlates:
         displacement = self._solid.displacement(moved)
         for way, held in self._plates.items():
             X = self._solid.nodes[held]
-            displacement[held] = turned(X, 0.5 * way * math.radians(angle), self._axis) - X
+            displacement[held] = _turned(X, 0.5 * way * math.radians(angle), self._axis) - X
         return moved
 
 
-def plate_rotation(angle: float) -> Array:
-    """Rotation about y of the plate at large x by an angle [rad], downwards for positive ones."""
+def _turned(points: Array, angle: float, axis: Array) -> Array:
+    """Points (..., 3) rotated with the plate at large x by an angle [rad], downwards if positive.
+
+    The axis along y goes through a point (3,) [m].
+    """
     cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-
-
-def turned(points: Array, angle: float, axis: Array) -> Array:
-    """Points (..., 3) rotated with the plate at large x about an axis through a point (3,) [m]."""
-    turned: Array = (points - axis) @ plate_rotation(angle).T + axis
+    rotation = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    turned: Array = (points - axis) @ rotation.T + axis
     return turned
