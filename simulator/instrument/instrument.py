@@ -172,11 +172,6 @@ class Instrument:
         return terms | {name: value for name, value in data.items() if name != "board"}
 
     @property
-    def is_loaded(self) -> bool:
-        """Whether the board loads the sensor, so that its readings need the impedance matrix."""
-        return self.meter is not None and self.meter.is_loaded
-
-    @property
     def reads(self) -> Quantity:
         """Kind of the readings: "complex", "signed" or "magnitude"."""
         return "complex" if self.meter is None else self.meter.reads
