@@ -1,4 +1,5 @@
 """Simulation of a recipe's shards on all cores or a cluster, resumable, and their verification.
 
-`generate` gives shards to the workers of `process_pool` or `cluster`, which run `shard_simulation`.
+`preparation` solves the tables that a recipe needs and estimates its cost; `generate` gives shards
+to workers, which run `shard_simulation`.
 """
