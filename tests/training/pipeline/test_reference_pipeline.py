@@ -104,6 +104,16 @@ def test_faults_of_electrodes_are_told_and_are_no_touches(session, simulator):
     assert_touched(said, (0.040, 0.020))
 
 
+@pytest.mark.parametrize("electrode", range(8))
+def test_a_contact_that_rises_a_little_is_no_bend(session, simulator, electrode):
+    """By 0.5 % of a channel: some clamp's bend would look much the same."""
+    impedance = simulator.measure(Scene(), Instrument(), np.random.default_rng(1)).impedance
+    through = np.array([electrode in row for row in simulator.protocol.table])
+    said = session(Scene(), impedance=impedance + 3.4 * through)
+    assert said.state is State.IDLE
+    assert abs(said.bend_angle_deg) < 2.0
+
+
 @pytest.mark.slow
 def test_it_runs_without_torch():
     """Which takes seconds to load: a live session would lose its first frames."""
