@@ -77,6 +77,9 @@ def command(
         typer.Option(help="DRIVE,SENSE: matrices of patterns in the file, instead of a protocol."),
     ] = None,
     sheet: Annotated[str | None, typer.Option(help="Sheet of an Excel file; the first.")] = None,
+    header_row: Annotated[
+        int | None, typer.Option(help="Row of the columns' names, from 1; found where omitted.")
+    ] = None,
     output: Output,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
@@ -87,7 +90,13 @@ def command(
     recording = datasets.Recording(
         files,
         datasets.RecordingNames(
-            values, touch_reference, positions, _columns(column or ()), _pair(patterns), sheet
+            values,
+            touch_reference,
+            positions,
+            _columns(column or ()),
+            _pair(patterns),
+            sheet,
+            header_row,
         ),
         simulator.Protocol.named(protocol, len(design.electrodes) if design else None)
         if protocol

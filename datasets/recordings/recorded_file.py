@@ -49,6 +49,7 @@ class RecordingNames:
             matrix counted from 0, NAME*FACTOR for another unit, or a number for all touches.
         patterns: drive and sense patterns, electrodes by patterns, instead of a protocol.
         sheet: of an Excel file; the first one when omitted.
+        header_row: row with the names of the columns, from 1; found where omitted.
     """
 
     values: str | None = None
@@ -57,6 +58,7 @@ class RecordingNames:
     columns: Mapping[str, str] = field(default_factory=dict)
     patterns: tuple[str, str] | None = None
     sheet: str | None = None
+    header_row: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +157,7 @@ class RecordedFile:
     def _open(self) -> None:
         """Find the tables in the file."""
         names, form = self._names, self._form
-        self._source = source = Source(self.path, names.sheet)
+        self._source = source = Source(self.path, names.sheet, names.header_row)
         if names.values is None and source.usual_values is None:
             raise ConfigurationError(
                 f"cannot find the values: nothing was named; {source.holds()}; name one of them "

@@ -26,16 +26,20 @@ from eitskin.files import require_regular
 MOST_BYTES: Final = 1 << 36
 """Largest size of a file of a recording [bytes]."""
 
+MOST_NAMES: Final = 20
+"""Number of names in a message."""
+
 SECONDS: Final = 30
 """Processor time for a block of the smallest of files [s]."""
 
 _BYTES_PER_SECOND: Final = 100_000  # of a spreadsheet, the slowest to read
 _MEMORY, _MEMORY_PER_BYTE = 400 << 20, 40  # [bytes]
-_NUMBERED: Final = re.compile(r"(.*\D)(\d{1,9})")  # longer ones are names
-_SHEETS: Final = (".xlsx", ".xlsm")
-_READERS: Final[Mapping[str, Callable[[Path], Reader]]] = {
+_NUMBERED: Final = re.compile(r"(.*\D)(\d{1,9})(?:\s*[\[(][^\d\])]*[\])])?")
+"""Name of a numbered column, perhaps with a unit; longer numbers are names."""
+
+_READERS: Final[Mapping[str, Callable[..., Reader]]] = {
     **dict.fromkeys((".csv", ".tsv"), TextReader),
-    **dict.fromkeys(_SHEETS, SpreadsheetReader),
+    **dict.fromkeys((".xlsx", ".xlsm"), SpreadsheetReader),
     ".parquet": ParquetReader,
     ".mat": open_mat,
     ".npz": NpzReader,
@@ -56,7 +60,7 @@ class Source:
         usual_values: name of the measurements in files of this kind; None where there is none.
     """
 
-    def __init__(self, path: Path, sheet: str | None = None) -> None:
+    def __init__(self, path: Path, sheet: str | None = None, header_row: int | None = None) -> None:
         """Read the names of the tables.
 
         Raises DataError where the file is missing, no regular one, damaged, or takes too much to
@@ -64,7 +68,8 @@ class Source:
         reads the file is not installed.
         """
         _known_ending(path)
-        self.path, self._sheet, self._size = path, sheet, path.stat().st_size
+        self.path, self._size = path, path.stat().st_size
+        self._options = {"sheet": sheet, "header_row": header_row}
         require_regular(path, MOST_BYTES, DataError)
         (head,) = self._answers(None)
         self._contents = msgspec.convert(head.data, Contents)
@@ -106,20 +111,23 @@ class Source:
         near = [each for each in self.names if each.casefold() == name.casefold()]
         near = near or difflib.get_close_matches(name, self.names, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
+        if meaning == "values" and not near and self._columns:
+            hint = f"; try --values {max(self._columns, key=lambda key: len(self._columns[key]))}"
         raise ConfigurationError(
             f"cannot find the {meaning}: there is no '{name}'; {self.holds()}{hint}"
         )
 
     def holds(self) -> str:
         """Content of the file in words."""
-        tables = ", ".join(self.names) or "no table that can be read"
+        more = f" and {len(self.names) - MOST_NAMES} more" if len(self.names) > MOST_NAMES else ""
+        tables = ", ".join(self.names[:MOST_NAMES]) + more or "no table that can be read"
         return f"the file holds {tables}{self._contents.remark}"
 
     def _answers(self, wanted: Wanted | None) -> Iterator[Answer]:
         """Contents of the file, or blocks of the tables that are wanted."""
         argument = {
             "path": str(self.path.absolute()),
-            "sheet": self._sheet,
+            "options": self._options,
             "wanted": wanted and dataclasses.asdict(wanted),
         }
         limits = Limits(
@@ -131,7 +139,7 @@ class Source:
 def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
     """Read the contents of a file, or blocks of its tables, as a reader for `contained`."""
     try:
-        reader = open_reader(Path(argument["path"]), argument["sheet"])
+        reader = open_reader(Path(argument["path"]), **argument["options"])
         if argument["wanted"] is None:
             yield Answer(msgspec.to_builtins(reader.contents))
             return
@@ -143,16 +151,24 @@ def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG
         raise DataError(f"cannot read it: {error}") from error
 
 
-def open_reader(path: Path, sheet: str | None = None) -> Reader:
+def open_reader(path: Path, sheet: str | None = None, header_row: int | None = None) -> Reader:
     """Reader of a file in this process; arguments and errors as for `Source`."""
-    ending = _known_ending(path)
-    if sheet is None:
-        return _READERS[ending](path)
-    if ending not in _SHEETS:
-        raise ConfigurationError(
-            f"{path.name} has no sheets; leave --sheet out, which is for {', '.join(_SHEETS)}"
-        )
-    return SpreadsheetReader(path, sheet)
+    reader = _READERS[_known_ending(path)]
+    options: dict[str, Any] = {}
+    for option, value, kinds in (
+        ("sheet", sheet, (SpreadsheetReader,)),
+        ("header_row", header_row, (SpreadsheetReader, TextReader)),
+    ):
+        if value is None:
+            continue
+        if reader not in kinds:
+            endings = ", ".join(ending for ending, kind in _READERS.items() if kind in kinds)
+            raise ConfigurationError(
+                f"{path.name} has no {option.replace('_', ' ')}; leave "
+                f"--{option.replace('_', '-')} out, which is for {endings}"
+            )
+        options[option] = value
+    return reader(path, **options)
 
 
 def _known_ending(path: Path) -> str:

@@ -3,6 +3,7 @@
 import csv
 import io
 import itertools
+import re
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 OPENEIT: Final = "magnitudes"
 EXTRA: Final = "recordings"
 _DELIMITERS: Final = ",;\t"
+_SAMPLE: Final = 1000  # lines, among which the header is
+_BRACKETS: Final = re.compile(r"\s*[\[{]+([^\[\]{}]*)[\]}]*\s*[,;]?\s*")
+_DECIMAL_COMMA: Final = re.compile(r"\d,\d")
+_UNITS: Final = re.compile(r"[\[(][^\d]{1,8}[\])]|[mu]?s|k?ohm|[mu]?[VA]|[cm]?m|N|deg", re.I)
 _COMMENTS: Final = ("#", "%")
 _EMPTY: Final = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None")
 
@@ -54,35 +59,41 @@ class TableReader(Reader):
 
 
 class TextReader(TableReader):
-    """Text with cells between commas, semicolons, tabs or blanks; decimal commas with semicolons.
+    """Text with cells between commas, semicolons, tabs or blanks; decimal commas where cells
+    have one.
 
-    Lines that begin with # or % are comments; brackets around a line are left out. The columns of a
-    file without a header are named by the last comment before the numbers, where that has as many
-    names, else c0, c1 ... In a .txt file with lines "magnitudes : a , b, ...", as OpenEIT prints
+    Lines that begin with # or % are comments; brackets around a line and separators behind it are
+    left out, as are a preamble of fewer cells, and units below the header. The columns of a file
+    without a header are named by the last comment before the numbers, where that has as many names,
+    else c0, c1 ... In a .txt file with lines "magnitudes : a , b, ...", as OpenEIT prints
     them, other lines are skipped.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, header_row: int | None = None) -> None:
         super().__init__(path)
-        self._delimiter, self._begin = ",", 0
+        self._delimiter, self._decimal, self._first = ",", ".", 0
         self._openeit = path.suffix.lower() == ".txt" and self._has_magnitudes()
-        line = next(self._lines(), (0, ""))[1]
+        sample = list(itertools.islice(self._lines(), _SAMPLE))
         if not self._openeit:
-            self._delimiter = max(_DELIMITERS, key=line.count)
-            if self._delimiter not in line:
-                self._delimiter = " "
-        header, remark = self._cells(line), ""
+            widest = max((line for _, line in sample), key=_most_cells, default="")
+            self._delimiter, self._decimal = _separators(widest)
+        rows = [self._cells(line) for _, line in sample]
+        begin = find_header(rows, [number for number, _ in sample], header_row)
+        rows = rows[begin:]
+        width = max((len(_without_empty_end(row)) for row in rows), default=0)
+        header, remark = rows[0][:width] if rows else [], ""
         if self._openeit:
             header = [f"{OPENEIT}{column}" for column in range(len(header))]
         elif any(header) and all(is_number(cell) for cell in header if cell):
             remark = " (the file has no header, so columns are numbered)"
             names = self._cells(self._last_comment())
-            numbered = [f"c{column}" for column in range(len(header) - (not header[-1]))]
-            numbered += [""] * (not header[-1])  # a comma behind every value
+            numbered = [f"c{column}" for column in range(len(header))]
             header = names if len(names) == len(header) else numbered
         else:
-            self._begin = 1
-        if next(itertools.islice(self._lines(), self._begin, None), None) is None:
+            begin += 1
+            begin += bool(rows[1:]) and all(map(_UNITS.fullmatch, filter(None, rows[1])))
+        self._first = sample[begin][0] if begin < len(sample) else 0
+        if not self._first:
             raise DataError("expected a header and at least one row, got no row")
         usual = OPENEIT if self._openeit else "v"
         self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
@@ -90,18 +101,21 @@ class TextReader(TableReader):
     def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
         import pandas as pd
 
-        width, decimal = len(self.contents.header), "," if self._delimiter == ";" else "."
+        width = len(self.contents.header)
         values = {number for name in wanted.values for number in wanted.columns[name]}
         labels = {number for name in wanted.labels for number in wanted.columns[name]} - values
-        lines = itertools.islice(self._lines(), self._begin, None)
+        lines = ((n, self._cut(line, width)) for n, line in self._lines() if n >= self._first)
         while block := list(itertools.islice(lines, wanted.block_rows)):
             for number, line in block:
                 if (count := self._count(line)) != width:
-                    raise DataError(f"row {number}: expected {width} cells, got {count}")
+                    raise DataError(
+                        f"row {number}: expected {width} cells, got {count}: "
+                        f"'{shortened(line)}'; --header-row names the row of the columns' names"
+                    )
             frame = pd.read_csv(
                 io.StringIO("\n".join(line for _, line in block)),
                 sep=r"\s+" if self._delimiter == " " else self._delimiter,
-                decimal=decimal,
+                decimal=self._decimal,
                 header=None,
                 names=list(range(width)),
                 usecols=sorted(values | labels),
@@ -116,7 +130,7 @@ class TextReader(TableReader):
                     f"rows {block[0][0]} to {block[-1][0]}: a quotation mark is not closed in its "
                     "line; expected an even number in each"
                 )
-            if decimal == ",":
+            if self._decimal == ",":
                 text = frame.select_dtypes("str")
                 frame[text.columns] = text.replace(",", ".", regex=True)
             yield [number for number, _ in block], frame
@@ -129,8 +143,8 @@ class TextReader(TableReader):
                 if self._openeit:
                     label, _, text = line.partition(":")
                     text = text.strip().rstrip(",") if label.strip() == OPENEIT else ""
-                elif text.startswith("[") and text.endswith("]"):
-                    text = text[1:-1]
+                elif brackets := _BRACKETS.fullmatch(text):
+                    text = brackets[1]
                 if text.strip(f'{_DELIMITERS}" ') and not text.startswith(_COMMENTS):
                     yield number, text
 
@@ -146,11 +160,16 @@ class TextReader(TableReader):
         return next((line.lstrip("#%").strip() for line in reversed(above) if line), "")
 
     def _cells(self, line: str) -> list[str]:
-        decimal = "," if self._delimiter == ";" else "."
         if self._delimiter == " ":
             line = line.strip()
         reader = csv.reader([line], delimiter=self._delimiter, skipinitialspace=True)
-        return [cell.strip().replace(decimal, ".") for cell in next(reader, [])]
+        return [cell.strip().replace(self._decimal, ".") for cell in next(reader, [])]
+
+    def _cut(self, line: str, width: int) -> str:
+        """Line without the separators behind its last cell."""
+        while self._count(line) > width and line.rstrip(" ").endswith(self._delimiter):
+            line = line.rstrip(" ")[:-1]
+        return line
 
     def _count(self, line: str) -> int:
         """Number of cells of a line."""
@@ -162,7 +181,7 @@ class TextReader(TableReader):
 class SpreadsheetReader(TableReader):
     """First sheet, or a named one, of an Excel file; values of formulas, as they were saved."""
 
-    def __init__(self, path: Path, sheet: str | None = None) -> None:
+    def __init__(self, path: Path, sheet: str | None = None, header_row: int | None = None) -> None:
         """Read the header of a sheet, the first one when omitted."""
         import pandas as pd
 
@@ -175,10 +194,12 @@ class SpreadsheetReader(TableReader):
                 )
             cells = book.parse(sheet or 0, header=None, dtype=str, na_filter=False)
         cells = cells.map(str.strip)
-        header = cells.iloc[0].tolist() if len(cells) else []
-        while header and not header[-1]:
-            header.pop()
-        cells = cells.iloc[1:][(cells.iloc[1:] != "").any(axis=1)]
+        begin = find_header(
+            cells[:_SAMPLE].to_numpy().tolist(), range(1, len(cells) + 1), header_row
+        )
+        header = _without_empty_end(cells.iloc[begin].tolist() if len(cells) else [])
+        cells = cells.iloc[begin + 1 :]
+        cells = cells[(cells != "").any(axis=1)]
         beyond = (cells.iloc[:, len(header) :] != "").any(axis=1)
         if beyond.any():
             raise DataError(f"row {beyond.idxmax() + 1}: expected {len(header)} cells, got more")
@@ -212,6 +233,47 @@ class ParquetReader(TableReader):
             frame = batch.to_pandas().set_axis(chosen, axis=1)
             yield range(first, first + len(frame)), frame
             first += len(frame)
+
+
+def find_header(rows: list[list[str]], numbers: Sequence[int], given: int | None = None) -> int:
+    """Place of the row with the names of the columns, or of the first one of a file without.
+
+    Rows of a preamble have at most half as many cells as the widest row. `given` is the row's
+    number in the file, of `numbers`; raises DataError where it holds no cells.
+    """
+    if given is not None and given not in numbers:
+        raise DataError(
+            f"there are no names of columns in row {given}; the first rows with cells are "
+            f"{', '.join(map(str, numbers[:3]))}: correct --header-row"
+        )
+    if given is not None:
+        return numbers.index(given)
+    filled = [sum(map(bool, row)) for row in rows]
+    return next((place for place, n in enumerate(filled) if 2 * n > max(filled)), 0)
+
+
+def _without_empty_end(row: list[str]) -> list[str]:
+    """Cells up to the last one that is not empty."""
+    return row[: max((place for place, cell in enumerate(row, 1) if cell), default=0)]
+
+
+def _most_cells(line: str) -> tuple[int, bool]:
+    """Number of separators of the most frequent kind; and whether there are decimal commas."""
+    separators = max(*map(line.count, _DELIMITERS), len(line.split()) - 1)
+    return separators, bool(_DECIMAL_COMMA.search(line))
+
+
+def _separators(line: str) -> tuple[str, str]:
+    """Separator of cells and decimal mark of a line; a comma is either, and a cell has one mark."""
+    commas, sign = line.count(","), "," if _DECIMAL_COMMA.search(line) else "."
+    for delimiter in ";\t":
+        if line.count(delimiter) and line.count(delimiter) + 1 >= commas:
+            return delimiter, "," if delimiter == ";" else sign
+    cells = line.split()
+    numbers = [cell.replace(",", ".") for cell in cells]
+    if commas and not (len(cells) > 1 and all(map(is_number, numbers)) and sign == ","):
+        return ",", "."
+    return " ", sign
 
 
 def is_number(text: str) -> bool:
