@@ -32,7 +32,10 @@ def command(
     protocol: MeasuredPairs = None,
     values: Annotated[
         str | None,
-        typer.Option(help="Variable, beginning of columns, or FIRST..LAST column of the values."),
+        typer.Option(
+            help="Variable, beginning of columns, or FIRST..LAST column of the values; two with a "
+            "comma for magnitude,phase or real,imag."
+        ),
     ] = None,
     touch_reference: Annotated[
         str | None, typer.Option(help="The same for frames just before a touch.")
@@ -69,6 +72,9 @@ def command(
     bad_values: Annotated[
         str, typer.Option(help="Empty or not finite values: refuse, mark, or drop the frame.")
     ] = "refuse",
+    phase_unit: Annotated[
+        str, typer.Option(help="Of phases beside magnitudes: deg or rad; found where it can be.")
+    ] = "",
     transpose: Annotated[
         bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
     ] = False,
@@ -112,6 +118,7 @@ def command(
             quantity,  # type: ignore[arg-type]
             scale,
             bad_values,  # type: ignore[arg-type]
+            phase_unit,  # type: ignore[arg-type]
         ),
     )
     if recording.unused:

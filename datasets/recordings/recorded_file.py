@@ -18,6 +18,11 @@ from eitskin.datasets.recordings.labels import (
     read_labels,
     require_plausible,
 )
+from eitskin.datasets.recordings.parts import (
+    PhaseUnit,
+    protocol_of_names,
+    require_protocol_of_names,
+)
 from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
 from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError
@@ -37,11 +42,12 @@ class RecordingNames:
     """Names of the tables in a file: of variables, or of columns.
 
     Numbered columns such as v0, v1 ... are one table, v; FIRST..LAST is the table of the columns
-    from one name to another.
+    from one name to another, and FIRST,SECOND are two tables with magnitudes and phases or real and
+    imaginary parts, by the second name.
 
     Attributes:
-        values: measured values, frames by channels; "v" for files of columns and "magnitudes" for
-            OpenEIT when omitted.
+        values: measured values, frames by channels; "v" for files of columns, or two parts
+            found by the names of columns, and "magnitudes" for OpenEIT when omitted.
         touch_reference: values of the same sensor untouched, frames by channels; none when omitted.
         positions: touch positions, frames by (x, y, ...) [m]; further columns are ignored. The
             columns x and y when omitted.
@@ -76,6 +82,7 @@ class RecordingForm:
         scale: factor that makes ohm, or volt, of the values.
         bad_values: values that are empty or not finite are refused, marked in the frame's status,
             or their frames are dropped.
+        phase_unit: of phases in columns of their own; as names or values have it where empty.
     """
 
     rows: Rows = "frames"
@@ -86,10 +93,11 @@ class RecordingForm:
     quantity: Quantity = ""
     scale: float = 1.0
     bad_values: BadValues = "refuse"
+    phase_unit: PhaseUnit = ""
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
-        choices = (("rows", Rows), ("length_unit", LengthUnit))
+        choices = (("rows", Rows), ("length_unit", LengthUnit), ("phase_unit", PhaseUnit))
         for name, kind in (*choices, ("quantity", Quantity), ("bad_values", BadValues)):
             if getattr(self, name) not in get_args(kind):
                 raise ConfigurationError(
@@ -136,7 +144,7 @@ class RecordedFile:
         """Frames of the file, block by block, checked; raises DataError that names the file."""
         first = 0
         with self.named_errors():
-            for tables in self._source.blocks(self._wanted):
+            for tables in self._source.blocks(self._wanted, self._form.phase_unit):
                 block = self._block(tables, first)
                 first += len(next(iter(tables.values())))
                 if len(block.values):
@@ -164,6 +172,11 @@ class RecordedFile:
                 "with --values"
             )
         values = [source.require(names.values or source.usual_values or "", "values")]
+        named = protocol_of_names(source.titles(values[0]))
+        if self.protocol is not None and named is not None:
+            require_protocol_of_names(self.protocol, named)
+        if self.protocol is None and not names.patterns:
+            self.protocol = named
         if names.touch_reference:
             values.append(source.require(names.touch_reference, "touch reference"))
         if form.rows != "frames" and names.touch_reference:
@@ -185,7 +198,8 @@ class RecordedFile:
             paired=form.rows != "frames",
             block_rows=BLOCK_ROWS,
         )
-        used = {*values, *labels, *(names.patterns or ())}
+        parts = (part.strip() for name in values for part in name.split(","))
+        used = {*values, *parts, *labels, *(names.patterns or ())}
         self.unused = tuple(name for name in source.names if name not in used)
         if names.patterns:
             self._read_patterns(*names.patterns)

@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+from numpy.typing import NDArray
 
 from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.recordings.arrays import Hdf5Reader, NpzReader, open_mat
+from eitskin.datasets.recordings.parts import is_phase, joined, pair_columns, phase_unit
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted
 from eitskin.datasets.recordings.tables import (
     ParquetReader,
@@ -52,7 +54,8 @@ class Source:
     """File of a recording, which a child reads.
 
     In a file of columns, numbered ones are one table: v0, v1 ... or v1, v2 ... are the table v, and
-    FIRST..LAST is the table of the columns from one name to another in the order of the file.
+    FIRST..LAST is the table of the columns from one name to another in the order of the file, and
+    FIRST,SECOND are two tables with the parts of complex values.
 
     Attributes:
         path: of the file.
@@ -79,19 +82,40 @@ class Source:
             self._columns = _group_columns(self._contents.header)
         self.names = self._contents.names or tuple(self._columns)
         self.usual_values = self._contents.usual_values
+        self._joined: dict[str, tuple[str, str]] = {}
+        pair = ",".join(pair_columns(self._contents.header))
+        if pair and self.usual_values not in self.names:
+            self.usual_values = pair
 
-    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        """Tables of consecutive rows, as `Reader.blocks` gives them."""
+    def blocks(self, wanted: Wanted, unit: str = "") -> Iterator[Tables]:
+        """Tables of consecutive rows, as `Reader.blocks` gives them; `unit` of phases."""
+        values = tuple(part for name in wanted.values for part in self._joined.get(name, (name,)))
+        wanted = dataclasses.replace(wanted, values=values)
         if self._columns:
             if wanted.transposed:
                 raise ConfigurationError(
                     f"{self.path.name} has frames as rows, which cannot be transposed; leave "
                     "--transpose out"
                 )
-            names = (*wanted.values, *wanted.labels)
-            columns = {name: self._columns[name] for name in names}
+            columns = {name: self._columns[name] for name in (*values, *wanted.labels)}
             wanted = dataclasses.replace(wanted, columns=columns)
-        return (answer.arrays for answer in self._answers(wanted))
+        return self._with_parts(wanted, unit)
+
+    def _with_parts(self, wanted: Wanted, unit: str) -> Iterator[Tables]:
+        """Blocks of the tables that are wanted, and complex ones of tables in two parts."""
+        for answer in self._answers(wanted):
+            tables: dict[str, NDArray[Any]] = dict(answer.arrays)
+            for name, (first, second) in self._joined.items():
+                polar = is_phase(second)
+                if polar:
+                    unit = phase_unit(unit, (second, *self.titles(second)), tables[second])
+                tables[name] = joined(tables[first], tables[second], unit if polar else "")
+            yield tables
+
+    def titles(self, name: str) -> list[str]:
+        """Names of the columns of a table in a file of columns; of the second part of two."""
+        columns = self._columns.get(self._joined.get(name, (name, name))[1], ())
+        return [self._contents.header[column] for column in columns]
 
     def require(self, name: str, meaning: str) -> str:
         """Return `name`, the table with that meaning; raises ConfigurationError for no such one."""
@@ -102,6 +126,15 @@ class Source:
             if start > stop:
                 raise ConfigurationError(f"'{first}' stands after '{last}'; write {last}..{first}")
             self._columns[name] = list(range(start, stop + 1))
+            return name
+        first, comma, second = (part.strip() for part in name.partition(","))
+        if comma and name not in self.names:
+            if is_phase(second) is None:
+                raise ConfigurationError(
+                    f"expected two parts of the {meaning} as magnitude,phase or real,imag, got "
+                    f"'{name}'"
+                )
+            self._joined[name] = self.require(first, meaning), self.require(second, meaning)
             return name
         _require_no_gap(header, self._columns, name)
         if name in self.names:
@@ -207,6 +240,7 @@ def _group_columns(header: Sequence[str]) -> dict[str, list[int]]:
         run = list(itertools.takewhile(columns.__contains__, itertools.count(first)))
         if first == 0 or (first == 1 and len(run) > 1):
             tables[prefix] = [columns[number] for number in run]
+    tables = pair_columns(header) | tables
     taken = {column for columns in tables.values() for column in columns}
     single = ((name, column) for column, name in enumerate(header) if column not in taken)
     tables |= {name: [column] for name, column in single if name}

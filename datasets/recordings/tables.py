@@ -59,8 +59,7 @@ class TableReader(Reader):
 
 
 class TextReader(TableReader):
-    """Text with cells between commas, semicolons, tabs or blanks; decimal commas where cells
-    have one.
+    """Text with cells between commas, semicolons, tabs or blanks, and decimal points or commas.
 
     Lines that begin with # or % are comments; brackets around a line and separators behind it are
     left out, as are a preamble of fewer cells, and units below the header. The columns of a file

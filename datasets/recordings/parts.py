@@ -1,0 +1,112 @@
+"""Columns of complex values in two parts, and electrodes, by the names of columns."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.protocol import MOST_ELECTRODES, Protocol
+
+PhaseUnit = Literal["", "deg", "rad"]
+
+_WORDS: Final = (
+    ("magnitude", "magnitude|magn|mag|amplitude|ampl|amp|abs|modulus"),
+    ("phase", "phase|phas|phi|theta|angle|arg|ph"),
+    ("real", "real|re|resistance"),
+    ("imaginary", "imaginary|imag|im|reactance"),
+    ("real", "r"),
+    ("imaginary", "i"),
+    ("real", "i"),
+    ("imaginary", "q"),
+)
+_PARTS: Final = tuple(
+    (part, re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{words})(?![a-z])"))
+    for part, words in _WORDS
+)
+_UNIT: Final = re.compile(r"\s*[\[(][^\[(\d]*[\])]$|[\s_.-]*(?:deg|rad|degrees|radians|°)$", re.I)
+_RADIANS, _DEGREES = (re.compile(rf"(?<![a-z])({w})", re.I) for w in ("rad", "deg|°"))
+
+
+def pair_columns(header: Sequence[str]) -> dict[str, list[int]]:
+    """Numbers of the columns of two parts, in one order; none without two pairs.
+
+    Names of a pair are equal but for the word of the part, and units behind them.
+    """
+    for (part, word), (other, other_word) in zip(_PARTS[::2], _PARTS[1::2], strict=True):
+        first, second = _stems(header, word), _stems(header, other_word)
+        shared = [stem for stem in first if stem in second]
+        if len(shared) > 1:
+            return {part: [first[s] for s in shared], other: [second[s] for s in shared]}
+    return {}
+
+
+def _stems(header: Sequence[str], word: re.Pattern[str]) -> dict[str, int]:
+    """Number of each column by its name without the word."""
+    names = (word.subn("*", _UNIT.sub("", name)) for name in header)
+    return {stem.casefold(): column for column, (stem, n) in enumerate(names) if n == 1}
+
+
+def is_phase(name: str) -> bool | None:
+    """Whether a name is that of a phase, or else of an imaginary part; None for neither."""
+    found = {part for part, word in _PARTS[:4] if word.search(name)}
+    return "phase" in found if found & {"phase", "imaginary"} else None
+
+
+def phase_unit(given: str, names: Sequence[str], phases: NDArray[Any]) -> str:
+    """Unit of phases as it is given, as names have it, or as it must be; raises DataError."""
+    if given:
+        return given
+    for unit, pattern in (("rad", _RADIANS), ("deg", _DEGREES)):
+        if any(map(pattern.search, names)):
+            return unit
+    largest = np.nanmax(np.abs(phases), initial=0.0)
+    if 0 < largest <= 2 * np.pi:
+        raise DataError(
+            f"phases up to {largest:g} could be degrees or radians; say --phase-unit deg or rad"
+        )
+    return "deg"
+
+
+def joined(first: NDArray[Any], second: NDArray[Any], unit: str) -> NDArray[Any]:
+    """Complex values of magnitudes and phases in a unit, or of real and imaginary parts."""
+    if first.shape != second.shape:
+        raise DataError(
+            f"expected two parts of one shape, got {first.shape} and {second.shape}; name both "
+            "with --values FIRST,SECOND"
+        )
+    if not unit:
+        return np.asarray(first + 1j * second)
+    angle = np.radians(second) if unit == "deg" else second
+    return np.asarray(first * np.exp(1j * angle))
+
+
+def protocol_of_names(names: Sequence[str]) -> Protocol | None:
+    """Protocol of names with four electrodes each, as E1_E9_E2_E10; None for other names.
+
+    Electrodes count from 1 where no name has a 0.
+    """
+    rows = [tuple(map(int, re.findall(r"\d{1,3}", _UNIT.sub("", name)))) for name in names]
+    if not rows or {len(row) for row in rows} != {4} or len(set(rows)) < len(rows):
+        return None
+    base = int(min(map(min, rows)) > 0)
+    count = max(map(max, rows)) + 1 - base
+    try:
+        shifted = ([electrode - base for electrode in row] for row in rows)
+        return Protocol.from_rows(shifted, count) if count <= MOST_ELECTRODES else None
+    except ConfigurationError:
+        return None
+
+
+def require_protocol_of_names(protocol: Protocol, named: Protocol) -> None:
+    """Raise DataError where names of columns say other electrodes than the protocol."""
+    pairs = zip(protocol.table, named.table, strict=False)
+    for number, (row, other) in enumerate(pairs):
+        if {frozenset(row[:2]), frozenset(row[2:])} != {frozenset(other[:2]), frozenset(other[2:])}:
+            raise DataError(
+                f"measurement {number} of the protocol is {protocol.labels[number]}, but by its "
+                f"name the column is {named.labels[number]} (from 0); leave --protocol out, and "
+                "the names are read"
+            )
