@@ -291,7 +291,7 @@ class SpecimenModel:
     def _flat_but_for_a_contact(
         self, combined: CombinedChange, bend: AngleEstimate
     ) -> AngleEstimate | None:
-        """Estimate of a flat sensor with one changed contact or measurement, where that is likelier.
+        """Estimate of a flat sensor with one changed contact or measurement, where it is likelier.
 
         A contact that changes moves its channels as some clamp's bend does. Both are weighed by the
         evidence: the fault's size is normal before it is measured, and the bend uniform over the
