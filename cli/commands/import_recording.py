@@ -75,6 +75,9 @@ def command(
     phase_unit: Annotated[
         str, typer.Option(help="Of phases beside magnitudes: deg or rad; found where it can be.")
     ] = "",
+    time_unit: Annotated[
+        str, typer.Option(help="Of t as numbers: s, ms, us or ns; asked where it is hardly s.")
+    ] = "",
     transpose: Annotated[
         bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
     ] = False,
@@ -119,6 +122,7 @@ def command(
             scale,
             bad_values,  # type: ignore[arg-type]
             phase_unit,  # type: ignore[arg-type]
+            time_unit,  # type: ignore[arg-type]
         ),
     )
     if recording.unused:

@@ -3,7 +3,7 @@
 import difflib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -34,6 +34,11 @@ _PLACE: Final = re.compile(r"(?P<name>.+?)(?::(?P<column>\d{1,4}))?(?:\*(?P<fact
 LARGEST_FORCE: Final = 500.0  # N on a skin; more is most likely grams
 _MARGIN: Final = 0.01  # of the sensor's size, by which positions may err at the rim
 _SCATTERED, _LEAST_SPAN = 10, 200  # so many positions spread over this fraction of the sensor
+SLOWEST: Final = 30.0  # s from frame to frame
+LATEST: Final = 1e11  # s since 1970
+_WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
+"""Periods of counters of milliseconds and microseconds in 32 bits [s]."""
+
 _UNIT: Final = "--length-unit mm, cm or um where they are in another unit"
 
 
@@ -174,8 +179,8 @@ def _column(table: NDArray[Any], place: Place, label: str) -> NDArray[Any]:
     return column
 
 
-def _times(column: NDArray[Any], factor: float) -> NDArray[np.float64]:
-    """Times (rows,) [s]; those of dates since the beginning of 1970."""
+def _times(column: NDArray[Any], factor: float) -> NDArray[Any]:
+    """Times (rows,), numbers in the unit of the file or dates; raises DataError."""
     import pandas as pd
 
     try:
@@ -187,11 +192,65 @@ def _times(column: NDArray[Any], factor: float) -> NDArray[np.float64]:
             dates = None
         if dates is None:
             raise
-        times = (dates - pd.Timestamp(0, tz="UTC")).total_seconds().to_numpy()
+        return np.asarray(dates.tz_localize(None), dtype="M8[ns]")
     if not np.isfinite(times).all():
         row = int(np.flatnonzero(~np.isfinite(times))[0])
         raise DataError(f"'t' must be finite, but its value {row} is not; leave the label out")
     return times
+
+
+@dataclass(slots=True)
+class Clock:
+    """Times of a recording's blocks in seconds on a clock that does not go back.
+
+    Attributes:
+        unit: of the times in the file [s]; NaN where it was not said.
+        ends: of each specimen and session the last time in the file, what its wraps add, and the
+            usual step [s].
+    """
+
+    unit: float
+    ends: dict[tuple[str, str], tuple[float, float, float]] = field(default_factory=dict)
+
+    def seconds(
+        self, times: NDArray[Any], specimens: NDArray[np.str_], sessions: NDArray[np.str_]
+    ) -> NDArray[np.float64]:
+        """Times of consecutive frames (n,) [s], of dates since 1970; DataError where none can be.
+
+        A counter of 32 bits that begins again goes on.
+        """
+        known = times.dtype.kind == "M" or not np.isnan(self.unit)
+        if times.dtype.kind == "M":
+            times = times.astype(np.int64) / 1e9
+        else:
+            times = times * (self.unit if known else 1.0)
+        origins = np.stack([specimens, sessions], axis=1)
+        for origin in np.unique(origins, axis=0):
+            rows = np.flatnonzero((origins == origin).all(axis=1))
+            key = (str(origin[0]), str(origin[1]))
+            last, later, usual = self.ends.get(key, (times[rows[0]], 0.0, 0.0))
+            steps = np.diff(times[rows], prepend=last)
+            usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else usual
+            if not known and (usual > SLOWEST or abs(times[rows]).max() > LATEST):
+                raise DataError(
+                    f"times such as {times[rows[0]]:.15g} and {times[rows[-1]]:.15g}, {usual:g} "
+                    "from frame to frame, are hardly seconds; import with --time-unit ms or us, "
+                    "or with --time-unit s where they are"
+                )
+            wraps = np.zeros(len(steps))
+            for period in _WRAPS:
+                wraps[(steps < 0) & (0 <= steps + period) & (steps + period <= 10 * usual)] = period
+            if (wrong := steps + wraps < 0).any():
+                row = int(wrong.argmax())
+                now = times[rows[row]]
+                raise DataError(
+                    f"'t' runs backwards, from {now - steps[row]:.12g} to {now:.12g} s; name the "
+                    "column that tells sessions with --column session=NAME, import each session "
+                    "as a file, or rename the column t to leave it out"
+                )
+            self.ends[key] = float(times[rows[-1]]), later + float(wraps.sum()), usual
+            times[rows] += later + np.cumsum(wraps)
+        return times
 
 
 def _numbers(table: NDArray[Any], label: str) -> NDArray[np.float64]:

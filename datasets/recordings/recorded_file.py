@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.datasets.recordings.blocks import Block, Complex, pair_rows, without_bad_values
 from eitskin.datasets.recordings.labels import (
     NAMES,
+    Clock,
     find_labels,
     names_of_origin,
     origin_on,
@@ -30,10 +31,12 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
 Rows = Literal["frames", "before-during", "during-before"]
+TimeUnit = Literal["", "s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm", "mm", "um"]
 Quantity = Literal["", "impedance", "magnitude", "voltage"]
 BadValues = Literal["refuse", "mark", "drop"]
 
+TIMES: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LENGTHS: Final[Mapping[str, float]] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 
 
@@ -83,6 +86,7 @@ class RecordingForm:
         bad_values: values that are empty or not finite are refused, marked in the frame's status,
             or their frames are dropped.
         phase_unit: of phases in columns of their own; as names or values have it where empty.
+        time_unit: of t where it is a number; seconds that can be none are refused where empty.
     """
 
     rows: Rows = "frames"
@@ -94,10 +98,16 @@ class RecordingForm:
     scale: float = 1.0
     bad_values: BadValues = "refuse"
     phase_unit: PhaseUnit = ""
+    time_unit: TimeUnit = ""
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
-        choices = (("rows", Rows), ("length_unit", LengthUnit), ("phase_unit", PhaseUnit))
+        choices = (
+            ("rows", Rows),
+            ("length_unit", LengthUnit),
+            ("phase_unit", PhaseUnit),
+            ("time_unit", TimeUnit),
+        )
         for name, kind in (*choices, ("quantity", Quantity), ("bad_values", BadValues)):
             if getattr(self, name) not in get_args(kind):
                 raise ConfigurationError(
@@ -143,9 +153,14 @@ class RecordedFile:
     def blocks(self) -> Iterator[Block]:
         """Frames of the file, block by block, checked; raises DataError that names the file."""
         first = 0
+        place = self._places.get("t")
+        said = TIMES.get(
+            self._form.time_unit, np.nan if place is None or place.factor == 1 else 1.0
+        )
+        clock = Clock(said)
         with self.named_errors():
             for tables in self._source.blocks(self._wanted, self._form.phase_unit):
-                block = self._block(tables, first)
+                block = self._block(tables, first, clock)
                 first += len(next(iter(tables.values())))
                 if len(block.values):
                     yield block
@@ -214,7 +229,7 @@ class RecordedFile:
         self.protocol, currents = _protocol_of_patterns(*matrices)
         self._scale = self._form.scale / currents
 
-    def _block(self, tables: Tables, first: int) -> Block:
+    def _block(self, tables: Tables, first: int, clock: Clock) -> Block:
         """Frames of one block of tables, whose first row is row `first` of the file."""
         form = self._form
         values, *before = (self._measured(tables, name) for name in self._wanted.values)
@@ -231,6 +246,9 @@ class RecordedFile:
             self._origins(tables, NAMES[2:], self._session, len(values)),
             np.zeros(values.shape, dtype=np.uint8),
         )
+        if "time" in block.labels:
+            time = clock.seconds(block.labels["time"], block.specimens, block.sessions)
+            block = replace(block, labels={**block.labels, "time": time})
         if form.rows != "frames":
             block, first = pair_rows(block, form.rows), first // 2
         if {"", "nan"} & {*block.specimens.tolist(), *block.sessions.tolist()}:
