@@ -1,5 +1,7 @@
 """Episodes: bends that move, presses that come, creep and linger, frames that take their time."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -13,9 +15,9 @@ from eitskin.datasets.recipe.episode import (
     ScriptedEpisode,
     Timeline,
 )
-from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.geometry import Bend, Rectangle
+from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
@@ -25,6 +27,9 @@ QUIET = Instrument(snr_db=0.0)
 SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
 RNG = np.random.default_rng(0)
 # Six channels, for scenes that are solved by the dozen.
+SMALL = SensorDesign(
+    OUTLINE, 0.005, tuple(Electrode(x, y) for x in (0.0225, 0.1275) for y in (0.0, 0.06))
+)
 SWEEP = (Keyframe(0.0, -20.0), Keyframe(3.5, 50.0))
 
 
@@ -180,6 +185,53 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.impedance.real == pytest.approx((100.0 + angles) * np.arange(1, 29), rel=1e-6)
     assert data.touch_reference == pytest.approx(data.impedance, rel=1e-6)
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
+
+
+@pytest.mark.slow
+def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
+    """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
+    fast = script(Keyframe(0.0, -20.0), Keyframe(7 / 3, 50.0), period=0.297)
+    slow_scan = dataclasses.replace(SCANNED, measurement_time=0.05)
+    data = simulate_shard(recipe(fast, instrument=slow_scan, sensor=SMALL, fixture=Hinge()), 0)
+    sim = Simulator(SMALL, "fast", Hinge())
+    moments = data.time[:-1, None] + slow_scan.offsets(sim.protocol)  # the last one ends in a kink
+
+    def solved(angle):
+        return sim.measure(Scene(Bend(float(angle)))).impedance.real
+
+    angles = -20.0 + 30.0 * moments
+    truth = np.array([[solved(a)[k] for k, a in enumerate(row)] for row in angles])
+    unmoved = np.array([solved(a) for a in data.bend_angle_deg[:-1]])
+    error = np.abs(data.impedance.real[:-1] / truth - 1.0).max()
+    assert error < 2e-4  # as much as the noise; without interpolation 0.85 %
+    assert np.abs(unmoved / truth - 1.0).max() > 40 * error
+
+
+def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
+    pressed = Keyframe(0.5, 0.0, (EpisodeTouch(0.0525, 0.03),))
+    told = script(Keyframe(0.0), pressed, Keyframe(3.0), Keyframe(5.0), period=0.25)
+    data = simulate_shard(recipe(told, instrument=QUIET, sensor=SMALL), 0)
+    change = np.abs(data.impedance - data.touch_reference)
+    before, held, released = np.split(change[:, change.max(axis=0).argmax()], [2, 12])
+    assert (before == 0.0).all()
+    assert (np.diff(held) > 0.0).all()  # it creeps, ever more slowly,
+    assert (np.diff(held, 2) < 0.0).all()
+    assert 1.02 < held[-1] / held[0] < 1.3  # by a tenth in 2.5 s,
+    assert released[0] < 0.2 * held[-1]  # and leaves a dent that fades
+    assert 0.0 < released[-1] < 0.5 * released[0]
+
+
+def test_gain_of_a_specimens_board_is_that_of_its_reference():
+    """All of a specimen is measured in one session, so a ratio to its reference is free of it."""
+    gains = Instrument(snr_db=0.0, gain=0.005, reciprocity=0.004)
+    told = script(Keyframe(0.0), Keyframe(1.0), period=0.5, count=2)
+    asked = recipe(told, instrument=gains, specimens=Specimens(2), sensor=SMALL, frames_per_shard=4)
+    data = simulate_shard(asked, 0)
+    flat = Simulator(specimen(asked, 0).design, "fast").measure(Scene()).impedance
+    assert np.array_equal(data.impedance[::2], data.reference)
+    error = np.abs(data.reference / flat - 1.0).max(axis=1)
+    assert (1e-4 < error.min(), error.max() < 0.03) == (True, True)
+    assert np.abs(data.reference[0] / data.reference[1] - 1.0).max() > 1e-4
 
 
 def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):

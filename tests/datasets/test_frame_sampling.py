@@ -171,6 +171,34 @@ def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
         assert specimen_numbers(recipe, frames) == sorted(drawn)
 
 
+def test_more_specimens_than_blocks_leave_some_out():
+    drawn = all_samples(dataclasses.replace(GROUPED, specimens=Specimens(100)))
+    assert len({each.specimen for each in drawn}) == 30 + 12
+    assert all(each.session_time < 8 * 0.297 for each in drawn)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("per_bend", [1, 4])
+def test_angles_forces_and_numbers_of_touches_are_spread_evenly(per_bend):
+    group = dataclasses.replace(TOUCHED, count=2000 * per_bend, per_bend=per_bend)
+    scenes = [each.scene for each in all_samples(Recipe("even", scenes=(group,), seed=9))]
+    angles = np.array([scene.bend.angle_deg for scene in scenes])[::per_bend]
+    forces = np.array([touch.force for scene in scenes for touch in scene.touches])
+    assert len(np.unique(angles)) == 2000
+    for values, (low, high) in ((angles, group.angle_deg), (forces, group.force)):
+        deviation = (high - low) / np.sqrt(12)
+        assert values.mean() == pytest.approx(
+            (low + high) / 2, abs=4 * deviation / np.sqrt(len(values))
+        )
+        assert values.std() == pytest.approx(deviation, rel=4 / np.sqrt(2 * len(values)))
+        assert low <= values.min() < low + 0.02 * (high - low)
+        assert high - 0.02 * (high - low) < values.max() <= high
+    counts = np.bincount([len(scene.touches) for scene in scenes], minlength=5)
+    shares = [0.0, 0.25, 0.25, 0.25, 0.25]
+    assert counts / len(scenes) == pytest.approx(shares, abs=4 * np.sqrt(0.25 * 0.75 / 2000))
+    assert counts[0] == 0
+
+
 def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkeypatch):
     """All distinct scenes of a specimen in one call, so that their bends are factorised once."""
     asked = []

@@ -3,6 +3,7 @@
 import dataclasses
 import tomllib
 
+import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
@@ -66,6 +67,38 @@ AWKWARD = dataclasses.replace(
 )
 def test_recipes_are_the_same_after_writing_and_reading(recipe, tmp_path):
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+
+
+def test_paper_recipes_hold_the_numbers_of_the_paper():
+    assert all(Recipe.shipped(name).name == name for name in shipped_names())
+    idle, bent, pressed = Recipe.shipped("paper_states").scenes
+    assert [idle.frames, bent.frames, pressed.frames] == [360] * 3
+    assert (bent.angle_deg, pressed.touches) == ((-20.0, 50.0), (1, 4))
+    bending = Recipe.shipped("paper_bending")
+    assert (bending.snapshots, bending.episodes[0].angles_deg) == (360, (-20.0, 50.0))
+    (indentation,) = Recipe.shipped("paper_indentation").scenes
+    grid = np.array([(x, y) for x in np.arange(15, 136, 15) for y in (15, 30, 45)]) / 1e3
+    assert np.allclose(sorted(indentation.positions), grid)
+    assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
+    assert [(g.touches, g.angle_deg) for g in Recipe.shipped("paper_touch").scenes] == [
+        ((1, 1), (-10.0, 50.0)),
+        *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
+    ]
+    (demo,) = Recipe.shipped("paper_demo").episodes
+    presses = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
+    assert presses == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
+    assert demo.period == 0.303
+
+
+def test_shipped_recipes_have_episodes_or_terms_of_a_board_for_those_who_ask():
+    for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
+        recipe = Recipe.shipped(name)
+        assert (recipe.episodes, recipe.specimens.count) == ((), 1)
+        assert recipe.instrument == Instrument(75.0)
+    training = Recipe.shipped("training")
+    assert training.specimens.count >= 50
+    assert training.instrument.measurement_time > 0.0
+    assert any(group.per_bend > 1 for group in training.scenes)
 
 
 def test_episodes_are_not_cut():
@@ -178,6 +211,12 @@ def test_a_recipe_names_its_protocol_and_is_written_with_it(tmp_path, name):
     assert recipe.measured_protocol == Protocol.adjacent(8)
     assert 'protocol = "adjacent:8"' in recipe.to_toml()
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
+
+
+def test_a_recipe_names_its_board(tmp_path):
+    text = 'name = "a"\n[instrument]\nboard = "ad5940"\nsnr_db = 80\n[[scenes]]\nstate = "idle"\n'
+    recipe = Recipe.from_toml(write(tmp_path, text + "count = 1\n"))
+    assert recipe.instrument == dataclasses.replace(Instrument.ad5940(), snr_db=80.0)
 
 
 def test_a_group_writes_what_it_wrote_before_it_could_do_more():

@@ -22,7 +22,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Mounts, Specimens, truncated_normal
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
+from eitskin.geometry import Clamp, Electrode, Hinge, Layer, Plates, SensorDesign
 from eitskin.simulator import Cylinder, FourTerminalMeter, Instrument, Mechanics, Scene, Simulator
 from eitskin.simulator.deformation import press_table as tables
 from eitskin.simulator.deformation import solution_store
@@ -95,6 +95,14 @@ def test_draws_are_normal_up_to_three_standard_deviations():
     variance = 1.0 - 2.0 * c * norm.pdf(c) / (2.0 * norm.cdf(c) - 1.0)
     assert drawn.std() == pytest.approx(math.sqrt(variance), rel=4 / math.sqrt(2 * len(drawn)))
     assert 2.9 < np.abs(drawn).max() <= MAX_DEVIATIONS
+
+
+def test_conductivities_of_layers_scatter_together():
+    design = dataclasses.replace(DESIGN, layers=(Layer(0.002, 0.5), Layer(0.003, 2.0)))
+    found = [each.design.layers for each in made(Specimens(50, conductivity=0.1), sensor=design)]
+    conductivity = np.array([[layer.conductivity for layer in layers] for layers in found])
+    assert conductivity[:, 1] / conductivity[:, 0] == pytest.approx(np.full(50, 4.0))
+    assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15
 
 
 def test_without_spread_every_specimen_is_nominal():
@@ -370,6 +378,12 @@ def test_frames_say_the_clamp_of_their_specimen():
     assert np.array_equal(data.clamp_stiffness, np.float32(ratios))
 
 
+def test_plates_under_a_clamped_sensor_hold_its_lower_face():
+    group = SceneGroup("idle", count=1, support=Plates())
+    data = simulate_frames(Recipe("plates", scenes=(group,), resolution="fast"), range(1))
+    assert data.clamp_faces == 1
+
+
 def test_hinges_are_no_clamps():
     flat = (SceneGroup("idle", count=1),)
     data = simulate_frames(Recipe("h", scenes=flat, fixture=Hinge(), resolution="fast"), range(1))
@@ -406,6 +420,13 @@ def test_every_load_has_the_spread_that_was_asked_for():
     apart = np.corrcoef(ratios.T) - np.eye(len(TERMS))
     assert np.abs(apart).max() < 0.2
     assert {each.scale for each in meters} == {2.0}
+
+
+def test_boards_leave_the_sensors_as_they_are():
+    loaded, same = boarded(3.0), boarded(0.0)
+    for number in range(3):
+        assert specimen(loaded, number) == specimen(same, number)
+        assert instrument(same, number) == same.instrument
 
 
 def test_frames_and_references_of_a_specimen_are_read_by_its_own_board():
