@@ -5,12 +5,14 @@ import threading
 import pytest
 
 from eitskin.datasets import Recipe, generate
+from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 
+from killed_writers import killed_once, was_killed
 from on_demand import OnDemand
 from shards_here import contents, in_this_process, made_here
 
@@ -48,9 +50,14 @@ def local_cluster():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_workers_of_a_cluster_make_the_same_bytes(whole, local_cluster, tmp_path):
-    generate(RECIPE, tmp_path / "set", scheduler=local_cluster.scheduler_address)
-    assert contents(tmp_path / "set") == whole
+def test_workers_of_a_cluster_of_which_one_is_killed_while_writing_make_the_same_bytes(
+    whole, local_cluster, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(generation, "make_shard", killed_once)
+    folder = tmp_path / "set"
+    generate(RECIPE, folder, scheduler=local_cluster.scheduler_address)
+    assert was_killed(folder)
+    assert contents(folder) == whole
 
 
 @pytest.mark.slow

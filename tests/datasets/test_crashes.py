@@ -1,7 +1,7 @@
-"""Runs of `eitskin generate` that are killed, and disks that fail.
+"""Runs of `eitskin generate` that are killed, and disks that are full, read-only or failing.
 
 Small by default; `pytest tests/datasets/test_crashes.py --crashes 200 --timeout 0` is the long run
-(Linux).
+(Linux; mounting small disks takes root).
 """
 
 import errno
@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -161,4 +162,46 @@ def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, crashes, code):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "fsync", fsync)
             assert_clean_error(out, whole)
+        assert_resumes(out, whole)
+
+
+@contextmanager
+def small_disk(place, size):
+    """A disk of `size` bytes, and a function that mounts it anew with another option."""
+
+    def mount(*options):
+        done = subprocess.run(["mount", *options, place], check=False, capture_output=True)
+        return done.returncode == 0
+
+    place.mkdir()
+    if not mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs"):
+        pytest.skip("mounting is not permitted here")
+    try:
+        yield lambda option: mount("-o", f"remount,{option}")
+    finally:
+        subprocess.run(["umount", place], check=True)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_full_disk_is_a_clean_error_and_more_room_is_enough(whole, tmp_path, crashes):
+    """From too small for anything up to nearly enough."""
+    size = sum(map(len, whole.values()))
+    for number, share in enumerate(np.linspace(0.05, 0.95, max(3, min(crashes, 20)) + 1)[1::2]):
+        disk = tmp_path / f"disk-{number}"
+        with small_disk(disk, round(size * share / 4096) * 4096) as remount:
+            assert_clean_error(disk / "set", whole)
+            assert remount("size=64m")
+            assert_resumes(disk / "set", whole)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_folder_that_turns_read_only_keeps_its_shards(whole, tmp_path):
+    out = tmp_path / "disk" / "set"
+    with small_disk(tmp_path / "disk", 1 << 26) as remount:
+        generate(RECIPE, out, shard=3)
+        assert remount("ro")
+        before = shards(out)
+        assert_clean_error(out, whole)
+        assert shards(out) == before != set()
+        assert remount("rw")
         assert_resumes(out, whole)
