@@ -338,6 +338,26 @@ def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
         dataclasses.replace(recipe, instrument=leaking)
 
 
+def test_frames_of_the_ad5940_may_be_of_neighbours():
+    """Its current is that of the drive pair, which no measurement of the protocol senses."""
+    recipe = Recipe(
+        "adjacent",
+        resolution="coarse",
+        protocol=Protocol.adjacent(8),
+        instrument=dataclasses.replace(Instrument.ad5940(), snr_db=0.0, floor=0.0, drift=0.0),
+        scenes=(SceneGroup("idle", count=1),),
+    )
+    data = simulate_frames(recipe, [0])
+    made = specimen(recipe, 0)
+    ideal = recipe.protocol.measure(
+        Simulator(made.design, "coarse", made.fixture).model.impedance()
+    )
+    assert data.impedance[0].real == pytest.approx(ideal, rel=0.02)
+    assert (np.abs(data.impedance[0].imag) > 1e-4 * np.abs(ideal)).all()  # of stray capacitance
+    assert data.reference[0] == pytest.approx(data.impedance[0])
+    assert not data.status.any()
+
+
 def test_frames_are_measured_by_the_protocol_of_the_recipe():
     plain = Recipe(
         "own",

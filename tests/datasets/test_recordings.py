@@ -23,6 +23,7 @@ from eitskin.datasets import (
     read_recording,
 )
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -73,6 +74,22 @@ def test_csv_with_everything(tmp_path):
     assert np.isnan(data.touch_x[:, 1:]).all()
     assert data.time.tolist() == [0.0, 0.5, 1.0]
     assert data.frame(1).protocol == Protocol.pairwise(3)
+
+
+@pytest.mark.parametrize(
+    ("ending", "save"), [(".mat", savemat), (".npz", lambda path, arrays: np.savez(path, **arrays))]
+)
+def test_matrices_with_positions(tmp_path, ending, save):
+    path = tmp_path / f"run{ending}"
+    save(path, {"down": PRESSED, "up": UNTOUCHED, "places": PLACES, "t": np.arange(3.0)})
+    data = read_recording(path, RecordingNames("down", "up", "places"))
+    assert np.array_equal(data.impedance, PRESSED)
+    assert np.array_equal(data.touch_reference, UNTOUCHED)
+    assert np.array_equal(data.reference[0], UNTOUCHED.mean(axis=0))
+    found = np.stack([data.touch_x[:, 0], data.touch_y[:, 0]], axis=1)
+    assert np.array_equal(found, np.float32(PLACES[:, :2]), equal_nan=True)
+    assert data.state.tolist() == [State.TOUCH, UNKNOWN_STATE, State.TOUCH]
+    assert data.time.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_openeit_lines_among_others(tmp_path):
@@ -174,6 +191,20 @@ def test_documented_commands_import_the_real_recordings(command, tmp_path, monke
             np.unique(data.touch_depth[:, 0]).tolist() == np.float32([10e-3, 15e-3, 20e-3]).tolist()
         )
         assert np.abs(data.touch_x[:, 0] - 0.09).max() < 0.08
+
+
+def test_the_round_skin_drives_facing_electrodes_in_both_directions():
+    n, table = 8, []
+    for k in range(n):
+        drive = (k, (k + 4) % n)
+        table += [(*drive, (j + 1) % n, j) for j in range(n) if not {*drive} & {j, (j + 1) % n}]
+    folder = GUIDES / "recordings"
+    assert Protocol.named(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
+    electrodes = SensorDesign.from_toml(folder / "round-skin.toml").electrodes
+    turns = 2 * np.pi * np.arange(n) / n
+    places = 0.090 + 0.085 * np.stack([np.sin(turns), -np.cos(turns)], axis=1)
+    assert np.allclose([(each.x, each.y) for each in electrodes], places, atol=1e-6)
+    assert len(SensorDesign.from_toml(folder / "water-tank.toml").electrodes) == 32
 
 
 # Recordings that were damaged, or made to do harm: each is one error

@@ -2,15 +2,15 @@
 
 import dataclasses
 import errno
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
-from eitskin.cli.commands.import_recording import command
+from eitskin.cli.main import app
 from eitskin.datasets import combine, compact, open_dataset, read_shard, save_dataset, verify
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.manifest import Names
@@ -187,8 +187,8 @@ SPECIMENS = {0: "gel B left", 1: "gel A left", 2: "gel A right"}
 SESSIONS = {0: "monday", 1: "tuesday"}
 
 
-def run(app_, *arguments):
-    done = CliRunner().invoke(app_, [str(each) for each in arguments])
+def run(*arguments):
+    done = CliRunner().invoke(app, [str(each) for each in arguments])
     assert done.exit_code == 0, done.output
     return done.output
 
@@ -196,10 +196,9 @@ def run(app_, *arguments):
 @pytest.fixture
 def named(tmp_path):
     (tmp_path / "mine.csv").write_text(ROWS)
-    importing = typer.Typer()
-    importing.command()(command)
-    run(importing, tmp_path / "mine.csv", "--out", tmp_path / "mine", "--protocol", "pairwise:3")
-    return tmp_path / "mine"
+    out = tmp_path / "mine"
+    run("import", tmp_path / "mine.csv", "--out", out, "--protocol", "pairwise:3")
+    return out
 
 
 def test_names_of_an_import_stay_with_the_dataset(named):
@@ -208,6 +207,15 @@ def test_names_of_an_import_stay_with_the_dataset(named):
     assert data.specimen_names == tuple(SPECIMENS.values())
     assert data.select([1, 3]).specimen_names == ("gel A left", "gel A right")
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
+
+
+def test_info_shows_them(named):
+    printed = run("dataset", "info", named)
+    assert "gel A right" in printed
+    assert "tuesday" in printed
+    told = json.loads(run("dataset", "info", named, "--json", "-q"))
+    assert told["specimen_names"] == {str(k): name for k, name in SPECIMENS.items()}
+    assert told["session_names"] == {str(k): name for k, name in SESSIONS.items()}
 
 
 def test_compacting_keeps_them(named, tmp_path):
