@@ -153,15 +153,17 @@ def draw_panels(
     panels: Sequence[PicturePanel],
     columns: int = COLUMNS,
     common: bool = True,
-    quantity: str = "change of conductivity",
+    shares: bool = False,
 ) -> Any:
-    """Figure of pictures, row by row, with colour scales in percent centred at zero.
+    """Figure of pictures, row by row.
+
+    Changes of conductivity have colour scales in percent centred at zero.
 
     Args:
         panels: the pictures.
         columns: most panels in a row.
         common: one scale for all, so that pictures of one method are comparable; else each its own.
-        quantity: what the colours show.
+        shares: whether the pictures are touch maps, whose pixels count from 0 to 1.
     """
     across = min(columns, len(panels))
     rows = math.ceil(len(panels) / across)
@@ -174,25 +176,28 @@ def draw_panels(
     if common:
         limits = [max(limits)] * len(panels)
     for each, panel, limit in zip(axes, panels, limits, strict=False):
-        image = _draw_picture(each, panel, limit or 100.0)
+        image = _draw_picture(each, panel, limit or 100.0, shares)
+        if shares:
+            continue
         bar = figure.colorbar(image, ax=each, shrink=0.8, pad=0.02, aspect=18)
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=7.5, length=2)
     for unused in axes[len(panels) :]:
         unused.set_axis_off()
-    figure.supxlabel(f"x [mm]; colours: {quantity} [%]", fontsize=9)
+    colours = "" if shares else "; colours: change of conductivity [%]"
+    figure.supxlabel(f"x [mm]{colours}", fontsize=9)
     figure.supylabel("y [mm]", fontsize=9)
     return figure
 
 
-def _draw_picture(axes: Any, panel: PicturePanel, limit: float) -> Any:
+def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) -> Any:
     """Draw one picture with the sensor's outline and numbered electrodes; returns the image."""
     outline = panel.design.outline
     axes.set_axisbelow(False)
     image = axes.imshow(
         100.0 * _filled(panel),
-        cmap=COLOURS,
-        vmin=-limit,
+        cmap="Oranges" if shares else COLOURS,
+        vmin=0.0 if shares else -limit,
         vmax=limit,
         origin="lower",
         extent=(0.0, 1e3 * outline.length, 0.0, 1e3 * outline.width),

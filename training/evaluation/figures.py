@@ -357,7 +357,7 @@ def _draw_touch_maps(
             scaled = values[i] / (float(np.abs(values[i]).max()) or 1.0)
             panels.append(PicturePanel(words, design, None, scaled, _discs(frames, i), crosses))
     return CaptionedFigure(
-        draw_panels(panels, len(pictures), quantity="touched, as a share of the largest magnitude"),
+        draw_panels(panels, len(pictures), shares=True),
         f"{title}: the frame nearest to each angle, without selection, each image scaled to its "
         "largest magnitude; reconstructions are against the flat sensor and against the bent one. "
         f"Dashed: the true touches; crosses: those found. {SSIM_DEFINITION}",
