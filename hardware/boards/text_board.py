@@ -1,12 +1,13 @@
-"""Board that prints lines of text: an evaluation board of the AD5940 behind multiplexers.
+"""Board that prints lines of text: an evaluation board of the AD5940, or one of a frame a line.
 
-The lines carry no number and no sign of a frame's beginning. A frame begins at an agreed line, the
-mark, or after a pause longer than the usual interval of lines. A frame with more or fewer lines
-than the protocol has measurements is lost and counted: no value is ever taken for that of another
-measurement.
+Lines of one measurement carry no number and no sign of a frame's beginning. A frame begins at an
+agreed line, the mark, or after a pause longer than the usual interval of lines. A frame with more
+or fewer lines than the protocol has measurements is lost and counted: no value is ever taken for
+that of another measurement.
 """
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.files import shortened
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import CHUNK, SerialPort, connector
@@ -60,7 +62,7 @@ class TextBoard(PortBoard[FrameLines]):
             clock: time that pauses and silence are measured by [s].
         """
         self.protocol, self._frequency = protocol, frequency
-        self._decoder = LineDecoder(mark)
+        self._decoder = LineDecoder(mark, len(protocol))
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
         self._session = 0
         self._begun = math.nan
@@ -128,10 +130,17 @@ class TextBoard(PortBoard[FrameLines]):
         for lines in self._received(patience):
             return self._frame(lines)
         drops = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
-        damage = f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
+        received, unread = self._finder.received_instead(), self._decoder.unread
+        if unread.isascii() and (count := len(re.findall(rb"\d+(?:[.,]\d+)?", unread))):
+            received = (
+                f"the last line that was not read has {count} numbers where the protocol has "
+                f"{len(self.protocol)} measurements: '{shortened(unread.decode())}'; text: reads "
+                "one measurement a line, or all of a frame: correct protocol="
+            )
+        elif drops:
+            received += f" (dropped: {drops}; a wrong baud rate looks like this)"
         raise DeviceError(
-            f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; "
-            f"{self._finder.received_instead()}{damage}"
+            f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; {received}"
         )
 
     def _receive(self) -> None:

@@ -2,7 +2,8 @@
 
 Impedance and body impedance: `Freq:40000.00 RzMag: 612.5 Ohm , RzPhase: -1.25`, magnitude in ohm
 and phase in degrees; "Freq:" comes once for several lines, in each line, or not at all. Two-wire
-bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Lines carry no
+bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Others print all
+numbers of a frame in a line: `magnitudes : 612.5 , 598.1 ,`, `612.5, 598.1` or JSON. Lines carry no
 checksum: a digit that is damaged into another digit goes unseen.
 """
 
@@ -15,13 +16,19 @@ from enum import StrEnum
 from statistics import median
 
 LONGEST = 256
-"""Longest line [bytes]; the programs print less than half as many."""
+"""Longest line with one measurement [bytes]; the programs print less than half as many."""
+BYTES_PER_VALUE = 32
+"""Most bytes of a value in a line of many."""
 
-_NUMBER = rb"([+-]?(?:\d{1,64}(?:\.\d{0,32})?(?:e[+-]?\d{1,4})?|nan(?:\([^)\s]*\))?|inf(?:inity)?))"
+_NUMBER = (
+    rb"([+-]?(?:\d{1,64}(?:\.\d{0,32}|,\d{1,32})?(?:e[+-]?\d{1,4})?"
+    rb"|nan(?:\([^)\s]*\))?|inf(?:inity)?))"
+)
 _FREQUENCY = rb"(?:freq\s*:\s*" + _NUMBER + rb"\s*(?:\(?hz\)?)?\s*,?\s*)?"
 _POLAR = re.compile(
-    _FREQUENCY
-    + rb"(?:rzmag\s*:\s*" + _NUMBER + rb"\s*ohm\s*,\s*rzphase\s*:\s*" + _NUMBER + rb"\s*(?:deg)?)",
+    rb"(?:[a-z]+ ?\d+ ?[-:] ?)?" + _FREQUENCY
+    + rb"(?:rzmag|magnitude|impedance)\s*[:=]\s*" + _NUMBER + rb"\s*(k?)(?:ohms?)?\s*,?\s*"
+    + rb"(?:rzphase|phase)\s*[:=]\s*" + _NUMBER + rb"\s*(?:deg(?:rees)?)?",
     re.IGNORECASE,
 )  # fmt: skip
 _CARTESIAN = re.compile(
@@ -58,7 +65,14 @@ class Mark:
     """Line that begins a frame."""
 
 
-Line = Measurement | Mark
+@dataclass(frozen=True, slots=True)
+class FrameLine:
+    """Line with all measurements of a frame."""
+
+    measurements: tuple[Measurement, ...]
+
+
+Line = Measurement | Mark | FrameLine
 
 
 class LineDecoder:
@@ -66,10 +80,16 @@ class LineDecoder:
 
     Attributes:
         drops: count of dropped lines, by reason; empty lines do not count.
+        unread: newest line that is no measurement.
     """
 
-    def __init__(self, mark: str = "") -> None:
-        """Take lines that begin with `mark` as beginnings of frames; no line when empty."""
+    def __init__(self, mark: str = "", size: int = 0) -> None:
+        """Take lines that begin with `mark` as beginnings of frames; no line when empty.
+
+        Lines of `size` numbers are whole frames.
+        """
+        self._size, self._longest = size, max(LONGEST, BYTES_PER_VALUE * size)
+        self.unread, self._cut = b"", False
         self.drops: Counter[LineDrop] = Counter()
         self._mark = b" ".join(mark.encode().split())
         self._frequency = math.nan
@@ -77,7 +97,8 @@ class LineDecoder:
         self._overflown = False
 
     def restart(self) -> None:
-        """Discard the unfinished line, and the frequency."""
+        """Discard the unfinished line, whose rest may come, and the frequency."""
+        self._cut = True
         self._begun.clear()
         self._overflown = False
         self._frequency = math.nan
@@ -96,34 +117,42 @@ class LineDecoder:
 
     def _append(self, part: bytes) -> None:
         self._begun += part
-        self._overflown |= len(self._begun) > LONGEST
-        del self._begun[LONGEST:]
+        self._overflown |= len(self._begun) > self._longest
+        del self._begun[self._longest :]
 
     def _end(self) -> Line | None:
         """Content of the line that has ended; None for one empty, dropped, or without impedance."""
         text, overflown = b" ".join(self._begun.strip(b"\0").split()), self._overflown
+        cut, self._cut = self._cut, False
         self._begun.clear()
         self._overflown = False
         if overflown:
             self.drops[LineDrop.TOO_LONG] += 1
+            self.unread = text
         elif self._mark and text.startswith(self._mark):
             return Mark()
         elif text:
-            return self._read(text)
+            return self._read(text, cut)
         return None
 
-    def _read(self, text: bytes) -> Measurement | None:
+    def _read(self, text: bytes, cut: bool) -> Measurement | FrameLine | None:
         if found := _POLAR.fullmatch(text):
-            frequency, magnitude, phase = map(_number, found.groups())
-            impedance = _from_polar(magnitude, phase)
+            frequency, magnitude, phase = (_number(found[group]) for group in (1, 2, 4))
+            impedance = _from_polar(magnitude * (1e3 if found[3] else 1.0), phase)
         elif found := _CARTESIAN.fullmatch(text):
             frequency, *parts = map(_number, found.groups())
             impedance = complex(*parts)
         elif found := _FREQUENCY_ALONE.fullmatch(text):
             self._frequency = _number(found[1])
             return None
+        elif self._size > 1 and not cut and len(values := values_in(text)) == self._size:
+            numbers = [value if math.isfinite(value) else math.nan for value in values]
+            return FrameLine(
+                tuple(Measurement(complex(v, 0 * v), self._frequency) for v in numbers)
+            )
         else:
             self.drops[LineDrop.UNKNOWN] += 1
+            self.unread = text
             return None
         if found[1] is not None:
             self._frequency = frequency
@@ -131,9 +160,22 @@ class LineDecoder:
         return Measurement(impedance if known else complex(math.nan, math.nan), self._frequency)
 
 
+def values_in(text: bytes) -> list[float]:
+    """Numbers of a line that has nothing else but a label, as "magnitudes : 1 , 2 ," or in JSON."""
+    lists = re.findall(rb"\[([^\[\]]*)\]", text)
+    body = max(lists, key=len) if lists else re.sub(rb"(?i)^[a-z_][\w -]*[:=]", b"", text)
+    body = body.strip(b" ,;(){}").replace(b"null", b"nan")
+    if b";" in body:
+        body = body.replace(b",", b".")
+    try:
+        return [float(cell) for cell in re.split(rb"\s*[;,]\s*|\s+", body)]
+    except ValueError:
+        return []
+
+
 def _number(text: bytes | None) -> float:
     """Number in `text`; NaN where it is not finite."""
-    value = float(text.partition(b"(")[0]) if text is not None else math.nan
+    value = float(text.partition(b"(")[0].replace(b",", b".")) if text is not None else math.nan
     return value if math.isfinite(value) else math.nan
 
 
@@ -220,6 +262,11 @@ class FrameFinder:
             ended.append(self._end())
         for line in lines:
             if isinstance(line, Mark):
+                ended.append(self._end())
+            elif isinstance(line, FrameLine):
+                self._began, self._whole = now, True
+                self._group, self._count = list(line.measurements), self._size
+                self.frequency = line.measurements[-1].frequency
                 ended.append(self._end())
             else:
                 self._take(now, line)
