@@ -5,6 +5,7 @@ hash of that description; it holds arrays by name.
 """
 
 import hashlib
+import io
 import json
 import multiprocessing
 import os
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.files import atomic_file
+from eitskin.files import atomic_file, read_bytes
 from eitskin.threads import one_thread_per_process
 
 Arrays = dict[str, NDArray[Any]]
@@ -34,6 +35,7 @@ LIBRARY = Path(__file__).with_name("library")
 # Version of the format of files and of all solutions.
 _VERSION = 1
 _MAX_LOADED = 32  # files in memory
+_MAX_BYTES = 1 << 30  # of a file; the largest has 3 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +195,8 @@ def _load(path: Path) -> Arrays | None:
 @lru_cache(maxsize=_MAX_LOADED)
 def _read(path: Path, changed: int) -> Arrays | None:  # noqa: ARG001
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        content = io.BytesIO(read_bytes(path, _MAX_BYTES))  # which waits for no pipe
+        with np.load(content, allow_pickle=False) as file:
             return {name: _joined(file[name]) for name in file.files}
     except Exception:  # damage raises errors of many classes, of which numpy lists none
         return None

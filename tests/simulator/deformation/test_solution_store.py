@@ -136,6 +136,10 @@ def test_a_damaged_file_is_solved_again(cache) -> None:
     assert found.count(None) > len(found) // 2
     path.write_bytes(good[: len(good) // 2])
     assert load_or_solve(problem(np.ones(2)))["x"].tolist() == [1.0, 1.0]
+    path.unlink()
+    os.mkfifo(path)
+    assert load_or_solve(problem(np.ones(2)))["x"].tolist() == [1.0, 1.0]
+    assert path.is_file()
 
 
 def test_descriptions_name_files_to_nine_digits() -> None:
