@@ -99,10 +99,11 @@ class Protocol:
     def from_file(cls, path: str | Path, n_electrodes: int | None = None) -> "Protocol":
         """Read a CSV table with the header drive_plus,drive_minus,sense_plus,sense_minus.
 
-        Electrodes are counted from 0; without `n_electrodes` the largest number in the table is
-        the last electrode. Raises ConfigurationError, naming the line, for values that are no
-        integers, a wrong number of columns, electrodes that do not exist, and repeated
-        measurements.
+        Electrodes are counted from 0, or from 1 where the largest number is `n_electrodes` and none
+        is 0; without `n_electrodes` the largest number in the table is the last electrode. Raises
+        ConfigurationError, naming the line, for values that are no integers, a wrong number of
+        columns, electrodes that do not exist, and repeated measurements; and for a table without
+        electrode 0 where `n_electrodes` is not given.
         """
         try:
             text = read_text(path).removeprefix("\ufeff")
@@ -118,10 +119,22 @@ class Protocol:
             )
         if len(lines) == 1:
             raise ConfigurationError(f"{path}: expected measurements after the header, got none")
+        used = [
+            int(c) for _, cells in lines[1:] for c in cells if re.fullmatch(r"\s*\d{1,9}\s*", c)
+        ]
+        least, largest = min(used, default=0), max(used, default=0)
+        if least > 0 and n_electrodes is None:
+            raise ConfigurationError(
+                f"{path} has no electrode 0: where it counts from 1, write '{path}:{largest}'; "
+                f"where electrode 0 is not used, '{path}:{largest + 1}'"
+            )
+        base = int(least > 0 and largest == n_electrodes)
         table: dict[Row, int] = {}
         for number, cells in lines[1:]:
             where = f"{path}, line {number}"
-            row = _row(cells, MOST_ELECTRODES if n_electrodes is None else n_electrodes, where)
+            row = _row(
+                cells, MOST_ELECTRODES if n_electrodes is None else n_electrodes, where, base
+            )
             if row in table:
                 raise ConfigurationError(
                     f"{where}: measurement {_text(row)} is in line {table[row]} already; leave "
@@ -288,8 +301,8 @@ def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:
     return [(i, (i + step) % n_electrodes) for i in starts]
 
 
-def _row(cells: list[str], n_electrodes: int, where: str) -> Row:
-    """Measurement from the cells of one line of a protocol file."""
+def _row(cells: list[str], n_electrodes: int, where: str, base: int) -> Row:
+    """Measurement from the cells of one line of a protocol file that counts from `base`."""
     if len(cells) != len(HEADER):
         raise ConfigurationError(
             f"{where}: expected {len(HEADER)} electrodes separated by commas, got {len(cells)}"
@@ -298,7 +311,7 @@ def _row(cells: list[str], n_electrodes: int, where: str) -> Row:
         raise ConfigurationError(
             f"{where}: electrodes are whole numbers, got {shortened(','.join(cells))}"
         )
-    a, b, c, d = (int(cell) for cell in cells)
+    a, b, c, d = (int(cell) - base for cell in cells)
     _check((a, b, c, d), n_electrodes, where)
     return a, b, c, d
 

@@ -148,3 +148,13 @@ def test_protocols_that_cannot_be_are_refused(make, message, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigurationError, match=message):
         make()
+
+
+def test_a_table_that_counts_from_one_is_read_as_such_or_asked_about(tmp_path):
+    protocol, path = Protocol.adjacent(5), tmp_path / "one.csv"
+    rows = [",".join(str(electrode + 1) for electrode in row) for row in protocol.table]
+    path.write_text("\n".join(["drive_plus,drive_minus,sense_plus,sense_minus", *rows]))
+    assert Protocol.from_file(path, 5) == Protocol.named(f"{path}:5") == protocol
+    assert Protocol.from_file(path, 6).table[0] == (1, 2, 3, 4)
+    with pytest.raises(ConfigurationError, match=r"no electrode 0.*one.csv:5'.*one.csv:6'"):
+        Protocol.from_file(path)
