@@ -135,7 +135,8 @@ class Reconstructor:
         """Data y (..., measurements) of frames against a reference, dimensionless; NaN where bad.
 
         Absolute differences are divided by the factor, fitted by least squares, that takes the
-        model's resistances to the reference, and by their root mean square.
+        model's resistances to the reference, and by their root mean square. Magnitudes alone, which
+        are never negative, have the signs of the model's resistances.
 
         Args:
             impedance: of the frames (..., measurements), in any unit.
@@ -152,6 +153,8 @@ class Reconstructor:
                 change = relative_difference(V, before)
             return np.where(np.isfinite(change), change, np.nan)
         R = np.real(self.model.impedance)
+        if not any(np.imag(values).any() or (np.real(values) < 0).any() for values in (V, before)):
+            V, before = V * np.sign(R), before * np.sign(R)
         known = np.isfinite(before)
         gain = np.sum(np.where(known, np.conj(before), 0) * R, axis=-1, keepdims=True)
         gain = gain / np.sum(np.where(known, R**2, 0.0), axis=-1, keepdims=True)

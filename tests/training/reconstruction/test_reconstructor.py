@@ -81,6 +81,16 @@ def test_data_do_not_know_the_unit_of_the_frames(greit):
     )
 
 
+def test_magnitudes_have_the_signs_of_the_model():
+    opposite = Reconstructor(DESIGN, Protocol.opposite(16), pixels=625, resolution=COARSE)
+    before = np.real(opposite.model.impedance)
+    after = before * (1.0 + 0.01 * np.sin(np.arange(len(before))))
+    assert (before < 0).any()
+    assert opposite.data(np.abs(after), np.abs(before)) == pytest.approx(
+        opposite.data(after, before)
+    )
+
+
 def test_bad_channels_are_left_out(greit):
     before = np.asarray(greit.model.impedance)
     after = before * (1.0 + 0.01 * np.sin(np.arange(len(PROTOCOL))))
