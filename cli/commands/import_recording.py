@@ -78,6 +78,9 @@ def command(
     time_unit: Annotated[
         str, typer.Option(help="Of t as numbers: s, ms, us or ns; asked where it is hardly s.")
     ] = "",
+    order: Annotated[
+        str, typer.Option(help="Of readings: given, rotated (from the drive pair on) or reversed.")
+    ] = "",
     transpose: Annotated[
         bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
     ] = False,
@@ -123,6 +126,7 @@ def command(
             bad_values,  # type: ignore[arg-type]
             phase_unit,  # type: ignore[arg-type]
             time_unit,  # type: ignore[arg-type]
+            order,  # type: ignore[arg-type]
         ),
     )
     if recording.unused:

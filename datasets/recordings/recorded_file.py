@@ -19,6 +19,7 @@ from eitskin.datasets.recordings.labels import (
     read_labels,
     require_plausible,
 )
+from eitskin.datasets.recordings.orders import Order
 from eitskin.datasets.recordings.parts import (
     PhaseUnit,
     protocol_of_names,
@@ -87,6 +88,8 @@ class RecordingForm:
             or their frames are dropped.
         phase_unit: of phases in columns of their own; as names or values have it where empty.
         time_unit: of t where it is a number; seconds that can be none are refused where empty.
+        order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
+            ("rotated") or "reversed"; tested by reciprocity where empty.
     """
 
     rows: Rows = "frames"
@@ -99,6 +102,7 @@ class RecordingForm:
     bad_values: BadValues = "refuse"
     phase_unit: PhaseUnit = ""
     time_unit: TimeUnit = ""
+    order: Order = ""
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
