@@ -354,6 +354,7 @@ class Pipeline:
                 self.layout.require_same_sensor(voltages)
                 session.average(voltages)
                 session.doubt = self.doubt(voltages)
+            voltages, stepped = session.without_gain_step(voltages)
             voltages = session.with_same_sign(voltages)
             perceived = self.method.predict(session.observed(voltages))
         except Exception:
@@ -362,7 +363,7 @@ class Pipeline:
             raise
         if (touched := perceived.touched(self.targets)) or not first:
             session.renew(voltages, touched)
-        problems += (*perceived.problems[0], *session.problems(frame.protocol.labels))
+        problems += (*stepped, *perceived.problems[0], *session.problems(frame.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:
             return estimate.of_unknown_start()

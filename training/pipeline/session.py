@@ -25,6 +25,8 @@ LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag beh
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
 FEWEST_SCATTERS = 5  # frames that the noise of training counts as
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
+MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
+COMMON = 0.3  # spread of the channels over their mean, below which they change alike
 MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -280,6 +282,7 @@ class Session:
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
         self._reversed = np.zeros(0, np.intp)
+        self._gain, self._latest = 1.0 + 0.0j, np.zeros(0, np.complex128)
 
     @property
     def bend(self) -> Voltages:
@@ -318,6 +321,32 @@ class Session:
             self._opening = False
         if self._opening:
             self.static.add(voltages)
+
+    def without_gain_step(self, voltages: Voltages) -> tuple[Voltages, tuple[str, ...]]:
+        """Frame (measurements,) [ohm] at the gain of the session's first, and a step in words.
+
+        Bends change the channels by amounts whose spread is two thirds of their mean or more,
+        touches by more: a step that all channels share is of the board's gain or phase, or of the
+        gel's conductivity, and is taken back.
+        """
+        said: tuple[str, ...] = ()
+        V = voltages / self._gain
+        last = self._latest if self._latest.size else np.full_like(V, np.nan)
+        known = np.isfinite(V) & np.isfinite(last) & (last != 0.0)
+        step = V[known] / last[known] - 1.0
+        mean = complex(step.mean()) if len(step) > 3 else 0.0
+        if MIN_GAIN_STEP < abs(mean) < MAX_GAIN_STEP and (
+            np.sqrt(np.mean(np.abs(step - mean) ** 2)) < COMMON * abs(mean)
+        ):
+            self._gain *= 1.0 + mean
+            V = V / (1.0 + mean)
+            said = (
+                f"all channels changed by {abs(1.0 + mean) - 1.0:+.2%} and "
+                f"{np.degrees(np.angle(1.0 + mean)):+.1f} deg of phase at once, as no touch and no "
+                "bend changes them: this is taken back; look at the board's supply and excitation",
+            )
+        self._latest = np.where(np.isfinite(V), V, last)
+        return V, said
 
     def with_same_sign(self, voltages: Voltages) -> Voltages:
         """Frame (measurements,) [ohm] with NaN for values that changed their sign in the session.

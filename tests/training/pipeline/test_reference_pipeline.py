@@ -114,6 +114,26 @@ def test_a_contact_that_rises_a_little_is_no_bend(session, simulator, electrode)
     assert abs(said.bend_angle_deg) < 2.0
 
 
+@pytest.mark.parametrize("gain", [0.998, 1.03, np.exp(0.07j)])
+def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, gain):
+    """Of a flat, a touched and a bent sensor: said once, and no estimate changes."""
+    touched = Scene(touches=(Touch(0.060, 0.030, 10.0),))
+    rng, factor = np.random.default_rng(1), 1.0
+    for scene, state in (
+        (Scene(), State.IDLE),
+        (touched, State.TOUCH),
+        (Scene(Bend(20.0)), State.BEND),
+    ):
+        said = []
+        for step in (1.0, 1.0, gain, 1.0, 1.0):
+            factor *= step
+            impedance = factor * simulator.measure(scene, Instrument(), rng).impedance
+            said.append(session(scene, impedance=impedance))
+        assert {each.state for each in said} == {state}
+        assert {len(each.touches) for each in said} == {len(scene.touches)}
+        assert [bool(each.problems) for each in said] == [False, False, True, False, False]
+
+
 @pytest.mark.slow
 def test_it_runs_without_torch():
     """Which takes seconds to load: a live session would lose its first frames."""
