@@ -5,6 +5,8 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import pytest
+
 HEAVY = {"h5py", "matplotlib", "numpy", "pyvista", "scipy", "serial", "skfem", "torch"}
 
 
@@ -17,6 +19,24 @@ def eitskin(*arguments, **environment):
 
 def test_version():
     assert eitskin("--version") == f"eitskin {version('eitskin')}\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [("eitskin si", {"simulate"}), ("eitskin simulate --se", {"--sensor", "--seed"})],
+)
+def test_bash_completes_commands_and_options(words, expected):
+    code = "import sys; sys.argv[0] = 'eitskin'; from eitskin.cli.main import run; run()"
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    said = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | asked | {"_EITSKIN_COMPLETE": "complete_bash"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    ).stdout
+    assert set(said.split()) == expected
 
 
 def test_heavy_packages_are_loaded_by_commands_only():

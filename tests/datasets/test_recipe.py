@@ -213,6 +213,13 @@ def test_a_recipe_names_its_protocol_and_is_written_with_it(tmp_path, name):
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
 
 
+def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
+    table = Protocol(Protocol.adjacent(8).table[::-1], 8)
+    table.to_file(tmp_path / "pairs.csv")
+    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format("pairs.csv")))
+    assert recipe.protocol == parse_toml(Recipe, recipe.to_toml()).protocol == table
+
+
 def test_a_recipe_names_its_board(tmp_path):
     text = 'name = "a"\n[instrument]\nboard = "ad5940"\nsnr_db = 80\n[[scenes]]\nstate = "idle"\n'
     recipe = Recipe.from_toml(write(tmp_path, text + "count = 1\n"))

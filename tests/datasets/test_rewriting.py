@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import combine, compact, open_dataset, read_shard, save_dataset, verify
+from eitskin.datasets.store import folder as folders
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.summary import specimens_in_words
@@ -207,6 +208,13 @@ def test_names_of_an_import_stay_with_the_dataset(named):
     assert data.specimen_names == tuple(SPECIMENS.values())
     assert data.select([1, 3]).specimen_names == ("gel A left", "gel A right")
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
+
+
+def test_a_large_dataset_knows_them_without_reading_its_columns(named, monkeypatch):
+    monkeypatch.setattr(folders, "READ_AT_ONCE", 0)
+    data = open_dataset(named)
+    assert data.names == Names(SPECIMENS, SESSIONS)
+    assert data.select([0]).specimen_names == ("gel B left",)
 
 
 def test_info_shows_them(named):

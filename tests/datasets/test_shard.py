@@ -356,6 +356,13 @@ def large_claims():
     }
 
 
+def test_pipes_and_devices_are_no_shards(tmp_path):
+    os.mkfifo(tmp_path / "shard.h5")
+    for path in (tmp_path / "shard.h5", "/dev/zero"):
+        with pytest.raises(DataError):
+            open_dataset(path)
+
+
 def test_no_file_claims_more_than_it_holds(shard):
     whole = shard.read_bytes()
     for words, change in large_claims().items():

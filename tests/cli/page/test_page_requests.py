@@ -16,6 +16,7 @@ from eitskin.cli.page.server import (
     MAX_ARRIVING,
     MAX_BODY,
     MAX_CLIENTS,
+    MAX_HEAD,
     MAX_REPLIES,
     ClientLimits,
 )
@@ -347,6 +348,12 @@ def test_trickling_bytes_do_not_put_the_deadline_off(hasty):
             for _ in range(10_000):
                 client.sendall(b"x")
         assert ended(client)
+
+
+def test_a_head_without_end_is_refused(page):
+    with closing(connected(page)) as client:
+        client.sendall(b"GET /" + b"x" * 2 * MAX_HEAD)
+        assert client.recv(100).startswith(b"HTTP/1.1 400")
 
 
 def test_a_body_is_read_up_to_its_limit(page):
