@@ -187,6 +187,25 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
 
 
+def test_where_nothing_moves_nothing_is_solved_twice(monkeypatch):
+    solved = []
+
+    def measure_all(self, scenes, **_options):
+        solved.extend(scene for scene in scenes if scene != Scene())
+        return linear_in_the_angle(self, scenes) + 1 / 3
+
+    monkeypatch.setattr(Simulator, "measure_all", measure_all)
+    pressed = Keyframe(5.0, 20.0, (HERE,))
+    still = script(Keyframe(0.0, 20.0), pressed, Keyframe(9.0, 20.0), relaxation=False)
+    data = simulate_shard(recipe(still, instrument=SCANNED), 0)
+    assert len(solved) == 2
+    assert len(np.unique(data.touch_reference, axis=0)) == 1
+    # Without skew nothing beyond the last frame is solved either.
+    solved.clear()
+    simulate_shard(recipe(script(*SWEEP, period=0.5), instrument=QUIET), 0)
+    assert len(solved) == 6  # the seventh is flat, which every specimen's reference is
+
+
 @pytest.mark.slow
 def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""

@@ -206,6 +206,13 @@ def test_a_transform_that_never_ends_is_a_timeout_of_that_row_alone():
     assert np.allclose(frame.impedance[good], FLAT[good], rtol=1e-4)
 
 
+def test_timeouts_of_several_frames_do_not_add_up():
+    board = booted()
+    board.afe.stuck = set(PROTOCOL.table[:14])
+    for frame in frames(board, 3):  # and no event
+        assert np.count_nonzero(frame.status) == 14
+
+
 def test_a_part_that_lost_its_registers_is_set_up_again():
     board = booted()
     board.afe.reset()
