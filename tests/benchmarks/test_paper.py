@@ -31,7 +31,10 @@ from eitskin.training.method.observations import Observations
 from eitskin.training.method.targets import Targets
 
 FLAT = np.linspace(400.0, 820.0, 28)
-NOISE, SIGNAL = 1e-4, 1e-2  # of a frame and of a touch, relative
+NOISE = 1e-4  # of a frame, relative
+STRENGTH = 1e-2  # of a touch
+SIGNAL = STRENGTH * np.where(np.arange(28) % 2, 1.0, -1.0)
+BEND = 1e-3 * np.linspace(0.0, 2.0, 28)  # a degree; a step that all channels share is of the board
 PLACES = [(0.02, 0.02), (0.06, 0.04), (0.09, 0.02), (0.13, 0.04)]
 SETS: list[Dataset] = []
 OWN_CODE = """
@@ -52,10 +55,10 @@ def dataset(frames, seed=0, episode=None):
     for row, touches in enumerate(count.astype(int)):
         xy[:, row, :touches] = np.array(PLACES[:touches]).reshape(-1, 2).T
     there = np.isfinite(xy[0])
-    free = FLAT * (1 + 1e-3 * angle[:, None]) * (1 + NOISE * rng.normal(size=(n, 28)) / 8**0.5)
-    signal = SIGNAL * (count > 0)[:, None] + NOISE * rng.normal(size=(n, 28))
+    free = FLAT * (1 + angle[:, None] * BEND) * (1 + NOISE * rng.normal(size=(n, 28)) / 8**0.5)
+    signal = (count > 0)[:, None] * SIGNAL + NOISE * rng.normal(size=(n, 28))
     made = Dataset.from_arrays(
-        FLAT * (1 + 1e-3 * angle[:, None] + signal),
+        FLAT * (1 + angle[:, None] * BEND + signal),
         FLAT,
         touch_reference=free,
         specimen=np.zeros(n),
@@ -238,8 +241,8 @@ def test_a_further_method_has_columns_and_no_figures_of_what_it_does_not_estimat
 
 def test_signal_to_noise_is_per_channel():
     ratios = signal_to_noise(experiments(500) | {"states": dataset([(0, 0)] * 2000, 9)})
-    assert np.median(ratios) == pytest.approx(SIGNAL / NOISE, rel=0.02)
-    assert ratios == pytest.approx(SIGNAL / NOISE, rel=0.1)
+    assert np.median(ratios) == pytest.approx(STRENGTH / NOISE, rel=0.02)
+    assert ratios == pytest.approx(STRENGTH / NOISE, rel=0.1)
     assert len(set(ratios.tolist())) == 28
 
 

@@ -136,7 +136,7 @@ def _tables() -> Mapping[str, tuple[bytes, ...]]:
 
 def _table(path: Path) -> list[Answer]:
     """Answers of a child that reads a recording, read here."""
-    ask: dict[str, Any] = {"path": str(path), "sheet": None}
+    ask: dict[str, Any] = {"path": str(path), "options": {}}
     (head,) = read_source(ask | {"wanted": None}, b"")
     values, *labels = names = head.data["header"] or head.data["names"]
     columns = {name: [column] for column, name in enumerate(names)}
