@@ -47,7 +47,8 @@ class Observations(StoredFields):
         dynamic: dV from the untouched sensor at the same bend (n, C), or from a session's estimate
             of that reference.
         flat: magnitudes of the flat, untouched sensor (n, C) [ohm].
-        frames: number of frames of a held touch averaged into each (n,).
+        frames: number of frames of a held touch averaged into each (n,). These numbers count in
+            frames with the noise of training: one of a quieter session counts as several.
         static_frames, dynamic_frames: number of frames averaged into the references (n,).
         age, dynamic_age: time since the static, the dynamic reference was renewed (n,) [s].
     """

@@ -24,6 +24,7 @@ NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
 FEWEST_SCATTERS = 5  # frames that the noise of training counts as
+MAX_WEIGHT = 4.0  # of a frame, in frames with the noise of training; beyond it the model errs more
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike
@@ -198,18 +199,23 @@ class HeldTouch:
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
-    def _noise(self, channels: int) -> tuple[float, float]:
-        """Variance of a channel's relative change, and the deviation of its mean over channels.
+    @property
+    def weight(self) -> float:
+        """Frames with the noise of training that a frame of this session is worth."""
+        quiet = self.noise**2 / self._variance
+        return min(max(quiet, 1.0 / MAX_WEIGHT), MAX_WEIGHT)
 
-        The latter is a share of the former, larger where channels share their noise. Both are
-        medians over the latest frames, few of which are of moments when the touch jumps.
-        """
-        alone = np.sqrt(2.0 / channels)
-        variance = median([*self._scatter, *[self.noise**2] * FEWEST_SCATTERS])
+    @property
+    def _variance(self) -> float:
+        """Variance of a channel's relative change, the median over the latest frames."""
+        return median([*self._scatter, *[self.noise**2] * FEWEST_SCATTERS])
+
+    def _deviation(self, channels: int) -> float:
+        """Relative deviation of the mean square over channels, larger where these share noise."""
+        alone = float(np.sqrt(2.0 / channels))
         if len(self._scatter) < 2 * FEWEST_SCATTERS:
-            return variance, alone
-        away = median(abs(each / variance - 1.0) for each in self._scatter)
-        return variance, max(1.5 * away, alone)
+            return alone
+        return max(1.5 * median(abs(s / self._variance - 1.0) for s in self._scatter), alone)
 
     def _still(self) -> int:
         """Number of the latest frames over which the touch stands still."""
@@ -221,9 +227,8 @@ class HeldTouch:
                 break
             time = np.arange(n) - 0.5 * (n - 1)
             weight = n * (n * n - 1) / 12.0  # sum of squared times
-            variance, deviation = self._noise(window.shape[1])
-            shown = float(((time @ window) ** 2).mean() / weight / variance)
-            limit = 1.0 + MOTION * deviation
+            shown = float(((time @ window) ** 2).mean() / weight / self._variance)
+            limit = 1.0 + MOTION * self._deviation(window.shape[1])
             if shown > limit:
                 self._speed = (shown - 1.0) / weight
                 break
@@ -378,13 +383,14 @@ class Session:
         """
         elapsed = self._order.elapsed
         held, count = self._held.add(voltages, self.bend, self.averages and self.touched)
+        weight = self._held.weight
         rows = {
             "static": relative_difference(held, self.bend),
             "dynamic": relative_difference(held, self.touch),
             "flat": np.abs(self.bend),
-            "frames": float(count),
-            "static_frames": float(self.static.count),
-            "dynamic_frames": float(self.dynamic.count),
+            "frames": weight * count,
+            "static_frames": weight * self.static.count,
+            "dynamic_frames": weight * self.dynamic.count,
             "age": elapsed + self._age_at_start,
             "dynamic_age": elapsed - self._renewed,
         }

@@ -156,7 +156,7 @@ def shown(places, noise=1e-4, seed=0):
             continue
         near = min(response, key=lambda p: np.linalg.norm(response[p] / flat - 1.0 - row.static[0]))
         seen.append(near)
-        counts.append(int(row.frames[0]))
+        counts.append(round(row.frames[0] / row.static_frames[0] * session.static.count))
     return np.array(seen), np.array(counts)
 
 
