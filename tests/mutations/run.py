@@ -33,7 +33,8 @@ LIST = Path(__file__).with_name("mutations.toml")
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
 COVERAGE = ROOT / "build" / "coverage" / "data"
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
-FOLDERS = (".types", "eitskin", *ROOMS, "tests")
+FOLDERS = (".types", "eitskin", *ROOMS, "docs", "tests")
+FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile")  # that tests read, too
 PASSED, FAILED, NO_TESTS = 0, 1, 5  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}
 MAX_SECONDS = 900.0  # for the tests of one mutation; one that makes them hang is noticed
@@ -137,7 +138,8 @@ def copied(folder: Path) -> Path:
     ignored = shutil.ignore_patterns("__pycache__", ".pytest_cache")
     for name in FOLDERS:
         shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=ignored)
-    shutil.copy(ROOT / "pyproject.toml", folder)
+    for name in FILES:
+        shutil.copy(ROOT / name, folder)
     return folder
 
 
