@@ -178,6 +178,10 @@ class JointMethod(Method):
         return Targets(states, bends, touches, touches and self.forces)
 
     @property
+    def noise_scale(self) -> float:
+        return self.own_noise_scale
+
+    @property
     def touches(self) -> bool:
         """Whether touches were learned."""
         return bool(len(self.places))

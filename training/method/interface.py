@@ -192,6 +192,11 @@ class Method(ABC):
     else:
         learning_curves = MappingProxyType({})
 
+    @property
+    def noise_scale(self) -> float:
+        """Noise that the method weighs a frame by, relative to that in training."""
+        return 1.0
+
     def __init_subclass__(cls, **options: Any) -> None:
         """Name a class that has no name of its own by its module and itself."""
         super().__init_subclass__(**options)

@@ -91,6 +91,16 @@ class Observations(StoredFields):
         return Observations(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
+def least_spread(observations: Observations) -> float:
+    """Least spread of the channels in a frame over the mean of their changes, of all frames."""
+    spreads = [np.inf]
+    for change in observations.static:
+        known = change[np.isfinite(change)]
+        if len(known) and (mean := abs(known.mean())) > 0.0:
+            spreads.append(float(known.std() / mean))
+    return min(spreads)
+
+
 def frame_noise(dataset: Dataset, observations: Observations) -> float:
     """Rms relative difference of two frames of an untouched sensor at one bend.
 

@@ -20,7 +20,7 @@ from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, Calibration, Method
 from eitskin.training.method.known_frames import FrameLabel, KnownFrames, TwinPresses
-from eitskin.training.method.observations import Observations, fingerprint
+from eitskin.training.method.observations import Observations, fingerprint, least_spread
 from eitskin.training.method.predictions import Estimate, Predictions, Zero
 from eitskin.training.method.settings import (
     POSITIONS,
@@ -46,7 +46,7 @@ from eitskin.training.pipeline.saved_form import (
     require_possible,
     write_pipeline,
 )
-from eitskin.training.pipeline.session import Session
+from eitskin.training.pipeline.session import COMMON, Session
 
 FLAT_SENSORS = "flat_sensors"
 FOREIGN = ("layout.", f"{FLAT_SENSORS}.")  # beginnings of names of arrays that are not the method's
@@ -308,15 +308,15 @@ class Pipeline:
     def use(self, reference: StoredReference | None) -> None:
         """Use a stored reference as the zero of all estimates; None for a session's first frames.
 
-        The session begins anew.
-
-        Raises FrameError for a reference of another sensor, table or frequency.
+        The session begins anew. Raises FrameError for a reference of another sensor, table or
+        frequency.
         """
         if reference is not None:
             self.layout.require_same_measurements(reference.protocol, reference.frequency)
             self.layout.require_same_sensor(reference.impedance)
         bends = self.targets.angle or "bend" in self.targets.states
-        self._session = Session(self.noise, self.method.AVERAGES, reference, bends)
+        scales = self.method.noise_scale, min(COMMON, 0.5 * least_spread(self.examples))
+        self._session = Session(self.noise, self.method.AVERAGES, reference, bends, *scales)
 
     def doubt(self, impedance: ArrayLike) -> str:
         """Reason why an impedance (measurements,) [ohm] is not that of a flat, untouched sensor.

@@ -27,7 +27,7 @@ FEWEST_SCATTERS = 5  # frames that the noise of training counts as
 MAX_WEIGHT = 4.0  # of a frame, in frames with the noise of training; beyond it the model errs more
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
-COMMON = 0.3  # spread of the channels over their mean, below which they change alike
+COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
 MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -167,9 +167,11 @@ class HeldTouch:
 
     Attributes:
         noise: rms relative difference of two frames of a still sensor, until frames tell.
+        scale: of the noise that the method weighs frames by.
     """
 
     noise: float
+    scale: float = 1.0
     _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
@@ -201,8 +203,8 @@ class HeldTouch:
 
     @property
     def weight(self) -> float:
-        """Frames with the noise of training that a frame of this session is worth."""
-        quiet = self.noise**2 / self._variance
+        """Frames with the noise that the method expects that a frame of this session is worth."""
+        quiet = (self.scale * self.noise) ** 2 / self._variance
         return min(max(quiet, 1.0 / MAX_WEIGHT), MAX_WEIGHT)
 
     @property
@@ -254,6 +256,8 @@ class Session:
         averages: whether frames of a held touch are averaged.
         stored: stored reference, the zero of all estimates; None where the first frames are.
         bends: whether the sensor is one that bends, so that its dynamic reference gets out of date.
+        noise_scale: noise that the method weighs frames by, relative to `noise`.
+        common: spread of the channels over their mean below which a step is not of the sensor.
         static, dynamic: references.
         touched: whether the latest frame was touched.
         doubt: reason why the first frame is not that of a flat, untouched sensor; empty without.
@@ -263,6 +267,8 @@ class Session:
     averages: bool = False
     stored: StoredReference | None = None
     bends: bool = True
+    noise_scale: float = 1.0
+    common: float = COMMON
     static: RunningMean = field(init=False)
     dynamic: RunningMean = field(init=False)
     touched: bool = field(init=False)
@@ -281,7 +287,7 @@ class Session:
             self.static, self.dynamic = (
                 RunningMean(self.noise, self.stored.impedance, count) for _ in range(2)
             )
-        self._held = HeldTouch(self.noise)
+        self._held = HeldTouch(self.noise, self.noise_scale)
         self._opening = self.stored is None
         self.touched, self._outdated, self.doubt = False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
@@ -330,9 +336,9 @@ class Session:
     def without_gain_step(self, voltages: Voltages) -> tuple[Voltages, tuple[str, ...]]:
         """Frame (measurements,) [ohm] at the gain of the session's first, and a step in words.
 
-        Bends change the channels by amounts whose spread is two thirds of their mean or more,
-        touches by more: a step that all channels share is of the board's gain or phase, or of the
-        gel's conductivity, and is taken back.
+        Bends of the reference sensor change the channels by amounts whose spread is two thirds of
+        their mean or more, touches by more: a step that all channels share is of the board's gain
+        or phase, or of the gel's conductivity, and is taken back.
         """
         said: tuple[str, ...] = ()
         V = voltages / self._gain
@@ -341,7 +347,7 @@ class Session:
         step = V[known] / last[known] - 1.0
         mean = complex(step.mean()) if len(step) > 3 else 0.0
         if MIN_GAIN_STEP < abs(mean) < MAX_GAIN_STEP and (
-            np.sqrt(np.mean(np.abs(step - mean) ** 2)) < COMMON * abs(mean)
+            np.sqrt(np.mean(np.abs(step - mean) ** 2)) < self.common * abs(mean)
         ):
             self._gain *= 1.0 + mean
             V = V / (1.0 + mean)

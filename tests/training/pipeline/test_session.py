@@ -12,7 +12,13 @@ from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, FEWEST_SPECIMENS, FlatSensors
 from eitskin.training.pipeline.references import LONGEST_MEAN
-from eitskin.training.pipeline.session import LONGEST_ELAPSED, LONGEST_GAP, Session, SessionOrder
+from eitskin.training.pipeline.session import (
+    LONGEST_ELAPSED,
+    LONGEST_GAP,
+    HeldTouch,
+    Session,
+    SessionOrder,
+)
 
 NOISE = 3e-4  # of the difference of two frames
 FLAT = np.linspace(400.0, 820.0, 28) * np.exp(-0.02j)
@@ -271,3 +277,27 @@ def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     assert np.median([start.bend_deg for start in bent]) == pytest.approx(40.0, abs=5.0)
     partly = np.where(np.arange(C) == 2, np.nan, np.abs(strange))
     assert not known().of_sensor(partly).judge(strange).doubt
+
+
+def test_a_step_of_all_channels_is_taken_back_unless_the_sensor_may_take_it():
+    steps = {}
+    for common in (0.3, 0.0):
+        session = Session(1e-4, common=common)
+        session.without_gain_step(FLAT)
+        steps[common] = session.without_gain_step(0.99 * FLAT)
+    (V, said), (unchanged, nothing) = steps.values()
+    assert np.allclose(V, FLAT)
+    assert len(said) == 1
+    assert np.allclose(unchanged, 0.99 * FLAT)
+    assert not nothing
+
+
+def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
+    """The method weighs its frames by that noise already."""
+    rng, weights = np.random.default_rng(0), []
+    for scale in (1.0, 0.5):
+        held = HeldTouch(2e-4, scale)
+        for _ in range(40):
+            held.add(FLAT * (1 + 1e-4 * rng.standard_normal(28)), FLAT, held=False)
+        weights.append(held.weight)
+    assert weights == pytest.approx([4.0, 1.0], rel=0.25)
