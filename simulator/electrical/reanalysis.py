@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer, MeshPoints, layer_fields
 from eitskin.simulator.electrical.assembly import ElectrodeTerms
 from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
@@ -142,9 +142,11 @@ class Reanalysis:
     def approximations(self, layer: DeformedLayer) -> Iterator["Approximation"]:
         """Solutions after 0, 1, 2, ... corrections, a limited number."""
         assembly, pattern = self._model.assembly, self._model.pattern
-        matrices = assembly.matrices(layer.entries(assembly.points))
-        matrices = assembly.condensed_matrices(matrices)
-        contact, lifted = self._contact(layer), np.asarray(self._lift.any(axis=0))
+        points = MeshPoints(assembly.points, assembly.facet_points, assembly.facet_normals)
+        (fields,) = layer_fields([layer], points)
+        matrices = assembly.condensed_matrices(assembly.matrices(fields.tensors))
+        contact = assembly.electrode_terms(layer.contact_impedance, fields.area_ratio)
+        lifted = np.asarray(self._lift.any(axis=0))
         forms = pattern.forms(matrices[pattern.lifting], self._ground, contact, lifted)
         B, D = np.real(forms[0]), np.real(forms[1])
         for owner, each in zip(assembly.facet_owners, contact.matrices, strict=True):
