@@ -25,9 +25,14 @@ _SAME = 1e-9  # distance of points that count as one, relative to the outline's 
 
 
 class _Plane:
-    """Base class of plane outlines, on the nearest point of the rim."""
+    """Base class of plane outlines, on the nearest point of the rim.
+
+    Attributes:
+        corner: least x and least y [m].
+    """
 
     __slots__ = ()
+    corner = (0.0, 0.0)
 
     def at(self, s: ArrayLike) -> Array:
         """Points (..., 2) [m] of the rim at arc lengths `s` (...) [m], counter-clockwise."""

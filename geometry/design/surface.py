@@ -47,6 +47,7 @@ class Surface:
 
     file: Path
     scale: float = 1.0
+    corner = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Load the surface; raises ConfigurationError where the surface bounds no body."""

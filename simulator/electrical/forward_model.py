@@ -1,19 +1,19 @@
 """Forward model: impedances between electrodes from a conductivity, and the adjoint Jacobians."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 from eitskin.files import shortened
-from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS, WHOLE_TENSOR
+from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
 from eitskin.geometry.design.electrode import require_contact_impedance
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.mesh_body import MeshBody
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.assembly import Assembly, Stiffness
@@ -23,6 +23,7 @@ from eitskin.simulator.electrical.cem_system import (
     impedance_matrix,
     zero_sums,
 )
+from eitskin.simulator.electrical.conductivity import Conductivity, Field, conductivity_entries
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
@@ -35,8 +36,6 @@ from eitskin.simulator.linalg.multifrontal import MultifrontalSolver
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
-Field = Callable[[Array], ArrayLike]
-Conductivity: TypeAlias = complex | Numbers | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
 
 
@@ -67,7 +66,7 @@ class ForwardModel:
     given by the pulled-back tensor J F^-1 sigma F^-T and the area ratio of the electrodes.
 
     Attributes:
-        design: the sensor.
+        design: the sensor, or the body of a mesh of one's own.
         mesh: of the undeformed layer.
         assembly: of the matrices on the mesh.
         pattern: of the linear system, shared by all scenes.
@@ -100,8 +99,55 @@ class ForwardModel:
         """
         cells = cells or suited_cells(resolution, design, breaks)
         order, grading = discretisation(resolution, design, cells)
-        self.design = design
-        self.mesh: Mesh = mesh_design(design, grading, cells, breaks)
+        self._begin(design, mesh_design(design, grading, cells, breaks), order, solver)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: Any,
+        electrodes: Sequence[str | ArrayLike] | None = None,
+        conductivity: Conductivity | Mapping[str, complex] = 1.0,
+        contact_impedance: ArrayLike = 1e-3,
+        order: int = 2,
+        thickness: float = 1.0,
+    ) -> "ForwardModel":
+        """Model of a body on a mesh of one's own.
+
+        Triangles are a plate of `thickness`, through which currents flow in the plane: at the usual
+        one metre, impedances are those of two dimensions [ohm m]. Potentials are given at the
+        points of the mesh, NaN where no cell has one, and Jacobians by its cells.
+
+        Args:
+            mesh: of triangles or tetrahedra, in metres: of skfem or meshio, the path of a file that
+                meshio reads (gmsh, VTK ...), or a pair of points (n, 2 or 3) and cells (m, 3 or 4).
+            electrodes: of each the name of a part of the boundary, its faces (k, 2 or 3) or all
+                its points (k,) by their numbers; every named part when omitted, in the order of
+                names with their numbers.
+            conductivity: as for `impedance`, or of each region by its name [S/m].
+            contact_impedance: of the electrodes, (electrodes,), or of all of them [ohm m2].
+            order: of the elements, 1 or 2; up to 4 on triangles.
+            thickness: of triangles [m].
+
+        Raises:
+            ConfigurationError: for another mesh, parts that it does not have, and electrodes
+                without a face of the boundary.
+            ImportError: where a file is given and meshio is not installed.
+        """
+        body = MeshBody.of(mesh, electrodes, conductivity, contact_impedance, thickness)
+        model = cls.__new__(cls)
+        model._begin(body, body.mesh, (order,), None)
+        return model
+
+    def _begin(
+        self,
+        design: SensorDesign | MeshBody,
+        mesh: Mesh,
+        order: tuple[int, ...],
+        solver: str | None,
+    ) -> None:
+        """Prepare matrices and solver on a mesh, as for `__init__`."""
+        self.design: Any = design
+        self.mesh: Mesh = mesh
         self.factorisations = 0
         self.assembly = Assembly(self.mesh, order)
         self.pattern = SystemPattern(self.assembly)
@@ -168,7 +214,7 @@ class ForwardModel:
         conductivity: Conductivity | None = None,
         pixels: tuple[int, int] | None = None,
         area_ratio: AreaRatio | None = None,
-        along: Tensors | None = None,
+        along: Tensors | Numbers | None = None,
     ) -> Numbers:
         """Adjoint Jacobian d measurement / d conductivity [ohm per S/m], (measurements, cells).
 
@@ -184,12 +230,15 @@ class ForwardModel:
                 rows * columns), row by row, x and y increasing.
             area_ratio: as in `impedance`.
             along: symmetric S(x), (..., 3, 3), for pixels; with the conductivity itself as S the
-                result is per relative change [ohm].
+                result is per relative change [ohm]. Numbers (elements,) stand for multiples of the
+                identity.
 
         Raises:
             ConfigurationError: for `along` without pixels.
         """
         u, _ = self.element_potentials(conductivity, area_ratio)
+        if along is not None and not callable(along):
+            u, along = u * np.sqrt(along)[:, None, None], None
         if pixels is not None:
             gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels, along)
         elif along is None:
@@ -287,6 +336,8 @@ class ForwardModel:
         at_points[cells] = np.einsum(
             "ick,cie->cke", assembly.space.element.values(X), u[elements], optimize=True
         )
+        if isinstance(self.design, MeshBody):
+            at_points = self.design.at_given_points(at_points)
         ground = U.mean(axis=0)
         return Fields(at_points - ground, U - ground, mean)
 
@@ -310,15 +361,18 @@ class ForwardModel:
         Tetrahedra cross the layers: on their meshes the conductivity is a function of position.
         """
         if not self.design.layers:
-            return self.design.conductivity
+            own: Conductivity = self.design.conductivity
+            return own
         if self.mesh.heights is None:
-            return self.design.conductivity_at
-        return self.design.conductivity_at(self.mesh.points[self.mesh.cells].mean(axis=1))
+            field: Field = self.design.conductivity_at
+            return field
+        middles = self.mesh.points[self.mesh.cells].mean(axis=1)
+        return np.asarray(self.design.conductivity_at(middles))
 
     @property
     def contact_impedance(self) -> Numbers:
         """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
-        return self.design.contact_impedance
+        return np.asarray(self.design.contact_impedance)
 
     def _system(
         self,
@@ -369,74 +423,6 @@ class ForwardModel:
         return z if z.imag.any() else z.real
 
     def _conductivity(self, conductivity: Conductivity | None) -> Numbers:
-        """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m].
-
-        Scalars, or entries xx, yy, zz, xy, xz, yz of tensors. Raises ConfigurationError for another
-        shape, and where a scalar or tensor is not positive.
-        """
-        if conductivity is None:
-            conductivity = self._own_conductivity
-        if callable(conductivity):
-            points = self.assembly.points
-            value, shape = _numbers(conductivity(points)), points.shape[:-1]
-            asked = f"from f(x) of x with shape {points.shape} of shape {shape}"
-        else:
-            value, shape = _numbers(conductivity), (len(self.mesh.cells), 1)
-            value = value[:, None] if value.ndim else value
-            asked = f"per cell of shape {shape[:1]}"
-        if value.shape == shape or value.ndim == 0:
-            entries = np.broadcast_to(value, shape)[..., None]
-        elif value.shape == (*shape, 3, 3):
-            entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
-        else:
-            raise ConfigurationError(
-                f"conductivity must be a scalar, or {asked}, with (3, 3) after it for tensors, got "
-                f"shape {value.shape}"
-            )
-        if not _positive_definite(value.real, entries.real) or not _bounded(value, entries):
-            raise ConfigurationError(
-                "conductivity must be finite, symmetric and, in its real part, positive "
-                f"everywhere, from {LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
-                f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
-            )
-        return entries
-
-
-def _numbers(given: ArrayLike) -> Numbers:
-    """Real or complex numbers in double precision; raises ConfigurationError for others."""
-    try:
-        value = np.asarray(given)
-        kind = np.complex128 if np.iscomplexobj(value) else np.float64
-        return np.asarray(value, dtype=kind)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"conductivity must be numbers in S/m: {error}") from error
-
-
-def _bounded(value: Numbers, entries: Numbers) -> bool:
-    """Whether imaginary parts are symmetric, and finite as those of what can be solved with."""
-    if not np.iscomplexobj(value):
-        return True
-    symmetric = entries.shape[-1] == 1 or bool(
-        np.allclose(value.imag, np.swapaxes(value.imag, -1, -2), rtol=1e-9, atol=0.0)
-    )
-    return symmetric and bool(np.all(np.abs(entries.imag) <= MOST))
-
-
-def _positive_definite(given: Array, entries: Array) -> bool:
-    """Whether all scalars, or all tensors of these entries, are positive (Sylvester's minors).
-
-    None on their diagonals may be beyond the bounds of what a matrix of them can be solved with.
-    """
-    diagonal = entries[..., :3]
-    if not np.all((diagonal >= LEAST) & (diagonal <= MOST)):
-        return False
-    if entries.shape[-1] == 1:
-        return True
-    xx, yy, zz, xy, xz, yz = np.moveaxis(entries, -1, 0)
-    second = xx * yy - xy**2
-    third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
-    # NaN fails every comparison and is refused, too.
-    return all(bool(np.all((m > 0.0) & np.isfinite(m))) for m in (second, third)) and all(
-        bool(np.allclose(given[..., a, b], given[..., b, a], rtol=1e-9, atol=0.0))
-        for a, b in ((0, 1), (0, 2), (1, 2))
-    )
+        """Conductivity, the design's own where None, as `conductivity_entries` gives it."""
+        own = self._own_conductivity if conductivity is None else conductivity
+        return conductivity_entries(own, self.assembly.points, len(self.mesh.cells))

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Outline
 from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.mesh_body import MeshOutline
 from eitskin.simulator.electrical.assembly import Assembly
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ def pixel_gram(
     assembly: Assembly,
     mesh: Mesh,
     potentials: Numbers,
-    outline: Outline,
+    outline: Outline | MeshOutline,
     pixels: tuple[int, int],
     along: Tensors | None = None,
 ) -> Numbers:
@@ -51,8 +52,9 @@ def pixel_gram(
     rows, columns = pixels
     if rows < 1 or columns < 1:
         raise ConfigurationError(f"pixels must be two positive numbers, got {pixels}")
-    x_edges = np.linspace(0, outline.length, columns + 1)
-    y_edges = np.linspace(0, outline.width, rows + 1)
+    x, y = outline.corner
+    x_edges = np.linspace(x, x + outline.length, columns + 1)
+    y_edges = np.linspace(y, y + outline.width, rows + 1)
     if mesh.cells.shape[1] == 8:
         return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges, along)
     grid = _Pixels(x_edges, y_edges)

@@ -11,6 +11,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
 if TYPE_CHECKING:
+    from eitskin.simulator.electrical.forward_model import ForwardModel
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ class LinearModel:
 
 @lru_cache(maxsize=4)  # several pipelines and pictures are made for one sensor
 def linear_model(
-    design: SensorDesign,
+    design: "SensorDesign | ForwardModel",
     protocol: Protocol,
     pixels: tuple[int, int],
     resolution: "Resolution | Discretisation" = "fast",
@@ -49,7 +50,7 @@ def linear_model(
     dR = - int grad u_drive . sigma grad u_sense d sigma / sigma (adjoint method, Geselowitz 1971).
 
     Args:
-        design: the sensor.
+        design: the sensor, or a model of it, whose resolution then counts.
         protocol: the measurements.
         pixels: number of rows along y and of columns along x.
         resolution: of the forward model.
@@ -58,11 +59,17 @@ def linear_model(
     from eitskin.simulator.electrical.sensor_impedances import model_family
 
     def conductivity(x: Array) -> Array:
-        return design.conductivity_at(x)[..., None, None] * np.eye(3)
+        own = design if isinstance(design, SensorDesign) else design.design
+        return np.asarray(own.conductivity_at(x))[..., None, None] * np.eye(3)
 
-    model = model_family(design, resolution).base
-    sensitivity = model.sensitivity(protocol, conductivity, pixels, along=conductivity)
-    impedance = protocol.measure(model.impedance(conductivity))
+    if isinstance(design, SensorDesign):
+        model, sigma = model_family(design, resolution).base, conductivity
+    else:
+        model, sigma = design, None
+    cells = np.asarray(getattr(model.design, "conductivity", 0.0))
+    along = cells if cells.ndim == 1 else conductivity
+    sensitivity = model.sensitivity(protocol, sigma, pixels, along=along)
+    impedance = protocol.measure(model.impedance(sigma))
     for values in (sensitivity, impedance):
         values.flags.writeable = False
     return LinearModel(impedance, sensitivity)

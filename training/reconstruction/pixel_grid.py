@@ -13,6 +13,7 @@ from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.outline import Outline, PlaneOutline
 from eitskin.geometry.design.surface import Surface
+from eitskin.geometry.meshing.mesh_body import MeshOutline
 
 Array = NDArray[np.float64]
 
@@ -32,11 +33,11 @@ class PixelGrid:
         shape: number of rows and of columns.
     """
 
-    outline: PlaneOutline
+    outline: PlaneOutline | MeshOutline
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, outline: Outline, pixels: int = PIXELS) -> "PixelGrid":
+    def of(cls, outline: Outline | MeshOutline, pixels: int = PIXELS) -> "PixelGrid":
         """Grid of about `pixels` squares on the bounding box.
 
         Raises ConfigurationError for a surface, which has no picture in the plane, and for a number
@@ -71,12 +72,14 @@ class PixelGrid:
     @cached_property
     def x(self) -> Array:
         """Centres of the columns, (columns,) [m]."""
-        return np.asarray((np.arange(self.shape[1]) + 0.5) * self.sides[0], dtype=np.float64)
+        x: Array = np.asarray((np.arange(self.shape[1]) + 0.5) * self.sides[0])
+        return x + self.outline.corner[0]
 
     @cached_property
     def y(self) -> Array:
         """Centres of the rows, (rows,) [m]."""
-        return np.asarray((np.arange(self.shape[0]) + 0.5) * self.sides[1], dtype=np.float64)
+        y: Array = np.asarray((np.arange(self.shape[0]) + 0.5) * self.sides[1])
+        return y + self.outline.corner[1]
 
     @cached_property
     def _points(self) -> Array:

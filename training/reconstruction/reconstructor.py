@@ -1,7 +1,7 @@
 """Reconstructor: pictures of the conductivity change of any design under any protocol."""
 
 from functools import cached_property
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,9 @@ from eitskin.training.reconstruction.regularised_inverse import (
     noser_weights,
 )
 
+if TYPE_CHECKING:
+    from eitskin.simulator.electrical.forward_model import ForwardModel
+
 Array = NDArray[np.float64]
 Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit"]
 Difference = Literal["relative", "absolute"]
@@ -48,7 +51,7 @@ class Reconstructor:
     - greit: trained on simulated targets (Adler et al. 2009).
 
     Attributes:
-        design: the nominal sensor.
+        design: the nominal sensor; of a model, its body.
         protocol: of the frames.
         method: name of the method.
         regularisation: rule for lambda; back-projection has none.
@@ -59,7 +62,7 @@ class Reconstructor:
 
     def __init__(
         self,
-        design: SensorDesign,
+        design: "SensorDesign | ForwardModel",
         protocol: Protocol | None = None,
         method: Method = "greit",
         regularisation: Regularisation | None = None,
@@ -70,7 +73,8 @@ class Reconstructor:
         """Check what is given; the forward model is solved for the first picture.
 
         Args:
-            design: the nominal sensor, with a plane outline.
+            design: the nominal sensor, with a plane outline, or a model of any body, such as of a
+                mesh (`ForwardModel.from_mesh`), which is pictured from above.
             protocol: of the frames; every pair of electrodes when omitted.
             method: its name.
             regularisation: rule for lambda; a noise figure of 1 when omitted.
@@ -84,8 +88,10 @@ class Reconstructor:
             ConfigurationError: for a protocol of other electrodes, an unknown method or difference,
                 a surface, or a number of pixels that is out of range.
         """
-        electrodes = len(design.electrodes)
-        self.design = design
+        own = design if isinstance(design, SensorDesign) else design.design
+        electrodes = len(own.electrodes)
+        self.design: SensorDesign = own
+        self._modelled = design
         self.protocol = protocol or Protocol.pairwise(electrodes)
         if self.protocol.n_electrodes != electrodes:
             raise ConfigurationError(
@@ -105,12 +111,14 @@ class Reconstructor:
                     f"expected a {name} of {', '.join(get_args(kind))}, got {value!r}"
                 )
         self.resolution: Resolution | Discretisation = resolution
-        self.grid = PixelGrid.of(design.outline, pixels)
+        self.grid = PixelGrid.of(own.outline, pixels)
 
     @cached_property
     def model(self) -> LinearModel:
         """Linear model of the flat sensor, for all pixels of the bounding box."""
-        return linear_model(self.design, self.protocol, self.grid.shape, resolution=self.resolution)
+        return linear_model(
+            self._modelled, self.protocol, self.grid.shape, resolution=self.resolution
+        )
 
     @cached_property
     def jacobian(self) -> Array:
