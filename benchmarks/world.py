@@ -166,7 +166,7 @@ def deformations(case: ReferenceCase) -> dict[str, Model]:
     }
     shipped = resolve_touch_model(touches, _sensor(case, None)) == TABULATED
     if shipped and not case.scene.bend.angle_deg:
-        models[TABULATED] = partial(dents, touches, _sensor(case, TABULATED))
+        models[TABULATED] = lambda: dents([touches], _sensor(case, TABULATED))[0]
     return models
 
 
@@ -208,7 +208,7 @@ def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
     touches, sensor, state = case.scene.touches, _sensor(case, SOLVED), _bent_state(case)
     if state is None:
-        return dents(touches, sensor)
+        return dents([touches], sensor)[0]
     return bent_dents(touches, sensor, bend(case, SOLVED), state)
 
 

@@ -1,7 +1,7 @@
 """Simulator: frames of one sensor, from scenes."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, reduce
 from typing import TypeAlias, get_args
 
@@ -43,10 +43,12 @@ from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.scene import PressedTouch, Scene, require_bendable
+from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_bendable
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
+
+_AT_ONCE = 16  # scenes whose touches are summed together
 
 
 class Simulator:
@@ -107,9 +109,8 @@ class Simulator:
         self.touch_model: TouchModel | None = touch_model
         self.grid = grid or OWN_GRID
         breaks = _breaks(design, self.fixture)
-        self._impedances = SensorImpedances(
-            design, resolution, breaks, nominal, self.deformed_layer
-        )
+        self._impedances = SensorImpedances(design, resolution, breaks, nominal, self._layer)
+        self._layers: dict[Scene, DeformedLayer] = {}
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
@@ -133,11 +134,11 @@ class Simulator:
 
         A sensor that is bent by the plates it rests on is pressed in its bent state.
         """
-        self.check_scene(scene)
-        parts: list[Deformation] = []
-        dented = self._dents(scene) if scene.touches else None
-        if dented is not None:
-            parts.append(dented)
+        return self.deformed_layer(scene).deformation
+
+    def _deformation(self, scene: Scene, dented: Deformation | None) -> Deformation | None:
+        """Deformation by the scene, whose touches make the dents."""
+        parts: list[Deformation] = [] if dented is None else [dented]
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg and not isinstance(dented, BentPresses):
@@ -301,8 +302,14 @@ class Simulator:
         by_bend: dict[Scene, list[Scene]] = {}
         for scene in dict.fromkeys(scenes):  # those of one bend follow each other
             by_bend.setdefault(untouched(scene), []).append(scene)
+        ordered = [scene for group in by_bend.values() for scene in group]
+        found: dict[Scene, NDArray[np.inexact]] = {}
         with kernels():
-            found = {s: self._impedances.at(s, tolerance) for g in by_bend.values() for s in g}
+            for start in range(0, len(ordered), _AT_ONCE):
+                some = ordered[start : start + _AT_ONCE]
+                self._layers = dict(zip(some, self.deformed_layers(some), strict=True))
+                found |= {scene: self._impedances.at(scene, tolerance) for scene in some}
+            self._layers = {}
         return np.array([found[scene] for scene in scenes])
 
     def contact_sensitivities(
@@ -321,16 +328,29 @@ class Simulator:
         """Whether the sensor is a body from a surface file, deformed on tetrahedra of its own."""
         return isinstance(self.design.outline, Surface)
 
-    def _dents(self, scene: Scene) -> Dents | BentPresses | TetrahedralField | None:
-        """Deformation by the touches; None where the dents of a body have faded."""
-        if self._is_body:
-            pressed = pressed_by(scene.touches, self.design, self.mechanics)
-            return None if pressed is None else pressed.field
-        sensor, bent = self._pressed(scene), self._bent_state(scene)
-        if bent is not None:
-            bend = self._flexure(scene.bend, sensor.design)
-            return bent_dents(scene.touches, sensor, bend, bent)
-        return dents(scene.touches, sensor)
+    def _dents(
+        self, scenes: Sequence[Scene]
+    ) -> Iterator[Dents | BentPresses | TetrahedralField | None]:
+        """Deformations by touches; None without any, and where the dents of a body have faded."""
+        states = [None if self._is_body else self._bent_state(scene) for scene in scenes]
+        flat: dict[PressedSensor, list[tuple[Touch, ...]]] = {}
+        for scene, bent in zip(scenes, states, strict=True):
+            if scene.touches and bent is None and not self._is_body:
+                flat.setdefault(self._pressed(scene), []).append(scene.touches)
+        dented = {sensor: iter(dents(touches, sensor)) for sensor, touches in flat.items()}
+        for scene, bent in zip(scenes, states, strict=True):
+            if not scene.touches:
+                yield None
+            elif self._is_body:
+                pressed = pressed_by(scene.touches, self.design, self.mechanics)
+                yield None if pressed is None else pressed.field
+            elif bent is not None:
+                sensor = self._pressed(scene)
+                yield bent_dents(
+                    scene.touches, sensor, self._flexure(scene.bend, sensor.design), bent
+                )
+            else:
+                yield next(dented[self._pressed(scene)])
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity of `deformed_layer`, (..., 3, 3) [S/m]; None where flat."""
@@ -342,13 +362,27 @@ class Simulator:
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
+    def _layer(self, scene: Scene) -> DeformedLayer:
+        return self._layers[scene] if scene in self._layers else self.deformed_layer(scene)
+
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""
-        deformation = self.deformation(scene)
-        needed = self.mechanics.piezoresistivity.pressure and scene.touches
-        dented = self._dents(scene) if needed else None
-        stress = dented.mean_stress if dented is not None else None
-        return DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity, stress)
+        (layer,) = self.deformed_layers([scene])
+        return layer
+
+    def deformed_layers(self, scenes: Sequence[Scene]) -> list[DeformedLayer]:
+        """Deformed layers of scenes, whose touches are summed together; none depends on another.
+
+        Raises ConfigurationError as `check_scene` and for forces and angles that are too large.
+        """
+        for scene in scenes:
+            self.check_scene(scene)
+        law, layers = self.mechanics.piezoresistivity, []
+        for scene, dented in zip(scenes, self._dents(scenes), strict=True):
+            stress = dented.mean_stress if dented is not None and law.pressure else None
+            deformation = self._deformation(scene, dented)
+            layers.append(DeformedLayer(self.design, deformation, law, stress))
+        return layers
 
     def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         """Noise-free measurements of impedance matrices [ohm], (..., measurements)."""

@@ -305,7 +305,7 @@ class _Case:
 
     def table(self) -> SolutionTable:
         """Table of the case, solved where it is not stored."""
-        table = SolutionTable.from_arrays(load_or_solve(self.problem()), np.float64)
+        table = load_or_solve(self.problem(), _from_arrays)
         length, modulus = self._scales
         return table.scaled(length, modulus * length**3, length)
 
@@ -322,6 +322,10 @@ class _Case:
         """Thickness and modulus relative to the solved ones."""
         modulus = self.mechanics.gel.shear_modulus / _MODULUS
         return self.slab.encapsulated_thickness / _THICKNESS, modulus
+
+
+def _from_arrays(arrays: Arrays) -> SolutionTable:
+    return SolutionTable.from_arrays(arrays, np.float64)
 
 
 def _cases(

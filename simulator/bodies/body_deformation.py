@@ -115,7 +115,7 @@ def _field_arrays(field: TetrahedralField) -> Arrays:
 @lru_cache(maxsize=_MAX_KEPT)
 def _loaded(problem: Problem) -> tuple[TetrahedralField, Arrays]:
     """Field and numbers of a solution."""
-    arrays = load_or_solve(problem)
+    arrays = load_or_solve(problem, dict)
     field = {f.name: arrays.pop(f"field {f.name}") for f in fields(TetrahedralField)}
     return TetrahedralField(**field), arrays
 

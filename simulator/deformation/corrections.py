@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -20,24 +20,34 @@ from eitskin.simulator.deformation import pair_tables
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame
 from eitskin.simulator.deformation.finite_stack import require_on_stack
 from eitskin.simulator.deformation.indentation_tables import Indentations
+from eitskin.simulator.deformation.node_sums import (
+    BOTH_MIRRORED,
+    DIRECT,
+    MIRRORED_X,
+    MIRRORED_Y,
+    NodeSums,
+    functions_from,
+)
 from eitskin.simulator.deformation.outline_sides import SideFade, sides_of
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
-from eitskin.simulator.deformation.solution_table import SolutionTable
+from eitskin.simulator.deformation.solution_table import SolutionTable, product_in_blocks
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
-Place = tuple[float, float, float]
-"""Position and depth (x, y, depth) of a press [m]."""
+Numbers = NDArray[np.floating]
+Indices = NDArray[np.int64]
 
 # Over the thickness of the stack: length of a rectangle, so that its ends do not feel each other,
 # radius of a disc, so that there are several distances from the rim, and extent of other outlines.
 _SHORTEST, _SMALLEST, _NARROWEST = 8.0, 1.0, 2.0
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _SAME = 1e-9  # [m]
+_NODES, _FEWEST = 0.18, 12  # of sums along each side, over the thickness of the stack
 _WORKERS = os.cpu_count() or 1
+_Straight = Rectangle | Polygon
 # Kinds of tables: how they are solved, and versions, to be raised whenever that changes.
 _KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
     "strip": (tables.solve_strip, 3),
@@ -76,7 +86,7 @@ def _has_strip(design: SensorDesign) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sensor:
+class TabledSensor:
     """Sensor and indenter, whose tables are needed."""
 
     design: SensorDesign
@@ -162,7 +172,7 @@ def correction_problems(
     """
     if not is_tabulable(design):
         return ()
-    sensor = _Sensor(design, mechanics, indenter)
+    sensor = TabledSensor(design, mechanics, indenter)
     base, weights = sensor.stacks(grid)
     found = [*sensor.singles(base), *(sensor.varied(stack) for stack in weights)]
     return (*found, *(sensor.pairs(base) if pairs else ()))
@@ -173,35 +183,79 @@ def corrections(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> "Corrections":
     """Corrections on a design that `is_tabulable`; those not stored take minutes to solve."""
-    sensor = _Sensor(design, mechanics, indenter)
+    sensor = TabledSensor(design, mechanics, indenter)
     base, weights = sensor.stacks(grid)
-    modulus = mechanics.gel.shear_modulus
     return Corrections(
         design,
-        tuple(_loaded(problem, modulus) for problem in sensor.singles(base)),
-        None if _has_strip(design) and not weights else _loaded(sensor.varied(base), modulus),
-        tuple((_loaded(sensor.varied(stack), modulus), each) for stack, each in weights.items()),
+        tuple(map(load_table, sensor.singles(base))),
+        None if _has_strip(design) and not weights else load_table(sensor.varied(base)),
+        tuple((load_table(sensor.varied(stack)), each) for stack, each in weights.items()),
+        mechanics.gel.shear_modulus,
     )
 
 
-@lru_cache(maxsize=64)
-def pair_corrections(
-    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
-) -> "PairCorrections":
-    """Changes of pairs on the solved stack next to a design's; minutes where not stored.
+def load_table(problem: Problem) -> SolutionTable:
+    """Table of a problem; minutes where it is not stored."""
+    return load_or_solve(problem, SolutionTable.from_arrays)
 
-    The part of the sides is of long rectangles.
+
+class TableSum:
+    """Sum of tables of one kind with weights, whose fields are summed at once.
+
+    Heights of fields count over the gel's, stresses over its modulus, and coefficients are on the
+    functions of the base, in the order (nx, nz, k, ny).
     """
-    sensor = _Sensor(design, mechanics, indenter)
-    problems = sensor.pairs(sensor.stacks(grid)[0])
-    return PairCorrections(*(_loaded(each, mechanics.gel.shear_modulus) for each in problems))
+
+    def __init__(self, base: SolutionTable, tables: tuple[SolutionTable, ...]) -> None:
+        self._tables = tables
+        fields = []
+        for table in tables:
+            own = np.array([1.0, 1.0, 1.0 / table.size("height"), 1.0 / table.size("modulus")])
+            coefficients = table.modes * (table.scales * own).astype(np.float32)
+            coefficients = _resampled(coefficients, table, base)
+            fields.append(np.moveaxis(coefficients, 2, -1).astype(np.float32))
+        self._shape = fields[0].shape[1:]
+        self._fields = np.concatenate([each.reshape(len(each), -1) for each in fields])
+
+    def evaluate(
+        self, weights: Iterable[float], height: float, **parameters: Array
+    ) -> tuple[Callable[[], Numbers], Array]:
+        """Function that gives the fields (all images, t, nx, nz, k, ny), and extra depths (t,) [m].
+
+        At parameters (t,), among them a depth [m], under a gel of a height [m].
+        """
+        amounts, extra = [], np.zeros(1)
+        for table, weight in zip(self._tables, weights, strict=True):
+            higher = height / table.size("height")
+            own = parameters | {"depth": parameters["depth"] / higher}
+            found, numbers = table.amounts(**own)
+            amounts.append(weight * found.reshape(-1, *found.shape[-2:]))
+            extra = extra + weight * higher * numbers["extra_depth"]
+        return partial(self.fields, np.concatenate(amounts, axis=-1)), extra
+
+    def fields(self, amounts: Array) -> Numbers:
+        """Fields (..., nx, nz, k, ny) of amounts of the modes of all tables (..., modes)."""
+        rows = product_in_blocks(amounts.reshape(-1, amounts.shape[-1]), self._fields)
+        return rows.reshape(*amounts.shape[:-1], *self._shape)
 
 
-def _loaded(problem: Problem, modulus: float) -> SolutionTable:
-    """Table whose gel has a shear modulus [Pa]."""
-    table = SolutionTable.from_arrays(load_or_solve(problem))
-    ratio = modulus / table.size("modulus")
-    return table if ratio == 1.0 else table.scaled([1.0, 1.0, 1.0, ratio])
+# Sums are as large as all their tables, and those of a nominal sensor serve all its specimens.
+sum_of = lru_cache(maxsize=32)(TableSum)
+
+
+def sums_on(design: SensorDesign, scenes: int) -> NodeSums:
+    """Sums for corrections of scenes on a long rectangle, whose nodes are denser towards its sides.
+
+    Components are the displacement and the mean stress, as cubics over the height.
+    """
+    outline = design.outline
+    along, across = (
+        max(_FEWEST, math.ceil(extent / (_NODES * design.encapsulated_thickness)))
+        for extent in (outline.length, outline.width)
+    )
+    turned = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, across + 1)))
+    nodes = np.linspace(0.0, outline.length, along + 1), outline.width * turned
+    return NodeSums(nodes, scenes, 4, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,20 +268,30 @@ class Corrections:
         base: table beside one side or on a disc of the solved stack next to the sensor's; None
             where the strip's suffice.
         varied: such tables of solved stacks with weights, which add up to 1, or with a strip to 0.
+        modulus: shear modulus of the gel; that of the tables when omitted [Pa].
     """
 
     design: SensorDesign
     strip: tuple[SolutionTable, ...]
     base: SolutionTable | None
     varied: tuple[tuple[SolutionTable, float], ...]
+    modulus: float | None = None
 
     @property
-    def _first(self) -> SolutionTable:
+    def first(self) -> SolutionTable:
+        """Table of the solved stack next to the sensor's."""
         return next(table for table in (*self.strip, self.base) if table is not None)
+
+    @property
+    def scales(self) -> Array:
+        """Factors of the components of fields in sums, (4,)."""
+        modulus = self.first.size("modulus") if self.modulus is None else self.modulus
+        return np.array([1.0, 1.0, self.design.thickness, modulus])
 
     def check_depth(self, depth: float) -> None:
         """Raise ConfigurationError for a depth [m] beyond the tables."""
-        deepest = self._higher(self._first) * float(self._first.nodes("depth")[-1])
+        higher = self.design.thickness / self.first.size("height")
+        deepest = higher * float(self.first.nodes("depth")[-1])
         if depth > deepest * (1.0 + _BEYOND):
             raise ConfigurationError(
                 f"touches are tabulated to a depth of {1e3 * deepest:.2f} mm, got "
@@ -235,104 +299,149 @@ class Corrections:
             )
 
     def at(self, x: float, y: float, depth: float) -> PressCorrection:
-        """Correction of a press at (x, y) to a depth [m].
+        """Correction of one press at (x, y) to a depth [m], as of `evaluate`."""
+        sums = sums_on(self.design, 1) if self.strip else None
+        fields, extra = self.evaluate(np.array([[x, y, depth]]), np.zeros(1, int), sums)
+        summed = sums.fields(self.design.thickness, self.scales) if sums else []
+        return PressCorrection([*summed, *fields[0]], float(extra[0]))
+
+    def evaluate(
+        self, places: Array, scenes: Indices | None = None, sums: NodeSums | None = None
+    ) -> tuple[list[list[Field]], Array]:
+        """Corrections of presses at places (x, y, depth), (n, 3) [m].
+
+        Returns fields of each that cannot be summed, and by how much deeper each sinks [m], (n,).
+        On a long rectangle all fields are added to those of `scenes` (n,) in the `sums`, if given.
 
         Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
         """
-        self.check_depth(depth)
-        outline = self.design.outline
-        require_on_stack(outline, x, y, float(self._first.nodes("distance_to_side")[0]))
-        if isinstance(outline, Disc):
-            return self._on_disc(outline, x, y, depth)
-        parts = [self._on_strip(x, y, depth)] if self.strip else []
-        if self.base is not None and isinstance(outline, Rectangle | Polygon):
-            parts.append(self._beside_sides(self.base, outline, x, y, depth))
-        fields = [field for part in parts for field in part.fields]
-        return PressCorrection(fields, sum(part.extra_depth for part in parts))
+        outline, least = self.design.outline, float(self.first.nodes("distance_to_side")[0])
+        for x, y, depth in places.tolist():
+            self.check_depth(depth)
+            require_on_stack(outline, x, y, least)
+        if self.strip and isinstance(outline, Rectangle):
+            scenes = np.zeros(len(places), int) if scenes is None else scenes
+            extra = self._on_strip(outline, places, scenes, sums)
+            return [[] for _ in places], extra + self._beside_rectangle(places, scenes, sums)
+        one = self._on_disc if isinstance(outline, Disc) else self._beside_sides
+        found = [one(*place) for place in places.tolist()]
+        return [each.fields for each in found], np.array([each.extra_depth for each in found])
 
-    def _higher(self, table: SolutionTable) -> float:
-        """Height of the gel over a table's."""
-        return self.design.thickness / table.size("height")
+    def _on_strip(
+        self, outline: Rectangle, places: Array, scenes: Indices, sums: NodeSums | None
+    ) -> Array:
+        """Corrections on a long rectangle: those of a strip, and differences near both ends."""
+        (x, y, depth), (strip, end) = places.T, self.strip
+        H, height = strip.size("thickness"), self.design.thickness
+        images = (DIRECT, MIRRORED_Y), (MIRRORED_X, BOTH_MIRRORED)
+        pressed = {"distance_to_side": y, "depth": depth}
+        fields, extra = sum_of(strip, (strip,)).evaluate([1.0], height, **pressed)
+        if sums:
+            bases = tables.strip_bases(H, outline.width)
+            along = functions_from(bases[0], sums.nodes[0], x)
+            for image, found in zip(images[0], fields(), strict=True):
+                sums.add(found, along, bases[1].dense(sums.nodes[1]), scenes, image)
+        distance = np.stack([x, outline.length - x])
+        far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
+        pressed = {name: values[near] for name, values in pressed.items()}
+        fields, more = sum_of(end, (end,)).evaluate(
+            [1.0], height, distance_to_end=distance[far, near], **pressed
+        )
+        np.add.at(extra, near, more)
+        if sums and len(near):
+            ends = tables.end_bases(H, outline.width)
+            factors = ends[0].dense(sums.nodes[0]), ends[1].dense(sums.nodes[1])
+            for found, image in zip(fields(), np.array(images).swapaxes(0, 1), strict=True):
+                sums.add(found, *factors, scenes[near], image[far])
+        return extra
 
-    def _on_strip(self, x: float, y: float, depth: float) -> PressCorrection:
-        """Correction on a long rectangle: that of a strip, and the differences near both ends."""
-        strip, end = self.strip
-        H, width, height = (strip.size(name) for name in ("thickness", "width", "height"))
-        higher, length = self._higher(strip), self.design.outline.length
-        pressed = {"distance_to_side": y, "depth": depth / higher}
+    def _beside_rectangle(self, places: Array, scenes: Indices, sums: NodeSums | None) -> Array:
+        """Corrections beside the sides in reach, each of which is as one without ends.
 
-        def folded(images: Array, bases: tables.Bases) -> Field:
-            direct, mirrored = (Field(bases, height, each[0]) for each in images)
-            image = mirrored.mirrored(1, 0.5 * width)
-            return Field(bases, height, direct.coefficients + image.coefficients)
+        A right corner throws back all of a side's field.
+        """
+        extra = np.zeros(len(places))
+        if self.base is None:
+            return extra
+        (x, y, depth), outline, base = places.T, self.design.outline, self.base
+        there_x, there_y = outline.length - x, outline.width - y
+        # Below, above, left and right: distance of a press, its foot, and the image.
+        distance, foot = np.array([y, there_y, x, there_x]), np.array([x, there_x, there_y, y])
+        images = np.array([DIRECT, BOTH_MIRRORED, MIRRORED_Y, MIRRORED_X])
+        side, press = np.nonzero((distance < base.nodes("distance_to_side")[-1]) & (distance > 0.0))
+        varied, weights = zip(*self.varied, strict=True)
+        fields, more = sum_of(base, varied).evaluate(
+            weights,
+            self.design.thickness,
+            distance_to_side=distance[side, press],
+            depth=depth[press],
+        )
+        np.add.at(extra, press, more)
+        if sums and len(press):
+            (found,), inward = fields(), CubicSplines(base.sizes["inward"] + base.size("middle"))
+            along = CubicSplines(base.sizes["along"])
+            for upright in (0, 1):
+                here = np.flatnonzero(side // 2 == upright)
+                s, p, nodes = side[here], press[here], sums.nodes
+                own = functions_from(along, nodes[upright], foot[s, p])
+                fixed = inward.dense(nodes[1 - upright]).astype(np.float32)
+                if upright:  # beside a side along y the components along x and y change places
+                    turned = np.ascontiguousarray(found[here].swapaxes(1, 4)[:, :, :, [1, 0, 2, 3]])
+                    sums.add(turned, fixed, own, scenes[p], images[s])
+                else:
+                    sums.add(found[here], own, fixed, scenes[p], images[s])
+        return extra
 
-        images, numbers = strip.evaluate(**pressed)
-        fields = [folded(images, tables.strip_bases(H, width)).shifted(x)]
-        extra = float(numbers["extra_depth"][0])
-        for distance, far in ((x, False), (length - x, True)):
-            if distance < end.nodes("distance_to_end")[-1]:
-                images, numbers = end.evaluate(distance_to_end=distance, **pressed)
-                field = folded(images, tables.end_bases(H, width))
-                fields.append(field.mirrored(0, 0.5 * length) if far else field)
-                extra += float(numbers["extra_depth"][0])
-        return PressCorrection([field.raised(higher) for field in fields], higher * extra)
-
-    def _beside_sides(
-        self, base: SolutionTable, outline: Rectangle | Polygon, x: float, y: float, depth: float
-    ) -> PressCorrection:
+    def _beside_sides(self, x: float, y: float, depth: float) -> PressCorrection:
         """Sum of corrections beside the sides in reach, each without ends but for its fade."""
-        sides = list(sides_of(outline, x, y, float(base.nodes("distance_to_side")[-1])))
+        base, outline = self.first, self.design.outline
+        reach = float(base.nodes("distance_to_side")[-1])
+        sides = list(sides_of(outline, x, y, reach)) if isinstance(outline, _Straight) else []
         if not sides:
             return PressCorrection([], 0.0)
         bases = CubicSplines(base.sizes["along"]), CubicSplines(base.sizes["inward"])
-        distances = np.array([side.aside for side in sides])
-        total: Array = np.zeros(1)
-        extra = np.zeros(len(sides))
-        for table, weight in self.varied:
-            higher = self._higher(table)
-            found, numbers = table.evaluate(distance_to_side=distances, depth=depth / higher)
-            found = _resampled(found, table, base)
-            total = total + found * (weight * np.array([1.0, 1.0, higher, 1.0]))
-            extra += weight * higher * numbers["extra_depth"]
+        varied, weights = zip(*self.varied, strict=True)
+        found, extra = sum_of(base, varied).evaluate(
+            weights,
+            self.design.thickness,
+            distance_to_side=np.array([side.aside for side in sides]),
+            depth=np.array([depth]),
+        )
+        total = np.moveaxis(found()[0], -1, 2) * self.scales
         middle, fields, sunk = base.size("middle"), [], 0.0
         for side, coefficients, more in zip(sides, total, extra.tolist(), strict=True):
             (foot_x, foot_y), (cos, sin) = side.foot, side.along
             frame = Frame(foot_x - middle * sin, foot_y + middle * cos, cos, sin)
             fade = SideFade(side, middle, self.design.encapsulated_thickness)
-            field = Field(bases, self.design.thickness, coefficients, frame, fade)
-            # A right corner throws back all of a side's field, which is that of the whole line.
-            fields.append(field.straightened() if self.strip else field)
+            fields.append(Field(bases, self.design.thickness, coefficients, frame, fade))
             sunk += more * fade.at_press()
         return PressCorrection(fields, sunk)
 
-    def _on_disc(self, outline: Disc, x: float, y: float, depth: float) -> PressCorrection:
+    def _on_disc(self, x: float, y: float, depth: float) -> PressCorrection:
         """Correction on a disc: by symmetry that of a press on the x axis, turned."""
-        radius = outline.radius
+        radius, height = 0.5 * self.design.outline.length, self.design.thickness
         distance = math.dist((x, y), (radius, radius))
         cos, sin = 1.0, 0.0
         if distance > _SAME:
             cos, sin = (x - radius) / distance, (y - radius) / distance
-        fields, extra = [], 0.0
+        frame, fields, extra = Frame(radius, radius, cos, sin), [], 0.0
+        pressed = {"distance_to_side": np.array([radius - distance]), "depth": np.array([depth])}
         for table, weight in self.varied:
-            higher = self._higher(table)
-            images, numbers = table.evaluate(
-                distance_to_side=radius - distance, depth=depth / higher
-            )
+            found, more = sum_of(table, (table,)).evaluate([weight], height, **pressed)
             # A press beyond the middle is one on this side, turned by half a turn.
-            (here,), (there,) = images
+            here, there = np.moveaxis(found()[:, 0], -1, 2) * self.scales
             coefficients = here + there[::-1, ::-1] * np.array([-1.0, -1.0, 1.0, 1.0])
             splines = CubicSplines(table.sizes["nodes"])
-            frame = Frame(radius, radius, cos, sin)
-            field = Field((splines, splines), table.size("height"), weight * coefficients, frame)
-            fields.append(field.raised(higher))
-            extra += weight * higher * float(numbers["extra_depth"][0])
+            fields.append(Field((splines, splines), height, coefficients, frame))
+            extra += float(more[0])
         return PressCorrection(fields, extra)
 
 
-def _resampled(coefficients: Array, table: SolutionTable, base: SolutionTable) -> Array:
+def _resampled(coefficients: Numbers, table: SolutionTable, base: SolutionTable) -> Numbers:
     """Coefficients (t, nx, ny, nz, k) of a table beside a side, on the splines of another."""
-    if np.array_equal(table.sizes["along"], base.sizes["along"]) and np.array_equal(
-        table.sizes["inward"], base.sizes["inward"]
+    if table is base or (
+        np.array_equal(table.sizes["along"], base.sizes["along"])
+        and np.array_equal(table.sizes["inward"], base.sizes["inward"])
     ):
         return coefficients
     moved = table.size("middle") - base.size("middle")
@@ -344,65 +453,3 @@ def _resampled(coefficients: Array, table: SolutionTable, base: SolutionTable) -
         )
     )
     return np.asarray(np.einsum("ai,bj,tijlk->tablk", along, inward, coefficients, optimize=True))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PairCorrections:
-    """Change of two presses by each other on one sensor.
-
-    Attributes:
-        wide: table on a wide stack.
-        sides: table of what the sides add; None where they are left out.
-    """
-
-    wide: SolutionTable
-    sides: SolutionTable | None = None
-
-    def at(self, first: Place, second: Place) -> PressCorrection:
-        """Change by presses (x, y, depth) [m], and by how much deeper each sinks [m].
-
-        No fields where the presses do not feel each other.
-        """
-        (x, y, depth), (x_other, y_other, other_depth) = first, second
-        apart = math.dist((x, y), (x_other, y_other))
-        if apart >= self.wide.nodes("axis_distance")[-1]:
-            return PressCorrection([], 0.0)
-        angle = math.atan2(y_other - y, x_other - x)
-        middle = 0.5 * (x + x_other), 0.5 * (y + y_other)
-        deep = depth * other_depth
-        (coefficients,), numbers = self.wide.evaluate(axis_distance=apart, product=deep)
-        nearest = max(apart, float(self.wide.nodes("axis_distance")[0]))
-        bases = pair_tables.pair_bases(nearest, self.wide.size("thickness"))
-        frame = Frame(*middle, math.cos(angle), math.sin(angle))
-        fields = [Field(bases, self.wide.size("height"), coefficients, frame)]
-        if self.sides is not None and apart < self.sides.nodes("axis_distance")[-1]:
-            fields.append(_of_sides(self.sides, middle, apart, angle, deep))
-        return PressCorrection(fields, float(numbers["extra_depth"][0]))
-
-
-def _of_sides(
-    table: SolutionTable, middle: tuple[float, float], apart: float, angle: float, deep: float
-) -> Field:
-    """Field that the sides of a strip add to a pair about its middle, of a product of depths."""
-    width, height = table.size("width"), table.size("height")
-    low = pair_tables.lowest_middle(table.size("least"), apart, angle)
-    place = (middle[1] - low) / max(0.5 * width - low, _SAME)
-    images, _ = table.evaluate(
-        axis_distance=apart, direction=angle, place=min(max(place, 0.0), 2.0)
-    )
-    bases = pair_tables.pair_side_bases(table.size("thickness"), width)
-    (direct, opposite), (mirrored, turned) = (
-        [Field(bases, height, each[0]) for each in of_direction] for of_direction in images
-    )
-    # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
-    # pair is the same at the same distance from the other side.
-    half = 0.5 * width
-    parts = [
-        direct,
-        opposite.mirrored(0, 0.0).mirrored(1, half),
-        mirrored.mirrored(0, 0.0),
-        turned.mirrored(1, half),
-    ]
-    total = np.sum([part.coefficients for part in parts], axis=0)
-    total *= deep / table.size("depth") ** 2
-    return Field(bases, height, total).shifted(middle[0])

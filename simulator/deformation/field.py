@@ -1,8 +1,8 @@
 """Displacement fields of the gel: products of functions along x and y and over the height."""
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -52,18 +52,6 @@ class CubicSplines:
         """All splines at points (m,), (m, n)."""
         splines = BSpline(self.knots, np.eye(len(self.nodes)), _DEGREE)
         return np.asarray(splines(np.clip(x, *self.ends)))
-
-    def shifted(self, by: float) -> "CubicSplines":
-        """Splines on nodes that are moved."""
-        return CubicSplines(self.nodes + by)
-
-    def mirrored(self) -> "CubicSplines":
-        """Splines on the mirror image of the nodes at 0."""
-        return CubicSplines(-self.nodes[::-1])
-
-    def flipped(self, coefficients: Array, axis: int) -> Array:
-        """Coefficients of the mirror image on the mirrored splines, along an axis."""
-        return np.flip(coefficients, axis).copy()
 
 
 @lru_cache(maxsize=64)
@@ -121,20 +109,6 @@ class Polynomials:
         if self.vanish:
             values[outside] = 0.0
         return values
-
-    def shifted(self, by: float) -> "Polynomials":
-        """Polynomials on the interval that is moved."""
-        return replace(self, low=self.low + by, high=self.high + by)
-
-    def mirrored(self) -> "Polynomials":
-        """Polynomials on the mirror image of the interval at 0."""
-        return replace(self, low=-self.high, high=-self.low)
-
-    def flipped(self, coefficients: Array, axis: int) -> Array:
-        """Coefficients of the mirror image on the mirrored polynomials, along an axis."""
-        signs = np.ones((self.count, *(1,) * (coefficients.ndim - 1 - axis)), coefficients.dtype)
-        signs[1::2] = -1.0
-        return coefficients * signs
 
 
 Basis: TypeAlias = CubicSplines | Polynomials
@@ -213,47 +187,6 @@ class Field:
                 "ai,bj,cl,ijlk->abck", along, across, heights, self.coefficients, optimize=True
             )
         )
-
-    def shifted(self, x: float) -> "Field":
-        """The same field, moved along x [m]."""
-        return replace(self, bases=(self.bases[0].shifted(x), self.bases[1]))
-
-    def raised(self, factor: float) -> "Field":
-        """The displacement field of a box `factor` times as high."""
-        if factor == 1.0:
-            return self
-        upward = np.ones(self.coefficients.shape[-1])
-        upward[2] = factor
-        return replace(self, height=factor * self.height, coefficients=self.coefficients * upward)
-
-    def mirrored(self, axis: int, at: float) -> "Field":
-        """Mirror image in the plane x or y = `at` [m] of the sensor's own frame."""
-        coefficients = self.bases[axis].flipped(self.coefficients, axis)
-        coefficients[..., axis] *= -1.0
-        bases = list(self.bases)
-        bases[axis] = bases[axis].mirrored().shifted(2.0 * at)
-        return replace(self, bases=(bases[0], bases[1]), coefficients=coefficients)
-
-    def straightened(self) -> "Field":
-        """The field in the sensor's own frame, where its frame is turned by right angles.
-
-        Such frames are turned exactly: functions on mirrored intervals are the mirrored ones.
-        """
-        if self.frame is None:
-            return self
-        c, s = round(self.frame.cos), round(self.frame.sin)
-        coefficients, bases = self.coefficients.copy(), list(self.bases)
-        u, v = coefficients[..., 0].copy(), coefficients[..., 1].copy()
-        coefficients[..., 0], coefficients[..., 1] = c * u - s * v, s * u + c * v
-        if s:
-            coefficients, bases = coefficients.swapaxes(0, 1), bases[::-1]
-        for axis, (at, way) in enumerate(((self.frame.x, c - s), (self.frame.y, c + s))):
-            if way < 0:
-                coefficients = bases[axis].flipped(coefficients, axis)
-                bases[axis] = bases[axis].mirrored()
-            bases[axis] = bases[axis].shifted(at)
-        coefficients = np.ascontiguousarray(coefficients)
-        return Field((bases[0], bases[1]), self.height, coefficients)
 
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
@@ -370,31 +303,3 @@ def _powers(count: int) -> Array:
     """Coefficients of the powers 0 to 3 of Legendre polynomials, (4, count)."""
     powers = [legendre.leg2poly(row) for row in np.eye(count)]
     return np.stack([np.pad(each, (0, _UPRIGHT - len(each))) for each in powers], axis=1)
-
-
-def resampled_sum(fields: Iterable[Field], nodes: tuple[Array, Array]) -> Field:
-    """Sum of fields of one height in the sensor's own frame, as splines on common nodes.
-
-    One evaluation serves all fields, at points that need not lie on a grid.
-
-    Args:
-        fields: one or more.
-        nodes: of the splines along x and along y, (nx,) and (ny,) [m].
-    """
-    fields = list(fields)
-    x, y = nodes
-    nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (2, 3))
-    lines: dict[tuple[Basis, int], Array] = {}  # sums of fields that are alike along y
-    for field in fields:
-        (along, across), coefficients = field.bases, field.coefficients
-        on_lines = along.dense(x) @ coefficients.reshape(len(coefficients), -1)
-        alike = across, coefficients.shape[2]
-        lines[alike] = lines[alike] + on_lines if alike in lines else on_lines
-    values = np.zeros((len(x), nz, k, len(y)))
-    for (across, height), on_lines in lines.items():
-        every = on_lines.reshape(len(x), -1, height, k)
-        values[:, :height] += np.tensordot(every, across.dense(y), (1, 1))
-    splines = CubicSplines(x), CubicSplines(y)
-    fitted = (splines[0].fit @ values.reshape(len(x), -1)).reshape(values.shape)
-    coefficients = np.ascontiguousarray(np.moveaxis(fitted @ splines[1].fit.T, -1, 1))
-    return Field(splines, max(field.height for field in fields), coefficients)

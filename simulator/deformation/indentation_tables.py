@@ -166,9 +166,11 @@ def _solved(about: Indentations, layout: Layout, far: Solved | None = None) -> S
     for number, correction in enumerate(corrections):
         beside = None
         if far is not None:
-            bases = strip_bases(about.thickness, layout.outline.width)
-            strip = Field(bases, about.height, far.fields[number])
-            beside = strip.shifted(layout.place[0])
+            along, across = strip_bases(about.thickness, layout.outline.width)
+            here = replace(
+                along, low=along.low + layout.place[0], high=along.high + layout.place[0]
+            )
+            beside = Field((here, across), about.height, far.fields[number])
         values = partial(_values, layout, _FADE * about.thickness, correction, beside)
         field = Field.from_function(values, layout.bases, about.height, layout.degree)
         fields.append(field.coefficients)
@@ -236,7 +238,7 @@ def _on_strip(about: Indentations, width: float, fineness: Fineness, y: float) -
     return _solved(about, layout)
 
 
-def strip_bases(thickness: float, width: float) -> Bases:
+def strip_bases(thickness: float, width: float) -> tuple[Polynomials, Polynomials]:
     """Bases of the field of a press on a strip, from the press along x."""
     reach = STRIP_REACH * thickness
     along = Polynomials(-reach, reach, _STRIP[0], _STRETCH, vanish=True)

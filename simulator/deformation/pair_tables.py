@@ -7,7 +7,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import Rigid
@@ -177,7 +177,7 @@ def _beside_sides(about: Indentations, width: float, apart: float, angle: float)
     """Fields that the sides add to pairs in one direction; zero where such pairs have no room."""
     H, half = about.thickness, 0.5 * width
     found = np.zeros((len(_FROM_SIDES), *_COUNTS_BESIDE, 4))
-    low = lowest_middle(about.least, apart, angle)
+    low = float(lowest_middle(about.least, apart, angle))
     if low <= half:
         dents = about.dents[_SIDES_DEPTH : _SIDES_DEPTH + 1]
         (wide,) = _changes(about, *_wide(about, apart, angle), apart, angle, dents)
@@ -212,6 +212,6 @@ def pair_side_bases(thickness: float, width: float, finer: int = 1) -> Bases:
     )
 
 
-def lowest_middle(least: float, apart: float, angle: float) -> float:
+def lowest_middle(least: float, apart: ArrayLike, angle: ArrayLike) -> Array:
     """Least distance from a side of the middle of a pair [m]."""
-    return least + 0.5 * apart * abs(math.sin(angle))
+    return np.asarray(least + 0.5 * np.abs(apart * np.sin(angle)))

@@ -266,8 +266,12 @@ def press_problems(
 
 def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:
     """Table of the conductive layer of a stack."""
-    table = PressTable(**load_or_solve(_problem(stack, indenter)))
+    table = load_or_solve(_problem(stack, indenter), _from_arrays)
     return table.scaled(*_scales(stack))
+
+
+def _from_arrays(arrays: Arrays) -> PressTable:
+    return PressTable(**arrays)
 
 
 def _problem(stack: Stack, indenter: Indenter) -> Problem:

@@ -16,8 +16,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from eitskin.files import atomic_file, read_bytes
 from eitskin.threads import one_thread_per_process
 
 Arrays = dict[str, NDArray[Any]]
+Made = TypeVar("Made")
 Report = Callable[[int, int], None]
 """Function that is called with the number of parts done and of all parts."""
 
@@ -34,7 +36,7 @@ Report = Callable[[int, int], None]
 LIBRARY = Path(__file__).with_name("library")
 # Version of the format of files and of all solutions.
 _VERSION = 1
-_MAX_LOADED = 32  # files in memory
+_MAX_LOADED = 128  # solutions in memory, of 0.2 to 6 MB each
 _MAX_BYTES = 1 << 30  # of a file; the largest has 3 MB
 
 
@@ -96,25 +98,33 @@ def missing(problems: Iterable[Problem]) -> dict[Path, Problem]:
     }
 
 
-def load_or_solve(problem: Problem, report: Report = lambda *_: None) -> Arrays:
-    """Arrays of a solution from package or cache, or solved now and written to the cache.
+def load_or_solve(
+    problem: Problem, make: Callable[[Arrays], Made], report: Report = lambda *_: None
+) -> Made:
+    """Solution from package or cache, or solved now and written to the cache.
 
     Processes that need the same solution wait for the one that solves it. Where the cache cannot
     be written, each solves for itself.
+
+    Args:
+        problem: to be solved.
+        make: of the arrays what is returned, and kept in memory while the file stays as it is.
+        report: called with the number of parts done and of all parts.
     """
     places = (LIBRARY / problem.name, problem.path)
 
-    def load() -> Arrays | None:
-        return next((found for path in places if (found := _load(path)) is not None), None)
+    def load() -> Made | None:
+        return next((found for path in places if (found := _load(path, make)) is not None), None)
 
-    solution = load()
-    if solution is None:
+    found = load()
+    if found is None:
         with _locked(problem.path):
-            solution = load()  # another process may have solved it meanwhile
-            if solution is None:
+            found = load()  # another process may have solved it meanwhile
+            if found is None:
                 solution = problem.solve(report)
                 write(problem.path, solution)
-    return dict(solution)
+                found = make(solution)
+    return found
 
 
 def prepare(problems: Iterable[Problem], report: Report | None = None, workers: int = 1) -> None:
@@ -133,10 +143,10 @@ def prepare(problems: Iterable[Problem], report: Report | None = None, workers: 
 
     if workers == 1 or any(problem.divided for problem in absent):
         for number, problem in enumerate(absent):
-            load_or_solve(problem, in_series(number))
+            load_or_solve(problem, dict, in_series(number))
         return
     with processes(workers) as run:
-        for number, _ in enumerate(run(load_or_solve, absent), 1):
+        for number, _ in enumerate(run(load_or_solve, absent, repeat(dict)), 1):
             report(number, len(absent))
 
 
@@ -183,17 +193,22 @@ def _locked(path: Path) -> Iterator[None]:
         lock.release()
 
 
-def _load(path: Path) -> Arrays | None:
-    """Arrays of a file, read again where it has changed; None where absent or damaged."""
+def _load(path: Path, make: Callable[[Arrays], Made]) -> Made | None:
+    """Object made of a file, anew where it has changed; None where absent or damaged."""
     try:
-        return _read(path, path.stat().st_mtime_ns)
+        return _made(path, path.stat().st_mtime_ns, make)
     except OSError:
         return None
 
 
-# Specimens of one design share solutions, and most scenes follow others of the same.
+# Specimens of one design share solutions.
 @lru_cache(maxsize=_MAX_LOADED)
-def _read(path: Path, changed: int) -> Arrays | None:  # noqa: ARG001
+def _made(path: Path, changed: int, make: Callable[[Arrays], Made]) -> Made | None:  # noqa: ARG001
+    arrays = _read(path)
+    return None if arrays is None else make(arrays)
+
+
+def _read(path: Path) -> Arrays | None:
     try:
         content = io.BytesIO(read_bytes(path, _MAX_BYTES))  # which waits for no pipe
         with np.load(content, allow_pickle=False) as file:

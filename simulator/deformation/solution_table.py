@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from eitskin.simulator.deformation.solution_store import Arrays
 Array = NDArray[np.float64]
 
 _TOLERANCE = 3e-4  # singular values, relative to the largest, that a table keeps
+_BLOCK = 16  # rows of one product
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 
 
@@ -108,8 +109,8 @@ class SolutionTable:
         axes = sorted(name.split() for name in arrays if name.startswith("axis "))
         return cls(
             tuple(Axis(name, kind, arrays[f"axis {n} {name} {kind}"]) for _, n, name, kind in axes),
-            arrays["amplitudes"].astype(np.float64),
-            arrays["modes"].astype(precision),
+            arrays["amplitudes"].astype(np.float64, copy=False),
+            arrays["modes"].astype(precision, copy=False),
             arrays["scales"],
             {k.removeprefix("number "): a for k, a in arrays.items() if k.startswith("number ")},
             {k.removeprefix("size "): a for k, a in arrays.items() if k.startswith("size ")},
@@ -123,11 +124,11 @@ class SolutionTable:
         """Length or modulus of the solved sensor by its name."""
         return float(self.sizes[name])
 
-    def evaluate(self, **parameters: ArrayLike) -> tuple[Array, dict[str, Array]]:
-        """Coefficients and numbers at parameters (t,) or at one of each.
+    def amounts(self, **parameters: ArrayLike) -> tuple[Array, dict[str, Array]]:
+        """Amounts of the modes and numbers at parameters (t,) or at one of each.
 
-        Returns coefficients (images of each axis that has them, t, nx, ny, nz, k) and numbers (t,),
-        summed over images.
+        Returns amounts (images of each axis that has them, t, rank) and numbers (t,), summed over
+        images.
         """
         weights = [axis.weights(np.atleast_1d(parameters[axis.name])) for axis in self.axes]
         images = tuple(len(each) for each in weights if len(each) > 1)
@@ -136,12 +137,22 @@ class SolutionTable:
             both = product[:, None, :, :, None] * each[:, :, None]
             product = both.reshape(-1, both.shape[2], both.shape[3] * both.shape[4])
         summed = product.sum(axis=0)
-        numbers = {name: summed @ values.ravel() for name, values in self.numbers.items()}
+        numbers = {name: (summed * v.ravel()).sum(axis=1) for name, v in self.numbers.items()}
+        rows = product.reshape(-1, product.shape[-1])
+        rank = len(self.modes)
+        amounts = product_in_blocks(rows, self.amplitudes.reshape(-1, rank))
+        return amounts.reshape(*images, len(summed), rank), numbers
+
+    def evaluate(self, **parameters: ArrayLike) -> tuple[Array, dict[str, Array]]:
+        """Coefficients and numbers at parameters (t,) or at one of each.
+
+        Returns coefficients (images of each axis that has them, t, nx, ny, nz, k) and numbers (t,),
+        summed over images.
+        """
+        amounts, numbers = self.amounts(**parameters)
         # In the precision of the modes, since reading them takes all the time.
-        rank, *shape = self.modes.shape
-        amounts = product.reshape(-1, product.shape[-1]) @ self.amplitudes.reshape(-1, rank)
-        rows = amounts.astype(self._fields.dtype) @ self._fields
-        return rows.reshape(*images, len(summed), *shape), numbers
+        rows = product_in_blocks(amounts.reshape(-1, len(self.modes)), self._fields)
+        return rows.reshape(*amounts.shape[:-1], *self.modes.shape[1:]), numbers
 
     @cached_property
     def _fields(self) -> NDArray[np.floating]:
@@ -169,6 +180,17 @@ class SolutionTable:
             numbers={name: numbers * values for name, values in self.numbers.items()},
             sizes={name: sizes * value for name, value in self.sizes.items()},
         )
+
+
+def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) -> NDArray[Any]:
+    """Product of rows (n, m) with a matrix (m, k), in the precision of the matrix, (n, k).
+
+    The rows are multiplied in blocks of one size, filled up with zeros: what is found of one row
+    depends on no other, and not on their number.
+    """
+    blocks = np.zeros((-(-len(rows) // _BLOCK), _BLOCK, rows.shape[1]), matrix.dtype)
+    blocks.reshape(-1, rows.shape[1])[: len(rows)] = rows
+    return np.asarray(np.matmul(blocks, matrix).reshape(-1, matrix.shape[1])[: len(rows)])
 
 
 def _spline(nodes: Array, at: Array) -> Array:

@@ -1,8 +1,7 @@
 """Touches of a scene: their dents, depth, contact and pressure."""
 
 import math
-from collections.abc import Iterable
-from functools import lru_cache
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Literal, NamedTuple
 
@@ -19,12 +18,13 @@ from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
     is_tabulable,
-    pair_corrections,
+    sums_on,
 )
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
-from eitskin.simulator.deformation.field import Field, resampled_sum
 from eitskin.simulator.deformation.finite_stack import solved_presses
+from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
+from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -50,8 +50,6 @@ _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
 )
-_NODES, _FEWEST = 0.18, 12  # of splines for corrections, over the thickness of the stack
-
 # Search for dents to given depths: most dents tried, error of the depths, first dent where the base
 # gives way over the thickness of the stack, largest step, and least sinking over a dent's depth.
 _MOST_SEARCHED, _TOLERANCE, _SHALLOW = 10, 1e-3, 0.1
@@ -74,28 +72,20 @@ class PressedSensor(NamedTuple):
     grid: SensorGrid = OWN_GRID
 
 
-class _DentedTouch(NamedTuple):
-    """Touch with its dent, None where it has faded.
-
-    Attributes:
-        force: on the indenter [N].
-        sunk: by which the indenter sinks deeper than the dent [m].
-    """
-
-    touch: Touch
-    dent: TabulatedDent | None
-    force: float
-    sunk: float = 0.0
-
-
-def dents(touches: tuple[Touch, ...], sensor: PressedSensor) -> Dents:
-    """Deformation of the gel by touches.
+def dents(scenes: Sequence[tuple[Touch, ...]], sensor: PressedSensor) -> list[Dents]:
+    """Deformations of the gel by the touches of each scene, which do not depend on other scenes.
 
     Raises ConfigurationError for presses beyond the range of the model.
     """
-    dented, fields = _solve_dents(touches, sensor)
-    placed = [PlacedDent(t.x, t.y, dent) for t, dent, *_ in dented if dent is not None]
-    return Dents(tuple(placed), tuple(fields))
+    dented = [_solve_dents(touches, sensor) for touches in scenes]
+    summed = iter(_tabulated([each for each in dented if each.solved is None], sensor))
+    return [
+        Dents(
+            tuple(PlacedDent(t.x, t.y, dent) for t, dent, _ in one.acting),
+            next(summed) if one.solved is None else one.solved,
+        )
+        for one in dented
+    ]
 
 
 def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
@@ -117,71 +107,121 @@ def bent_dents(
 
     Raises ConfigurationError for presses beyond the range of the model.
     """
-    dented, fields = _solve_dents(touches, sensor, bent)
+    dented = _solve_dents(touches, sensor, bent)
     stack = sensor.mechanics.stack(sensor.design)
-    placed = [
-        (ContactFrame.at(bent, t.x, t.y, stack), dent) for t, dent, *_ in dented if dent is not None
-    ]
-    return BentPresses(bend, tuple(placed), Dents((), tuple(fields)))
+    placed = [(ContactFrame.at(bent, t.x, t.y, stack), dent) for t, dent, _ in dented.acting]
+    fields = next(_tabulated([dented], sensor)) if dented.solved is None else dented.solved
+    return BentPresses(bend, tuple(placed), Dents((), fields))
+
+
+class _DentedScene(NamedTuple):
+    """Touches of a scene with their dents.
+
+    Attributes:
+        touches: with dents, which are None where they have faded, and forces on indenters [N].
+        solved: correction that was solved for this scene alone; None for one by tables.
+        sunk: by which each indenter sinks deeper than its dent [m]; where depths are prescribed or
+            it is wanted.
+    """
+
+    touches: list[tuple[Touch, TabulatedDent | None, float]]
+    solved: tuple[ColumnField, ...] | None
+    sunk: Array
+
+    @property
+    def acting(self) -> list[tuple[Touch, TabulatedDent, float]]:
+        """Touches whose dents have not faded."""
+        return [(t, dent, force) for t, dent, force in self.touches if dent is not None]
 
 
 def _solve_dents(
-    touches: tuple[Touch, ...], sensor: PressedSensor, bent: BentState | None = None
-) -> tuple[list[_DentedTouch], list[ColumnField]]:
-    """Dents of touches, and their corrections in the whole stack."""
+    touches: tuple[Touch, ...],
+    sensor: PressedSensor,
+    bent: BentState | None = None,
+    with_depths: bool = False,
+) -> _DentedScene:
+    """Dents of touches, and how deep indenters sink; corrections where they have no tables.
+
+    No table is of a bent stack.
+    """
     search = DepthSearch(touches, sensor.design)
     for _ in range(_MOST_SEARCHED):
         dented = [
-            _DentedTouch(touch, *_dent(touch, float(depth), sensor))
+            (touch, *_dent(touch, float(depth), sensor))
             for touch, depth in zip(touches, search.depths, strict=True)
         ]
-        fields, sunk = _corrections(dented, sensor, bent)
-        depths = [0.0 if one.dent is None else one.dent.depth for one in dented]
-        if search.advance(np.array(depths), np.array(sunk)):
-            found = zip(dented, sunk, strict=True)
-            return [one._replace(sunk=below) for one, below in found], fields
+        one = _DentedScene(dented, None, np.zeros(len(touches)))
+        acting = one.acting
+        here = np.flatnonzero([dent is not None for _, dent, _ in dented])
+        if acting and resolve_touch_model(tuple(t for t, *_ in acting), sensor) == "solved":
+            presses = tuple(
+                Touch(t.x, t.y, indenter=t.indenter, depth=dent.depth) for t, dent, _ in acting
+            )
+            solved = solved_presses(sensor.design, sensor.mechanics, presses, bent)
+            one = one._replace(solved=(solved,))
+            one.sunk[here] = solved.sunk
+        elif acting and (with_depths or search.is_needed):
+            one.sunk[here] = _evaluate([one], sensor, None)[1]
+        depths = np.array([0.0 if dent is None else dent.depth for _, dent, _ in dented])
+        if search.advance(depths, one.sunk):
+            return one
     raise ConfigurationError(
         f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
         "or prescribe forces"
     )
 
 
-def _corrections(
-    dented: list[_DentedTouch], sensor: PressedSensor, bent: BentState | None
-) -> tuple[list[ColumnField], list[float]]:
-    """Corrections of dents, and how much deeper each indenter sinks [m].
-
-    No table is of a bent stack.
-    """
-    acting = [(k, one.touch, one.dent) for k, one in enumerate(dented) if one.dent is not None]
-    extra = [0.0] * len(dented)
+def _tabulated(
+    scenes: list[_DentedScene], sensor: PressedSensor
+) -> Iterator[tuple[ColumnField, ...]]:
+    """Corrections of the dents of each scene by tables."""
+    pressed = [one for one in scenes if one.acting]
+    if not pressed:
+        return iter([() for _ in scenes])
     design, mechanics, _, grid = sensor
-    if not acting:
-        return [], extra
-    if resolve_touch_model(tuple(touch for _, touch, _ in acting), sensor) == "solved":
-        presses = tuple(
-            Touch(t.x, t.y, indenter=t.indenter, depth=dent.depth) for _, t, dent in acting
-        )
-        solved = solved_presses(design, mechanics, presses, bent)
-        for (k, *_), below in zip(acting, solved.sunk.tolist(), strict=True):
-            extra[k] = below
-        return [solved], extra
-    fields: list[Field] = []
-    for k, touch, dent in acting:
-        table = corrections(design, mechanics, touch.indenter, grid)
-        added, extra[k] = table.at(touch.x, touch.y, dent.depth)
-        fields += added
-    for (k, one, dent), (j, other, beside) in combinations(acting, 2):
-        # Between different indenters the change is that by those of the smaller one's kind.
-        indenter = min(one.indenter, other.indenter, key=lambda each: each.rims[1])
-        pairs = pair_corrections(design, mechanics, indenter, grid)
-        added, deeper = pairs.at((one.x, one.y, dent.depth), (other.x, other.y, beside.depth))
-        fields += added
-        extra[k] += deeper
-        extra[j] += deeper
-    own = [field for field in fields if field.frame is None]
-    others: list[ColumnField] = [field for field in fields if field.frame is not None]
-    return [*others, *([resampled_sum(own, _nodes(design))] if own else [])], extra
+    table = corrections(design, mechanics, pressed[0].acting[0][0].indenter, grid)
+    sums = sums_on(design, len(scenes)) if table.strip else None
+    fields, _ = _evaluate(scenes, sensor, sums)
+    summed = sums.fields(design.thickness, table.scales) if sums else [None] * len(scenes)
+    return iter(
+        [
+            (*own, *([total] if total is not None and one.acting else []))
+            for one, own, total in zip(scenes, fields, summed, strict=True)
+        ]
+    )
+
+
+def _evaluate(
+    scenes: list[_DentedScene], sensor: PressedSensor, sums: NodeSums | None
+) -> tuple[list[list[ColumnField]], Array]:
+    """Fields of each scene that are not in the sums, and by what acting presses sink deeper [m]."""
+    design, mechanics, _, grid = sensor
+    presses = [(k, t, dent) for k, one in enumerate(scenes) for t, dent, _ in one.acting]
+    owners = np.array([k for k, *_ in presses])
+    places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
+    fields: list[list[ColumnField]] = [[] for _ in scenes]
+    extra = np.zeros(len(presses))
+    for indenter in dict.fromkeys(t.indenter for _, t, _ in presses):
+        here = np.flatnonzero([t.indenter == indenter for _, t, _ in presses])
+        table = corrections(design, mechanics, indenter, grid)
+        found, extra[here] = table.evaluate(places[here], owners[here], sums)
+        for owner, each in zip(owners[here].tolist(), found, strict=True):
+            fields[owner] += each
+    # Between different indenters the change is that by those of the smaller one's kind.
+    pairs: dict[AnyIndenter, list[tuple[int, int]]] = {}
+    for first, second in combinations(range(len(presses)), 2):
+        if owners[first] == owners[second]:
+            both = (presses[n][1].indenter for n in (first, second))
+            pairs.setdefault(min(both, key=lambda i: i.rims[1]), []).append((first, second))
+    for indenter, some in pairs.items():
+        first, second = np.array(some).T
+        changes = pair_corrections(design, mechanics, indenter, grid)
+        felt, deeper = changes.evaluate(places[first], places[second], owners[first], sums)
+        for end in (first, second):
+            np.add.at(extra, end, deeper)
+        for owner, change in zip(owners[first].tolist(), felt, strict=True):
+            fields[owner] += [] if change is None else [change]
+    return fields, extra
 
 
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
@@ -227,7 +267,8 @@ def pressed_touches(
     flat = _POLYGON if isinstance(outline, Polygon) else _FLAT
     error = None if bent_after else flat if bent is None else _BENT
     found = []
-    for touch, dent, force, sunk in _solve_dents(touches, sensor, bent)[0]:
+    dented = _solve_dents(touches, sensor, bent, with_depths=True)
+    for (touch, dent, force), sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
         edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
         neighbour = neighbour_distance(touch, touches)
         depth = dent.depth + sunk if dent is not None else 0.0
@@ -248,17 +289,6 @@ def pressed_touches(
         )
         found.append(pressed)
     return tuple(found)
-
-
-@lru_cache(maxsize=64)
-def _nodes(design: SensorDesign) -> tuple[Array, Array]:
-    """Nodes of splines for corrections along x and y [m], denser towards the long sides."""
-    size, outline = _NODES * design.encapsulated_thickness, design.outline
-    along, across = (
-        max(_FEWEST, math.ceil(extent / size)) for extent in (outline.length, outline.width)
-    )
-    turned = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, across + 1)))
-    return np.linspace(0.0, outline.length, along + 1), outline.width * turned
 
 
 def _dent(touch: Touch, depth: float, sensor: PressedSensor) -> tuple[TabulatedDent | None, float]:
@@ -313,6 +343,7 @@ class DepthSearch:
 
     Attributes:
         depths: of the dents in the unbounded stack to try next [m]; NaN for prescribed forces.
+        is_needed: whether any depth is prescribed.
     """
 
     def __init__(self, touches: tuple[Touch, ...], design: SensorDesign) -> None:
@@ -327,6 +358,7 @@ class DepthSearch:
             ]
         )
         self._given = np.isfinite(self.depths)
+        self.is_needed = bool(self._given.any())
         self._jacobian = np.eye(int(self._given.sum()))
         self._last: tuple[Array, Array] | None = None
 

@@ -148,7 +148,7 @@ class TouchTable:
             changes = _logarithms(simulator, scenes, instrument) - flat
             return {"changes": changes.reshape(*map(len, axes), len(flat))}
 
-        changes = load_or_solve(Problem("touches", described, solve))["changes"]
+        changes = load_or_solve(Problem("touches", described, solve), dict)["changes"]
         # Without force nothing changes.
         forces = np.concatenate([[0.0], axes[2]])
         return cls((axes[0], axes[1], forces), np.pad(changes, [(0, 0), (0, 0), (1, 0), (0, 0)]))

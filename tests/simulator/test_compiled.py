@@ -1,4 +1,4 @@
-"""Compiled kernels against their plain twins, and sums of fields against the fields one by one."""
+"""Compiled kernels against their plain twins."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from eitskin.compiled import kernels
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
-from eitskin.simulator.deformation.field import Field, Polynomials, resampled_sum
 
 KERNELS = "eitskin.simulator.deformation.kernels"
 if compiled.loaded(KERNELS) is None:
@@ -48,29 +47,6 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
     flat = sim.measure(Scene()).impedance
     assert not np.array_equal(found, plain)  # kernels round otherwise
     assert np.abs(found - plain).max() < 1e-8 * np.abs(plain - flat).max()
-
-
-def test_fields_are_summed_as_splines() -> None:
-    """Four cells of a box a thickness high leave little, and half the size a sixteenth of that."""
-    rng = np.random.default_rng(1)
-    wide, near = Polynomials(0.0, 0.1, 5), Polynomials(-0.03, 0.09, 7, 1.0, vanish=True)
-    fields = (
-        Field((wide, Polynomials(0.0, 0.06, 4)), 0.005, rng.normal(size=(5, 4, 3, 4))),
-        Field((near, Polynomials(0.0, 0.06, 6)), 0.005, rng.normal(size=(7, 6, 2, 4))),
-    )
-    columns = np.empty((45, 3, 3))
-    columns[..., 0] = rng.uniform(0.0, 0.09, (45, 1))
-    columns[..., 1] = rng.uniform(0.0, 0.06, (45, 1))
-    columns[..., 2] = (0.001, 0.002, 0.0045)
-    one_by_one, errors = sum(field.values(columns) for field in fields)[:3], []
-    for cells in (20, 40):
-        nodes = np.linspace(0.0, 0.09, cells + 1), np.linspace(0.0, 0.06, cells + 1)
-        total = resampled_sum(fields, nodes)
-        plain, found = total.moved(columns), with_kernels(total.moved, columns)
-        assert found == pytest.approx(plain, rel=1e-11, abs=1e-9)
-        errors.append(np.abs(plain[:3] - one_by_one).max() / np.abs(one_by_one).max())
-    assert errors[0] > 12.0 * errors[1]
-    assert errors[1] < 1e-3
 
 
 def test_without_numba_there_are_no_kernels(monkeypatch) -> None:

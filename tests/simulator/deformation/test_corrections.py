@@ -23,7 +23,6 @@ from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
     is_tabulable,
-    pair_corrections,
 )
 from eitskin.simulator.deformation.indentation_tables import (
     Indentations,
@@ -32,6 +31,7 @@ from eitskin.simulator.deformation.indentation_tables import (
     solve_side,
     solve_strip,
 )
+from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.stack_mesh import Fineness
 from eitskin.simulator.deformation.touches import PressedSensor, resolve_touch_model
@@ -151,7 +151,7 @@ def test_tables_hold_what_was_solved_about_each_press(kind, solved_bells) -> Non
 )
 def test_presses_beyond_the_tables_are_refused(outline, middle, beside) -> None:
     found = corrections(design_on(outline), MECHANICS, PUNCH)
-    deepest = float(found._first.nodes("depth")[-1])
+    deepest = float(found.first.nodes("depth")[-1])
     found.at(*middle, deepest)
     with pytest.raises(ConfigurationError, match=r"tabulated to a depth .* touch_model='solved'"):
         found.at(*middle, 1.05 * deepest)
@@ -239,7 +239,7 @@ def test_weights_of_neighbours_are_those_of_a_quadratic(thickness, modulus) -> N
 def needed(thickness, modulus):
     design = dataclasses.replace(DESIGN, thickness=thickness)
     mechanics = Mechanics(encapsulation=NeoHookean(modulus))
-    return tables._Sensor(design, mechanics, PUNCH).stacks(SensorGrid(thickness=0.005))
+    return tables.TabledSensor(design, mechanics, PUNCH).stacks(SensorGrid(thickness=0.005))
 
 
 @pytest.mark.parametrize("side", [-1, 1])

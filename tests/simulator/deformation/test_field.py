@@ -1,4 +1,4 @@
-"""Fields: exact polynomials and splines, slopes, faces, mirror images, frames and sums."""
+"""Fields: exact polynomials and splines, slopes, faces, frames."""
 
 from typing import ClassVar
 
@@ -10,7 +10,6 @@ from eitskin.simulator.deformation.field import (
     Field,
     Frame,
     Polynomials,
-    resampled_sum,
 )
 
 HEIGHT = 0.004
@@ -114,26 +113,9 @@ def test_points_beyond_the_box_have_the_values_of_its_faces_or_none() -> None:
     assert np.all(ending.moved(beyond) == 0.0)
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("bases", [splines(), polynomials(1.0)], ids=["splines", "polynomials"])
-def test_mirror_images_have_mirrored_values(axis, bases) -> None:
-    field, at = made(bases), columns(12)
-    mirrored, signs = at.copy(), np.ones(4)
-    mirrored[..., axis], signs[axis] = 2.0 * 0.07 - at[..., axis], -1.0
-    image = field.mirrored(axis, 0.07)
-    assert image.values(mirrored) == pytest.approx(signs[:, None, None] * field.values(at))
-
-
 def framed(field: Field, cos: float, sin: float, fade=None) -> Field:
     frame = Frame(0.05, 0.02, cos, sin)
     return Field(field.bases, field.height, field.coefficients, frame, fade)
-
-
-@pytest.mark.parametrize(("cos", "sin"), [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
-def test_a_field_turned_by_right_angles_is_one_in_the_frame_of_the_sensor(cos, sin) -> None:
-    turned = framed(made(splines()), cos, sin)
-    at = columns(60, -0.01, 0.01) + np.array([0.05, 0.02, 0.0])
-    assert turned.straightened().values(at) == pytest.approx(turned.values(at), abs=1e-9)
 
 
 @pytest.mark.parametrize("fade", [None, Ramp()], ids=["whole", "faded"])
@@ -154,15 +136,3 @@ def test_a_turned_field_turns_displacements_and_slopes(fade) -> None:
 
     values = framed(Field.from_function(along, splines(), HEIGHT, 1), 0.6, 0.8).values(at)
     assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
-
-
-def test_sums_take_the_values_of_all_fields_at_the_nodes() -> None:
-    rng = np.random.default_rng(3)
-    one, other = (Field(splines(), HEIGHT, rng.normal(size=(6, 5, degree, 4))) for degree in (2, 3))
-    frame = Frame(0.004, 0.002, 0.0, 1.0)
-    moved = Field(other.bases, HEIGHT, other.coefficients, frame).straightened()
-    nodes = np.linspace(-0.012, 0.012, 7), np.linspace(-0.008, 0.008, 9)
-    at = np.stack(np.meshgrid(*nodes, [0.001, 0.003], indexing="ij"), axis=-1).reshape(-1, 2, 3)
-    expected = sum(field.values(at) for field in (one, moved, made(polynomials())))
-    total = resampled_sum([one, moved, made(polynomials())], nodes)
-    assert total.values(at) == pytest.approx(expected, abs=1e-9)

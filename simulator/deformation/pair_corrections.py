@@ -1,0 +1,148 @@
+"""Changes of presses by each other in the finite stack: from solved tables to fields of pairs."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation import pair_tables
+from eitskin.simulator.deformation.corrections import (
+    PressCorrection,
+    TabledSensor,
+    load_table,
+    sum_of,
+    sums_on,
+)
+from eitskin.simulator.deformation.field import Field, Frame
+from eitskin.simulator.deformation.node_sums import (
+    BOTH_MIRRORED,
+    DIRECT,
+    MIRRORED_X,
+    MIRRORED_Y,
+    NodeSums,
+    functions_from,
+)
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
+from eitskin.simulator.deformation.solution_table import SolutionTable
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Place = tuple[float, float, float]
+"""Position and depth (x, y, depth) of a press [m]."""
+
+_SAME = 1e-9  # [m]
+
+
+@lru_cache(maxsize=64)
+def pair_corrections(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
+) -> "PairCorrections":
+    """Changes of pairs on the solved stack next to a design's; minutes where not stored.
+
+    The part of the sides is of long rectangles.
+    """
+    sensor = TabledSensor(design, mechanics, indenter)
+    wide, *sides = map(load_table, sensor.pairs(sensor.stacks(grid)[0]))
+    return PairCorrections(design, wide, sides[0] if sides else None, mechanics.gel.shear_modulus)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairCorrections:
+    """Change of two presses by each other on one sensor.
+
+    Attributes:
+        design: of the sensor.
+        wide: table on a wide stack.
+        sides: table of what the sides add; None where they are left out.
+        modulus: shear modulus of the gel; that of the tables when omitted [Pa].
+    """
+
+    design: SensorDesign
+    wide: SolutionTable
+    sides: SolutionTable | None = None
+    modulus: float | None = None
+
+    def at(self, first: Place, second: Place) -> PressCorrection:
+        """Change by presses (x, y, depth) [m], and by how much deeper each sinks [m].
+
+        No fields where the presses do not feel each other.
+        """
+        sums = sums_on(self.design, 1) if self.sides else None
+        places = np.array([first]), np.array([second])
+        ((field,), extra) = self.evaluate(*places, np.zeros(1, int), sums)
+        if field is None:
+            return PressCorrection([], 0.0)
+        modulus = self.modulus or self.wide.size("modulus")
+        scales = np.array([1.0, 1.0, self.design.thickness, modulus])
+        summed = sums.fields(self.design.thickness, scales) if sums else []
+        return PressCorrection([field, *summed], float(extra[0]))
+
+    def evaluate(
+        self,
+        first: Array,
+        second: Array,
+        scenes: Indices | None = None,
+        sums: NodeSums | None = None,
+    ) -> tuple[list[Field | None], Array]:
+        """Changes by pairs of presses (x, y, depth), (n, 3) [m] each.
+
+        Returns a field of each, None where the presses do not feel each other, and by how much
+        deeper each of its presses sinks [m], (n,). To the sums of `scenes` goes the sides' part.
+        """
+        apart = np.hypot(*(second - first)[:, :2].T)
+        felt = np.flatnonzero(apart < self.wide.nodes("axis_distance")[-1])
+        fields: list[Field | None] = [None] * len(first)
+        extra = np.zeros(len(first))
+        if not len(felt):
+            return fields, extra
+        angle = np.arctan2(*(second - first)[felt, 1::-1].T)
+        middle, deep = 0.5 * (first + second)[felt, :2], (first * second)[felt, 2]
+        apart = apart[felt]
+        found, numbers = self.wide.evaluate(axis_distance=apart, product=deep)
+        extra[felt] = numbers["extra_depth"]
+        wide = self.wide
+        height = self.design.thickness
+        stiffer = 1.0 if self.modulus is None else self.modulus / wide.size("modulus")
+        scales = np.array([1.0, 1.0, height / wide.size("height"), stiffer])
+        for k, number in enumerate(felt.tolist()):
+            nearest = max(float(apart[k]), float(wide.nodes("axis_distance")[0]))
+            bases = pair_tables.pair_bases(nearest, wide.size("thickness"))
+            at_x, at_y = middle[k].tolist()
+            frame = Frame(at_x, at_y, math.cos(angle[k]), math.sin(angle[k]))
+            fields[number] = Field(bases, height, found[k] * scales, frame)
+        if self.sides is not None and sums is not None and scenes is not None:
+            near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
+            pairs = middle[near], apart[near], angle[near], deep[near]
+            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums, self.design.outline.length)
+        return fields, extra
+
+
+def _add_of_sides(
+    table: SolutionTable,
+    middle: Array,
+    apart: Array,
+    angle: Array,
+    deep: Array,
+    scenes: Indices,
+    sums: NodeSums,
+    length: float,
+) -> None:
+    """Add what the sides of a strip add to pairs about their middles, of products of depths."""
+    width = table.size("width")
+    low = pair_tables.lowest_middle(table.size("least"), apart, angle)
+    place = (middle[:, 1] - low) / np.maximum(0.5 * width - low, _SAME)
+    amounts, _ = table.amounts(axis_distance=apart, direction=angle, place=np.clip(place, 0.0, 2.0))
+    amounts *= (deep / table.size("depth") ** 2)[:, None]
+    found = sum_of(table, (table,)).fields(amounts.reshape(4, *amounts.shape[-2:]))
+    bases = pair_tables.pair_side_bases(table.size("thickness"), width)
+    across = bases[1].dense(sums.nodes[1])
+    # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
+    # pair is the same at the same distance from the other side.
+    for each, image in zip(found, (DIRECT, BOTH_MIRRORED, MIRRORED_X, MIRRORED_Y), strict=True):
+        origins = length - middle[:, 0] if image[0] else middle[:, 0]
+        sums.add(each, functions_from(bases[0], sums.nodes[0], origins), across, scenes, image)
