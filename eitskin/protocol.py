@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import io
+import itertools
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -156,7 +157,8 @@ class Protocol:
 
         Args:
             text: `pairwise`, `adjacent`, `opposite`, `skip:N` or the path of a CSV file for
-                `from_file`; each may be followed by the number of electrodes, "adjacent:16".
+                `from_file`; each may be followed by the number of electrodes, "adjacent:16", and
+                "+driven" for the sense pairs that share an electrode with the drive pair, too.
             n_electrodes: number of electrodes of the sensor; None where no design is known.
             folder: start of a relative path.
 
@@ -165,7 +167,11 @@ class Protocol:
                 number in the text other than `n_electrodes`.
         """
         # The pattern fits every text.
-        name, skip, file, number = _TEXT.fullmatch(text).groups()  # type: ignore[union-attr]
+        name, skip, file, number, plus = _TEXT.fullmatch(text).groups()  # type: ignore[union-attr]
+        if plus and (file is not None or name == "pairwise"):
+            raise ConfigurationError(
+                f"{plus} follows adjacent, opposite or skip:N, each with :ELECTRODES, got '{text}'"
+            )
         if file is not None and not (folder / file).is_file():
             raise ConfigurationError(
                 f"expected a protocol: {', '.join(_NAMES)}, skip:N, each with :ELECTRODES where "
@@ -184,7 +190,9 @@ class Protocol:
                 f"protocol '{text}' needs a number of electrodes, and no sensor design gives it; "
                 f"write '{text}:16' for 16 electrodes"
             )
-        return cls.skip(electrodes, int(skip)) if skip else _NAMES[name](electrodes)
+        if skip:
+            return cls.skip(electrodes, int(skip), shared=bool(plus))
+        return _NAMES[name](electrodes, *([True] if plus else []))
 
     @classmethod
     def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
@@ -207,8 +215,8 @@ class Protocol:
     def abbreviated(self) -> str | None:
         """Text that `named` reads back, such as "adjacent:16"; None for a table without a name."""
         skip = self.table[0][1] - self.table[0][0] - 1
-        for name in (*_NAMES, f"skip:{skip}"):
-            text = f"{name}:{self.n_electrodes}"
+        for name, plus in itertools.product((*_NAMES, f"skip:{skip}"), ("", "+driven")):
+            text = f"{name}:{self.n_electrodes}{plus}"
             with contextlib.suppress(ConfigurationError):
                 if Protocol.named(text) == self:
                     return text
@@ -231,6 +239,11 @@ class Protocol:
         pairs = zip(self.labels, other.labels, strict=False)
         first = next((f" (from '{a}' against '{b}' on)" for a, b in pairs if a != b), "")
         raise FrameError(f"{owner} {self}, {origin} {other}{first}; {remedy}")
+
+    @property
+    def shares(self) -> tuple[bool, ...]:
+        """Whether the sense pair of each measurement has one of the driven electrodes."""
+        return tuple(bool({*row[:2]} & {*row[2:]}) for row in self.table)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -276,12 +289,14 @@ class Protocol:
         return measured
 
 
-_NAMES: dict[str, Callable[[int], Protocol]] = {
+_NAMES: dict[str, Callable[..., Protocol]] = {
     "pairwise": Protocol.pairwise,
     "adjacent": Protocol.adjacent,
     "opposite": Protocol.opposite,
 }
-_TEXT = re.compile(r"(pairwise|adjacent|opposite|skip:(\d{1,3})|(.*?))(?::(\d{1,3}))?", re.DOTALL)
+_TEXT = re.compile(
+    r"(pairwise|adjacent|opposite|skip:(\d{1,3})|(.*?))(?::(\d{1,3}))?(\+driven)?", re.DOTALL
+)
 
 
 @lru_cache(maxsize=16)  # live loops ask for every frame

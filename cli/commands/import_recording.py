@@ -20,7 +20,8 @@ def command(
         list[Path],
         typer.Argument(
             help="Recording, or several of one form, each a session: .csv, .tsv, .xlsx, .parquet, "
-            ".mat, .npz, .h5 or OpenEIT .txt."
+            ".mat (EIDORS, too), .npz, .h5, .dat (pyGIMLi), .get, .eit (Draeger, Sciospec, or a "
+            "folder of them) or OpenEIT .txt."
         ),
     ],
     *,
@@ -127,6 +128,7 @@ def command(
             phase_unit,  # type: ignore[arg-type]
             time_unit,  # type: ignore[arg-type]
             order,  # type: ignore[arg-type]
+            bool(protocol and protocol.endswith("+driven")),
         ),
     )
     if recording.unused:

@@ -1,5 +1,6 @@
 """Recordings as named arrays: MATLAB, NumPy and HDF5 files."""
 
+import re
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.datasets.recordings.patterns import stimulated
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
 from eitskin.datasets.store.shard_reader import require_stored
 from eitskin.errors import DataError
@@ -19,10 +21,14 @@ _MATLAB_NUMBERS: Final = {"double", "single", "logical"} | {
 }
 _MATLAB_COMPLEX: Final = ("real", "imag")
 _MATLAB_HDF5: Final = b"MATLAB 7.3"
+_STIMULATION: Final = ("stim_pattern", "meas_pattern")
 
 
 class ArrayReader(Reader):
-    """Reader of a file of named arrays, of which the measurements are read in blocks."""
+    """Reader of a file of named arrays, of which the measurements are read in blocks.
+
+    Arrays with as many rows as the file says that there are measurements have frames as columns.
+    """
 
     @abstractmethod
     def opened(self) -> Any:
@@ -35,7 +41,9 @@ class ArrayReader(Reader):
     def blocks(self, wanted: Wanted) -> Iterator[Tables]:
         with self.opened() as file:
             values = {name: self.array(file, name) for name in wanted.values}
-            shapes = [_shape(array, name, wanted.transposed) for name, array in values.items()]
+            first, measured = next(iter(values.values())).shape, len(self.contents.measured)
+            transposed = wanted.transposed or (0 < measured == first[0] and first[1:] != first[:1])
+            shapes = [_shape(array, name, transposed) for name, array in values.items()]
             for name, shape in zip(values, shapes, strict=True):
                 if shape != shapes[0]:
                     raise DataError(
@@ -49,7 +57,7 @@ class ArrayReader(Reader):
             for start in range(0, rows, wanted.block_rows):
                 chosen = slice(start, min(start + wanted.block_rows, rows))
                 yield {
-                    name: _numbers(_frames(array, chosen, wanted.transposed), name)
+                    name: _numbers(_frames(array, chosen, transposed), name)
                     for name, array in values.items()
                 } | {name: label[chosen] for name, label in labels.items()}
 
@@ -77,17 +85,29 @@ class NpzReader(ArrayReader):
 
 
 class MatReader(ArrayReader):
-    """Reader of a MATLAB file of version 5 to 7; cells, structures and objects are not read."""
+    """Reader of a MATLAB file of version 5 to 7: arrays, and those in structures as S/FIELD.
+
+    Structures of EIDORS's stimulations say what was measured; cells and objects are not read.
+    """
 
     def __init__(self, path: Path) -> None:
-        from scipy.io import whosmat
+        from scipy.io import loadmat, whosmat
 
         super().__init__(path)
         with self.opened() as file:
             kinds = {name: kind for name, _, kind in whosmat(file)}
-        names = tuple(name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS)
+        names = [name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS]
         unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
-        self.contents = Contents(names, unread)
+        structures = [name for name, kind in kinds.items() if kind == "struct"]
+        self._inside: dict[str, NDArray[Any]] = {}
+        stimulations: list[Any] = []
+        if structures:
+            with self.opened() as file:
+                read = loadmat(file, variable_names=structures, simplify_cells=True)
+            for name in structures:
+                _look_into(read[name], name, self._inside, stimulations)
+        parts = [tuple(map(_dense, (each[k] for k in _STIMULATION))) for each in stimulations]
+        self.contents = _eidors((*names, *self._inside), unread, parts)
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
@@ -97,8 +117,51 @@ class MatReader(ArrayReader):
     def array(self, file: Any, name: str) -> Any:
         from scipy.io import loadmat
 
+        if name in self._inside:
+            return self._inside[name]
         file.seek(0)
         return loadmat(file, variable_names=[name])[name]
+
+
+def _look_into(value: Any, name: str, found: dict[str, NDArray[Any]], patterns: list[Any]) -> None:
+    """Collect the arrays of numbers in a structure, and EIDORS's stimulations."""
+    several = value if isinstance(value, list) else [value]
+    dicts = [each for each in several if isinstance(each, dict)]
+    if dicts and all(set(_STIMULATION) <= set(each) for each in dicts):
+        patterns += [] if patterns else dicts
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            _look_into(inner, f"{name}/{key}", found, patterns)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biufc" and value.ndim:
+        found[name] = value
+
+
+def _dense(matrix: Any) -> NDArray[Any]:
+    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+
+
+def _eidors(
+    names: tuple[str, ...], unread: dict[str, str], parts: list[tuple[NDArray[Any], ...]]
+) -> Contents:
+    """Contents of a MATLAB file, with what EIDORS's stimulations say of its readings."""
+    try:
+        rows, currents, electrodes = stimulated(parts)  # type: ignore[arg-type]
+    except DataError:  # patterns of many electrodes are no protocol
+        rows = []
+    if not rows:
+        return Contents(names, unread)
+    usual = [n for n in names if re.fullmatch(r"(?:.*/)?(?:vi|data|meas|vv?|vh)(?:/meas)?", n)]
+    order = ("vi/meas", "vi", "data/meas", "data", *usual)
+    remark = f" (EIDORS, {len(rows)} measurements, frames as columns)"
+    return Contents(
+        names,
+        unread,
+        usual_values=next((name for name in order if name in names), None),
+        remark=remark,
+        measured=tuple(rows),
+        currents=tuple(currents),
+        electrodes=electrodes,
+    )
 
 
 class Hdf5Reader(ArrayReader):
@@ -122,7 +185,8 @@ class Hdf5Reader(ArrayReader):
                     names += [f"{name}/{field}" for field in fields]
                 else:
                     names.append(name)
-        self.contents = Contents(tuple(names), unread)
+            parts = _stimulations(file)
+        self.contents = _eidors(tuple(names), unread, parts)
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
@@ -146,6 +210,34 @@ def open_mat(path: Path) -> Reader:
     with path.open("rb") as file:
         newest = file.read(len(_MATLAB_HDF5)) == _MATLAB_HDF5
     return Hdf5Reader(path) if newest else MatReader(path)
+
+
+def _stimulations(file: h5py.File) -> list[tuple[NDArray[Any], ...]]:
+    """Patterns of EIDORS's stimulations in a file of MATLAB 7.3: dense, sparse, or by reference."""
+    groups: list[h5py.Group] = []
+
+    def collect(name: str, item: Any) -> None:  # noqa: ARG001
+        if isinstance(item, h5py.Group) and set(_STIMULATION) <= set(item):
+            groups.append(item)
+
+    file.visititems(collect)
+    parts = []
+    for name in _STIMULATION if groups else ():
+        item = groups[0][name]
+        several = isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype
+        each = [file[reference] for reference in np.ravel(item[()])] if several else [item]
+        parts.append([_matrix(matrix) for matrix in each])
+    return list(zip(*parts, strict=True)) if parts else []
+
+
+def _matrix(item: Any) -> NDArray[Any]:
+    """Matrix that MATLAB 7.3 stored, dense or sparse by columns."""
+    if isinstance(item, h5py.Dataset):
+        return np.asarray(item[()]).T
+    starts, rows = np.asarray(item["jc"]), np.asarray(item["ir"])
+    found = np.zeros((int(item.attrs["MATLAB_sparse"]), len(starts) - 1))
+    found[rows, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = item["data"]
+    return found
 
 
 class _Transposed:

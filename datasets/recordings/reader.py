@@ -49,6 +49,11 @@ class Contents:
         header: names of the columns in a file of columns.
         usual_values: name of the measurements in such files; None where there is none.
         remark: on the names, for messages.
+        measured: drive+, drive-, sense+ and sense- of each measurement, where the file says so.
+        currents: of the measurements [A], where the values are voltages and the file says so.
+        electrodes: number of them.
+        order: of the readings, as `RecordingForm` has it.
+        driven: whether readings of driven electrodes are among them, to be left out.
     """
 
     names: tuple[str, ...] = ()
@@ -56,6 +61,11 @@ class Contents:
     header: tuple[str, ...] = ()
     usual_values: str | None = None
     remark: str = ""
+    measured: tuple[tuple[int, int, int, int], ...] = ()
+    currents: tuple[float, ...] = ()
+    electrodes: int = 0
+    order: str = ""
+    driven: bool = False
 
 
 class Reader(ABC):

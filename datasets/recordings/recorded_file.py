@@ -1,13 +1,13 @@
 """One file of a recording: its form, its tables, and their rows as checked blocks of frames."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from eitskin.datasets.recordings.blocks import Block, Complex, pair_rows, without_bad_values
 from eitskin.datasets.recordings.labels import (
@@ -19,12 +19,13 @@ from eitskin.datasets.recordings.labels import (
     read_labels,
     require_plausible,
 )
-from eitskin.datasets.recordings.orders import Order
+from eitskin.datasets.recordings.orders import Order, in_order, require_order
 from eitskin.datasets.recordings.parts import (
     PhaseUnit,
     protocol_of_names,
     require_protocol_of_names,
 )
+from eitskin.datasets.recordings.patterns import protocol_of_patterns
 from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
 from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError
@@ -88,6 +89,7 @@ class RecordingForm:
             or their frames are dropped.
         phase_unit: of phases in columns of their own; as names or values have it where empty.
         time_unit: of t where it is a number; seconds that can be none are refused where empty.
+        driven: readings with a driven electrode, which the protocol has as well, are left out.
         order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
             ("rotated") or "reversed"; tested by reciprocity where empty.
     """
@@ -103,6 +105,7 @@ class RecordingForm:
     phase_unit: PhaseUnit = ""
     time_unit: TimeUnit = ""
     order: Order = ""
+    driven: bool = False
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
@@ -149,7 +152,7 @@ class RecordedFile:
         self.path, self.protocol = path, protocol
         self._names, self._form, self._design = names, form, design
         self._scale: NDArray[np.float64] | float = form.scale
-        self._session = session
+        self._session, self._untested = session, True
         self._origin = origin_on(design, form.origin)
         with self.named_errors():
             self._open()
@@ -194,8 +197,22 @@ class RecordedFile:
         named = protocol_of_names(source.titles(values[0]))
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
+        own = source.contents
         if self.protocol is None and not names.patterns:
             self.protocol = named
+            if own.measured:
+                self.protocol = Protocol.from_rows(own.measured, own.electrodes)
+                form = replace(form, driven=own.driven, order=form.order or own.order)  # type: ignore[arg-type]
+                self._form = form
+                if own.currents:
+                    self._scale = form.scale / np.array(own.currents)
+        if self.protocol is not None:
+            self.protocol = in_order(self.protocol, form.order)
+        self._whole = self.protocol
+        if self.protocol is not None and form.driven:
+            rows = zip(self.protocol.table, self.protocol.shares, strict=True)
+            kept = [row for row, shared in rows if not shared]
+            self.protocol = Protocol.from_rows(kept, self.protocol.n_electrodes)
         if names.touch_reference:
             values.append(source.require(names.touch_reference, "touch reference"))
         if form.rows != "frames" and names.touch_reference:
@@ -230,7 +247,8 @@ class RecordedFile:
         for name in (drive, sense):
             wanted = Wanted((self._source.require(name, "patterns"),))
             matrices.append(np.concatenate([t[name] for t in self._source.blocks(wanted)]))
-        self.protocol, currents = _protocol_of_patterns(*matrices)
+        self.protocol, currents = protocol_of_patterns(*matrices)
+        self._whole = self.protocol
         self._scale = self._form.scale / currents
 
     def _block(self, tables: Tables, first: int, clock: Clock) -> Block:
@@ -272,25 +290,28 @@ class RecordedFile:
             raise DataError(
                 f"'{name}' must be a matrix of numbers, frames by columns, got {table.dtype}"
             )
-        if self.protocol is not None and len(self.protocol) != table.shape[1]:
+        whole = self._whole
+        if whole is not None and len(whole) != table.shape[1]:
             raise DataError(self._wrong_count(table.shape))
+        if whole is not None and not self._form.order and self._untested:
+            known = np.where(np.isfinite(table), table, 0)
+            require_order(whole, known.sum(axis=0) / np.maximum(np.isfinite(table).sum(axis=0), 1))
+            self._untested = False
         with np.errstate(over="ignore", invalid="ignore"):
             scaled: Complex = (table * self._scale).astype(np.complex64)
+        if whole is not None and whole != self.protocol:
+            scaled = scaled[:, ~np.array(whole.shares)]
         return scaled
 
     def _wrong_count(self, shape: tuple[int, ...]) -> str:
         """Message for another number of channels than the protocol has."""
-        n = self.protocol.n_electrodes if self.protocol else 0
-        fitting = [
-            f"{name}:{n}"
-            for name in ("pairwise", "adjacent", "opposite", "skip:1", "skip:2", "skip:3")
-            if _measurements(name, n) == shape[1]
-        ]
+        whole = self._whole
+        fitting = fitting_protocols(whole.n_electrodes if whole else 0, shape[1])
         hint = f", such as {' or '.join(fitting)}" if fitting else ""
-        if len(self.protocol or ()) == shape[0]:
+        if len(whole or ()) == shape[0]:
             hint += "; the table has as many rows: read it with --transpose"
         return (
-            f"the protocol has {len(self.protocol or ())} measurements, but the frames have "
+            f"the protocol has {len(whole or ())} measurements, but the frames have "
             f"{shape[1]} channels; give the protocol they were measured with{hint}"
         )
 
@@ -308,47 +329,13 @@ class RecordedFile:
         return np.array([" ".join(names).strip() for names in zip(*columns, strict=True)])
 
 
-def _measurements(name: str, n_electrodes: int) -> int:
-    """Number of measurements of a named protocol; 0 where it does not exist."""
-    try:
-        return len(Protocol.named(name, n_electrodes))
-    except ConfigurationError:
-        return 0
-
-
-def _protocol_of_patterns(
-    drive: ArrayLike, sense: ArrayLike
-) -> tuple[Protocol, NDArray[np.float64]]:
-    """Protocol and current of each measurement, all sense patterns for each drive pattern in turn.
-
-    Patterns are currents into the electrodes or weights of their voltages, one pattern per column,
-    (electrodes, patterns). Currents (drives * senses,) are in the unit of `drive`. Raises DataError
-    for patterns that do not use exactly one electrode of each sign.
-    """
-    pairs, currents = _pairs(drive, "drive")
-    senses, weights = _pairs(sense, "sense")
-    electrodes = np.shape(drive)[0]
-    if np.shape(sense)[0] != electrodes:
-        raise DataError(
-            f"drive and sense patterns must have one row per electrode, got {electrodes} and "
-            f"{np.shape(sense)[0]} rows"
-        )
-    rows = [(*pair, *channel) for pair in pairs for channel in senses]
-    return Protocol.from_rows(rows, electrodes), np.outer(currents, weights).ravel()
-
-
-def _pairs(patterns: ArrayLike, kind: str) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
-    """Positive and negative electrode of each column, and the size of its entries."""
-    table = np.asarray(patterns, dtype=np.float64)
-    if table.ndim != 2 or ((table > 0).sum(axis=0) != 1).any() or (table < 0).sum(axis=0).max() > 1:
-        raise DataError(
-            f"expected {kind} patterns of one positive and one negative electrode in each column, "
-            f"got a table of shape {table.shape} with others"
-        )
-    plus, minus = table.argmax(axis=0), table.argmin(axis=0)
-    sizes = table[plus, np.arange(table.shape[1])]
-    if not np.allclose(-table[minus, np.arange(table.shape[1])], sizes):
-        raise DataError(
-            f"the two electrodes of each {kind} pattern must have opposite values; got others"
-        )
-    return list(zip(plus.tolist(), minus.tolist(), strict=True)), sizes
+def fitting_protocols(n_electrodes: int, channels: int) -> list[str]:
+    """Names of protocols with as many measurements; the usual numbers of electrodes for 0."""
+    found = []
+    for n in [n_electrodes] if n_electrodes else (4, 6, 8, 10, 12, 16, 20, 24, 32, 64):
+        for name in ("pairwise", "adjacent", "opposite", "skip:1", "skip:2", "skip:3"):
+            for text in (f"{name}:{n}", f"{name}:{n}+driven"):
+                with suppress(ConfigurationError):
+                    if len(Protocol.named(text)) == channels:
+                        found.append(text)
+    return found

@@ -8,7 +8,6 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
-from eitskin.datasets.recordings.orders import in_order, require_order
 from eitskin.datasets.recordings.recorded_file import RecordedFile, RecordingForm, RecordingNames
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import Names
@@ -78,8 +77,6 @@ class Recording:
             ImportError: where the package that reads a file is not installed.
         """
         require_positive("frequency", frequency, "Hz")
-        order = form.order if form else ""
-        protocol = protocol and in_order(protocol, order)
         paths = [path] if isinstance(path, str | Path) else list(path)
         self._form = form or RecordingForm()
         self._files = [
@@ -155,8 +152,6 @@ class Recording:
             self._references.add(block)
         if not self.frames:
             raise DataError(f"{self._files[0].path}: expected at least one frame, got none")
-        if self.protocol is not None and not self._form.order:
-            require_order(self.protocol, self._references.references(self._references.names[:1])[0])
         self.frames *= 2 if self._form.keep_before else 1
         self.specimens = _numbered(self._references.names, LIMITS["specimen"])
         self.sessions = _numbered(sessions, _MOST_EPISODES)

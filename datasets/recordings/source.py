@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.recordings.arrays import Hdf5Reader, NpzReader, open_mat
+from eitskin.datasets.recordings.field_files import FIELD, FieldReader, field_reader
 from eitskin.datasets.recordings.parts import is_phase, joined, pair_columns, phase_unit
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted
 from eitskin.datasets.recordings.tables import (
@@ -59,6 +60,7 @@ class Source:
 
     Attributes:
         path: of the file.
+        contents: of the file, as its reader says.
         names: tables in the file that can be read.
         usual_values: name of the measurements in files of this kind; None where there is none.
     """
@@ -71,19 +73,21 @@ class Source:
         reads the file is not installed.
         """
         _known_ending(path)
-        self.path, self._size = path, path.stat().st_size
+        files = sorted(path.glob("*.eit")) if path.is_dir() else [path]
+        self.path, self._size = path, sum(file.stat().st_size for file in files)
         self._options = {"sheet": sheet, "header_row": header_row}
-        require_regular(path, MOST_BYTES, DataError)
+        for file in files:
+            require_regular(file, MOST_BYTES, DataError)
         (head,) = self._answers(None)
-        self._contents = msgspec.convert(head.data, Contents)
+        self.contents = msgspec.convert(head.data, Contents)
         self._columns: dict[str, list[int]] = {}
-        if not self._contents.names:
-            _check_header(path, self._contents.header)
-            self._columns = _group_columns(self._contents.header)
-        self.names = self._contents.names or tuple(self._columns)
-        self.usual_values = self._contents.usual_values
+        if not self.contents.names:
+            _check_header(path, self.contents.header)
+            self._columns = _group_columns(self.contents.header)
+        self.names = self.contents.names or tuple(self._columns)
+        self.usual_values = self.contents.usual_values
         self._joined: dict[str, tuple[str, str]] = {}
-        pair = ",".join(pair_columns(self._contents.header))
+        pair = ",".join(pair_columns(self.contents.header))
         if pair and self.usual_values not in self.names:
             self.usual_values = pair
 
@@ -115,12 +119,12 @@ class Source:
     def titles(self, name: str) -> list[str]:
         """Names of the columns of a table in a file of columns; of the second part of two."""
         columns = self._columns.get(self._joined.get(name, (name, name))[1], ())
-        return [self._contents.header[column] for column in columns]
+        return [self.contents.header[column] for column in columns]
 
     def require(self, name: str, meaning: str) -> str:
         """Return `name`, the table with that meaning; raises ConfigurationError for no such one."""
         first, dots, last = name.partition("..")
-        header = self._contents.header
+        header = self.contents.header
         if dots and first in header and last in header:
             start, stop = header.index(first), header.index(last)
             if start > stop:
@@ -136,10 +140,12 @@ class Source:
                 )
             self._joined[name] = self.require(first, meaning), self.require(second, meaning)
             return name
+        slashed = name.replace(".", "/")  # as MATLAB writes fields
+        name = slashed if not header and slashed in self.names else name
         _require_no_gap(header, self._columns, name)
         if name in self.names:
             return name
-        if kind := self._contents.unread.get(name):
+        if kind := self.contents.unread.get(name):
             raise DataError(f"'{name}' is {kind}; expected an array of plain numbers or text")
         near = [each for each in self.names if each.casefold() == name.casefold()]
         near = near or difflib.get_close_matches(name, self.names, 1)
@@ -154,7 +160,7 @@ class Source:
         """Content of the file in words."""
         more = f" and {len(self.names) - MOST_NAMES} more" if len(self.names) > MOST_NAMES else ""
         tables = ", ".join(self.names[:MOST_NAMES]) + more or "no table that can be read"
-        return f"the file holds {tables}{self._contents.remark}"
+        return f"the file holds {tables}{self.contents.remark}"
 
     def _answers(self, wanted: Wanted | None) -> Iterator[Answer]:
         """Contents of the file, or blocks of the tables that are wanted."""
@@ -186,7 +192,7 @@ def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG
 
 def open_reader(path: Path, sheet: str | None = None, header_row: int | None = None) -> Reader:
     """Reader of a file in this process; arguments and errors as for `Source`."""
-    reader = _READERS[_known_ending(path)]
+    reader = _READERS.get(_known_ending(path), FieldReader)
     options: dict[str, Any] = {}
     for option, value, kinds in (
         ("sheet", sheet, (SpreadsheetReader,)),
@@ -201,15 +207,16 @@ def open_reader(path: Path, sheet: str | None = None, header_row: int | None = N
                 f"--{option.replace('_', '-')} out, which is for {endings}"
             )
         options[option] = value
-    return reader(path, **options)
+    return field_reader(path) or reader(path, **options)
 
 
 def _known_ending(path: Path) -> str:
     """Ending of a file, in lower case; raises ConfigurationError for another kind of file."""
-    ending = path.suffix.lower()
-    if ending not in _READERS:
+    ending = ".eit" if path.is_dir() else path.suffix.lower()
+    if ending not in (*_READERS, *FIELD):
         raise ConfigurationError(
-            f"cannot tell the format of {path.name} from its ending; expected {', '.join(_READERS)}"
+            f"cannot tell the format of {path.name} from its ending; expected "
+            f"{', '.join((*_READERS, *FIELD))}, or a folder of .eit"
         )
     return ending
 

@@ -1,0 +1,65 @@
+"""Protocols of patterns: currents into electrodes, and weights of their voltages."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError
+from eitskin.protocol import Protocol, Row
+
+
+def protocol_of_patterns(
+    drive: ArrayLike, sense: ArrayLike
+) -> tuple[Protocol, NDArray[np.float64]]:
+    """Protocol and current of each measurement, all sense patterns for each drive pattern in turn.
+
+    Patterns are currents into the electrodes or weights of their voltages, one pattern per column,
+    (electrodes, patterns). Currents (drives * senses,) are in the unit of `drive`. Raises DataError
+    for patterns that do not use exactly one electrode of each sign.
+    """
+    pairs, currents = pairs_of(drive, "drive")
+    senses, weights = pairs_of(sense, "sense")
+    electrodes = np.shape(drive)[0]
+    if np.shape(sense)[0] != electrodes:
+        raise DataError(
+            f"drive and sense patterns must have one row per electrode, got {electrodes} and "
+            f"{np.shape(sense)[0]} rows"
+        )
+    rows = [(*pair, *channel) for pair in pairs for channel in senses]
+    return Protocol.from_rows(rows, electrodes), np.outer(currents, weights).ravel()
+
+
+def pairs_of(patterns: ArrayLike, kind: str) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+    """Positive and negative electrode of each column, and the size of its entries."""
+    table = np.asarray(patterns, dtype=np.float64)
+    if table.ndim != 2 or ((table > 0).sum(axis=0) != 1).any() or (table < 0).sum(axis=0).max() > 1:
+        raise DataError(
+            f"expected {kind} patterns of one positive and one negative electrode in each column, "
+            f"got a table of shape {table.shape} with others"
+        )
+    plus, minus = table.argmax(axis=0), table.argmin(axis=0)
+    sizes = table[plus, np.arange(table.shape[1])]
+    if not np.allclose(-table[minus, np.arange(table.shape[1])], sizes):
+        raise DataError(
+            f"the two electrodes of each {kind} pattern must have opposite values; got others"
+        )
+    return list(zip(plus.tolist(), minus.tolist(), strict=True)), sizes
+
+
+def stimulated(parts: Iterable[tuple[ArrayLike, ArrayLike]]) -> tuple[list[Row], list[float], int]:
+    """Measurements, their currents, and number of electrodes, of EIDORS's stimulations.
+
+    Each has currents into the electrodes, (electrodes, 1), and weights of their voltages,
+    (measurements, electrodes). Raises DataError as `protocol_of_patterns` does.
+    """
+    rows: list[Row] = []
+    sizes: list[float] = []
+    count = 0
+    for stimulation, measurement in parts:
+        count = np.size(stimulation)
+        ((a, b),), (current,) = pairs_of(np.reshape(stimulation, (-1, 1)), "drive")
+        senses, weights = pairs_of(np.atleast_2d(measurement).T, "sense")
+        rows += [(a, b, c, d) for c, d in senses]
+        sizes += (current * weights).tolist()
+    return rows, sizes, count
