@@ -8,7 +8,7 @@ import json
 import math
 import re
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
@@ -334,6 +334,20 @@ class Output:
         """Progress bar, as a function that is told how many are done, and of how many."""
         with self.bars() as show:
             yield functools.partial(show, text)
+
+
+def given_words(context: typer.Context, leave: Container[str]) -> list[str]:
+    """Words of the command that runs, without the parameters called `leave`."""
+    words = [context.info_name or ""]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name in leave or source is None or source.name != "COMMANDLINE":
+            continue
+        option = [] if parameter.param_type_name == "argument" else parameter.opts[:1]
+        for each in value if isinstance(value, list | tuple) else [value]:
+            words += option if each is True else [*option, str(each)]
+    return words
 
 
 def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:

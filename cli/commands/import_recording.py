@@ -1,5 +1,6 @@
 """`eitskin import`: measured voltages with labels, as a dataset."""
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eitskin import datasets, geometry, simulator
-from eitskin.cli.options import MeasuredPairs, Output, with_output
+from eitskin.cli.options import MeasuredPairs, Output, given_words, with_output
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -25,7 +26,12 @@ def command(
         ),
     ],
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the dataset; new or empty.")],
+    context: typer.Context,
+    out: Annotated[Path | None, typer.Option(help="Folder for the dataset; new or empty.")] = None,
+    preview: Annotated[
+        bool,
+        typer.Option("--preview", help="Show what is understood of the files, and write nothing."),
+    ] = False,
     sensor: Annotated[
         Path | None,
         typer.Option(help="Sensor design file, stored and used to check positions and units."),
@@ -79,6 +85,10 @@ def command(
     time_unit: Annotated[
         str, typer.Option(help="Of t as numbers: s, ms, us or ns; asked where it is hardly s.")
     ] = "",
+    differences: Annotated[
+        bool,
+        typer.Option("--differences", help="Values are differences from --touch-reference."),
+    ] = False,
     order: Annotated[
         str, typer.Option(help="Of readings: given, rotated (from the drive pair on) or reversed.")
     ] = "",
@@ -99,6 +109,8 @@ def command(
     from eitskin.datasets.store.folder import save_parts
     from eitskin.datasets.store.summary import DatasetSummary
 
+    if out is None and not preview:
+        raise ConfigurationError("name the folder with --out, or see what is read with --preview")
     design = geometry.SensorDesign.from_toml(sensor) if sensor else None
     recording = datasets.Recording(
         files,
@@ -129,8 +141,12 @@ def command(
             time_unit,  # type: ignore[arg-type]
             order,  # type: ignore[arg-type]
             bool(protocol and protocol.endswith("+driven")),
+            differences,
         ),
     )
+    if out is None or preview:
+        _preview(output, recording, context)
+        return
     if recording.unused:
         output.note(
             f"not read: {', '.join(recording.unused)}; a label among them is named with "
@@ -139,6 +155,16 @@ def command(
     summary = DatasetSummary()
     save_parts(summary.watched(recording.parts()), out)
     _tell(output, out, recording, summary)
+
+
+def _preview(output: Output, recording: "datasets.Recording", context: typer.Context) -> None:
+    """Print what is understood of a recording, and the command that says all of it."""
+    said, options = recording.understood()
+    words = given_words(context, {"preview", "out", "as_json", "quiet"})
+    for option, value in options.items():
+        words += [] if option in words else [option, value]
+    said["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
+    output.result(said, "\n".join(f"{name}: {text}" for name, text in said.items()))
 
 
 def _tell(

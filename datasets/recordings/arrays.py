@@ -62,23 +62,23 @@ class ArrayReader(Reader):
                 } | {name: label[chosen] for name, label in labels.items()}
 
 
-class NpzReader(ArrayReader):
-    """Reader of a NumPy archive of plain arrays; pickled objects are never loaded."""
+class NumpyReader(ArrayReader):
+    """Reader of NumPy's files of plain arrays, one is named v; pickled objects are not loaded."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         with self.opened() as file:
-            self.contents = Contents(tuple(file.files))
+            self.contents = Contents(tuple(file), usual_values="v" if "v" in file else None)
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        with (
-            as_data_errors(".npz file of plain arrays, as numpy.savez writes it,"),
-            np.load(self.path, allow_pickle=False) as file,
-        ):
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("a single array")
-            yield file
+        with as_data_errors("file of plain arrays, as numpy.save and numpy.savez write it,"):
+            read = np.load(self.path, allow_pickle=False)
+            if isinstance(read, np.ndarray):
+                yield {"v": read}
+            else:
+                with read:
+                    yield read
 
     def array(self, file: Any, name: str) -> Any:
         return file[name]

@@ -90,6 +90,7 @@ class RecordingForm:
         phase_unit: of phases in columns of their own; as names or values have it where empty.
         time_unit: of t where it is a number; seconds that can be none are refused where empty.
         driven: readings with a driven electrode, which the protocol has as well, are left out.
+        differences: the values are differences from the touch reference, which is added.
         order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
             ("rotated") or "reversed"; tested by reciprocity where empty.
     """
@@ -106,6 +107,7 @@ class RecordingForm:
     time_unit: TimeUnit = ""
     order: Order = ""
     driven: bool = False
+    differences: bool = False
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
@@ -167,8 +169,8 @@ class RecordedFile:
         clock = Clock(said)
         with self.named_errors():
             for tables in self._source.blocks(self._wanted, self._form.phase_unit):
-                block = self._block(tables, first, clock)
-                first += len(next(iter(tables.values())))
+                block = self._block(framed := self._framed(tables), first, clock)
+                first += len(next(iter(framed.values())))
                 if len(block.values):
                     yield block
 
@@ -193,7 +195,8 @@ class RecordedFile:
                 f"cannot find the values: nothing was named; {source.holds()}; name one of them "
                 "with --values"
             )
-        values = [source.require(names.values or source.usual_values or "", "values")]
+        usual = source.usual(len(self.protocol) if self.protocol else 0)
+        values = [source.require(names.values or usual or "", "values")]
         named = protocol_of_names(source.titles(values[0]))
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
@@ -225,6 +228,10 @@ class RecordedFile:
                 "there are no readings before a press to keep; name them with --touch-reference, "
                 "or say --rows before-during"
             )
+        if form.differences and not names.touch_reference:
+            raise ConfigurationError(
+                "differences need what they are differences from; name it with --touch-reference"
+            )
         self._places = find_labels(source, names.columns, names.positions)
         labels = {place.table for place in self._places.values() if place.table}
         self._wanted = Wanted(
@@ -232,7 +239,7 @@ class RecordedFile:
             tuple(sorted(labels)),
             transposed=form.transpose,
             paired=form.rows != "frames",
-            block_rows=BLOCK_ROWS,
+            block_rows=BLOCK_ROWS // self._whole_rows * self._whole_rows or BLOCK_ROWS,
         )
         parts = (part.strip() for name in values for part in name.split(","))
         used = {*values, *parts, *labels, *(names.patterns or ())}
@@ -251,6 +258,44 @@ class RecordedFile:
         self._whole = self.protocol
         self._scale = self._form.scale / currents
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """Place of each label, as options say it."""
+        found = {}
+        for label, place in self._places.items():
+            column = "" if place.column is None else f":{place.column}"
+            factor = "" if place.factor == 1.0 else f"*{place.factor:g}"
+            where = f"{place.value:g}" if place.table is None else f"{place.table}{column}{factor}"
+            found[label] = where
+        return found
+
+    @property
+    def understood(self) -> dict[str, str]:
+        """Options that say what was understood of the values."""
+        found = {"--values": self._wanted.values[0]}
+        if self._whole is not None and (name := self._whole.abbreviated()):
+            found["--protocol"] = name
+        return found
+
+    @property
+    def _whole_rows(self) -> int:
+        """Rows of which a block has a multiple, so that frames and pairs of them are whole."""
+        return 2 * len(self._whole or (0,))
+
+    def _framed(self, tables: Tables) -> Tables:
+        """Tables with one row for each frame, where a row has one drive pair's readings, or one."""
+        rows, width = tables[self._wanted.values[0]].shape
+        drives = len({row[:2] for row in self._whole.table}) if self._whole else 1
+        per_frame = len(self._whole or ()) // width
+        if not (1 < per_frame and (width == 1 or per_frame == drives)) or rows % per_frame:
+            return tables
+        return {
+            name: table.reshape(-1, per_frame * width)
+            if name in self._wanted.values
+            else table[::per_frame]
+            for name, table in tables.items()
+        }
+
     def _block(self, tables: Tables, first: int, clock: Clock) -> Block:
         """Frames of one block of tables, whose first row is row `first` of the file."""
         form = self._form
@@ -260,6 +305,8 @@ class RecordedFile:
                 f"'{self._wanted.values[1]}' must have the shape of the values, "
                 f"{values.shape}, got {before[0].shape}"
             )
+        if form.differences:
+            values = values + before[0]
         block = Block(
             values,
             before[0] if before else None,

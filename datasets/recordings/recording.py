@@ -8,7 +8,13 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
-from eitskin.datasets.recordings.recorded_file import RecordedFile, RecordingForm, RecordingNames
+from eitskin.datasets.recordings.orders import reciprocity_misfit
+from eitskin.datasets.recordings.recorded_file import (
+    RecordedFile,
+    RecordingForm,
+    RecordingNames,
+    fitting_protocols,
+)
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import LIMITS
@@ -130,6 +136,31 @@ class Recording:
                 ).own_specimens()
             yield part
             first += len(rows)
+
+    def understood(self) -> tuple[dict[str, str], dict[str, str]]:
+        """Reading of the first file, in words; and the options that say the same."""
+        file, part = self._files[0], next(self.parts())
+        channels = part.impedance.shape[1]
+        values = part.impedance if np.imag(part.impedance).any() else np.real(part.impedance)
+        first = ", ".join(f"{value:.6g}" for value in values[0, :3])
+        if self.protocol is None:
+            names = fitting_protocols(0, channels) or ["TABLE.csv"]
+            protocol, order = f"unknown; name it with --protocol {' or '.join(names)}", ""
+        else:
+            misfit = reciprocity_misfit(self.protocol, part.impedance.mean(axis=0))
+            protocol = f"{self.protocol}, electrodes counted from 0"
+            order = f"reciprocal readings differ by {misfit:.2%} (median)"
+            order = order if np.isfinite(misfit) else "no reciprocal readings that tell"
+        said = {
+            "frames": str(self.frames),
+            "values": f"{channels} channels of {file.understood['--values']}: {first} ...",
+            "protocol": protocol,
+            "order": order,
+            "labels": ", ".join(f"{k} = {v}" for k, v in file.labels.items()) or "none",
+            "units": f"lengths in {self._form.length_unit}, values times {self._form.scale:g}",
+            "not read": ", ".join(self.unused) or "nothing",
+        }
+        return {name: text for name, text in said.items() if text}, file.understood
 
     def _blocks(self) -> Iterator[tuple[RecordedFile, Block]]:
         """Blocks of all files, one file after the other."""

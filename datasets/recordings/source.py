@@ -13,11 +13,18 @@ import msgspec
 from numpy.typing import NDArray
 
 from eitskin.contained import Answer, Limits, contained
-from eitskin.datasets.recordings.arrays import Hdf5Reader, NpzReader, open_mat
+from eitskin.datasets.recordings.arrays import Hdf5Reader, NumpyReader, open_mat
 from eitskin.datasets.recordings.field_files import FIELD, FieldReader, field_reader
-from eitskin.datasets.recordings.parts import is_phase, joined, pair_columns, phase_unit
+from eitskin.datasets.recordings.parts import (
+    is_phase,
+    joined,
+    pair_columns,
+    phase_unit,
+    protocol_of_names,
+)
 from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted
 from eitskin.datasets.recordings.tables import (
+    JsonReader,
     ParquetReader,
     SpreadsheetReader,
     TextReader,
@@ -45,7 +52,8 @@ _READERS: Final[Mapping[str, Callable[..., Reader]]] = {
     **dict.fromkeys((".xlsx", ".xlsm"), SpreadsheetReader),
     ".parquet": ParquetReader,
     ".mat": open_mat,
-    ".npz": NpzReader,
+    **dict.fromkeys((".npz", ".npy"), NumpyReader),
+    **dict.fromkeys((".jsonl", ".ndjson", ".json"), JsonReader),
     **dict.fromkeys((".h5", ".hdf5"), Hdf5Reader),
     **dict.fromkeys((".txt", ".dat"), TextReader),
 }
@@ -90,6 +98,23 @@ class Source:
         pair = ",".join(pair_columns(self.contents.header))
         if pair and self.usual_values not in self.names:
             self.usual_values = pair
+
+    def usual(self, count: int) -> str | None:
+        """Table of the values where none is named: the usual one, or the only one of `count`.
+
+        In a file without names the last `count` columns, and columns that are named by electrodes.
+        None where there is nothing to choose.
+        """
+        usual, header = self.usual_values, self.contents.header
+        if not usual or usual in self.names or "," in usual:
+            return usual
+        if "c" in self._columns and len(self._columns["c"]) == len(header) >= count > 0:
+            return f"c{len(header) - count}..c{len(header) - 1}"
+        named = [name for name in header if protocol_of_names([name])]
+        if len(named) > 1:
+            return f"{named[0]}..{named[-1]}"
+        fitting = [name for name, columns in self._columns.items() if len(columns) == count > 1]
+        return fitting[0] if len(fitting) == 1 else usual
 
     def blocks(self, wanted: Wanted, unit: str = "") -> Iterator[Tables]:
         """Tables of consecutive rows, as `Reader.blocks` gives them; `unit` of phases."""

@@ -178,7 +178,7 @@ class TextReader(TableReader):
 
 
 class SpreadsheetReader(TableReader):
-    """First sheet, or a named one, of an Excel file; values of formulas, as they were saved."""
+    """First sheet of an Excel file, or named ones side by side; values of formulas, as saved."""
 
     def __init__(self, path: Path, sheet: str | None = None, header_row: int | None = None) -> None:
         """Read the header of a sheet, the first one when omitted."""
@@ -187,12 +187,21 @@ class SpreadsheetReader(TableReader):
         super().__init__(path)
         require("openpyxl", EXTRA)
         with as_data_errors("Excel file"), pd.ExcelFile(path, engine="openpyxl") as book:
+            sheets = book.sheet_names[:1] if sheet is None else [sheet]
             if sheet is not None and sheet not in book.sheet_names:
-                raise ConfigurationError(
-                    f"there is no sheet '{sheet}'; the file has {', '.join(book.sheet_names)}"
-                )
-            cells = book.parse(sheet or 0, header=None, dtype=str, na_filter=False)
-        cells = cells.map(str.strip)
+                sheets = [each.strip() for each in sheet.split(",")]
+            for each in sheets:
+                if each not in book.sheet_names:
+                    raise ConfigurationError(
+                        f"there is no sheet '{each}'; the file has {', '.join(book.sheet_names)}"
+                    )
+            pages = [book.parse(each, header=None, dtype=str, na_filter=False) for each in sheets]
+        if len({len(page) for page in pages}) > 1:
+            raise DataError(
+                "expected sheets of equally many rows beside each other, got "
+                f"{', '.join(f'{len(p)} in {n}' for p, n in zip(pages, sheets, strict=True))}"
+            )
+        cells = pd.concat(pages, axis=1, ignore_index=True).map(str.strip)
         begin = find_header(
             cells[:_SAMPLE].to_numpy().tolist(), range(1, len(cells) + 1), header_row
         )
@@ -211,6 +220,28 @@ class SpreadsheetReader(TableReader):
         for start in range(0, len(self._rows), wanted.block_rows):
             block = self._rows.iloc[start : start + wanted.block_rows]
             yield [int(row) + 1 for row in block.index], block
+
+
+class JsonReader(TableReader):
+    """JSON: an object with the same names in each line, or an array of such objects."""
+
+    def __init__(self, path: Path) -> None:
+        import pandas as pd
+
+        super().__init__(path)
+        with as_data_errors("JSON file of one object for each frame"):
+            whole = path.suffix.lower() == ".json" and path.read_text("utf-8-sig")[:1] == "["
+            read = pd.read_json(path, lines=not whole, convert_dates=False, encoding="utf-8-sig")
+            self._rows = read.map(lambda cell: np.array(cell) if isinstance(cell, list) else cell)
+        self.contents = Contents(header=tuple(map(str, read.columns)), usual_values="v")
+
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        for start in range(0, len(self._rows), wanted.block_rows):
+            block = self._rows.iloc[start : start + wanted.block_rows]
+            yield (
+                range(start + 1, start + 1 + len(block)),
+                block.set_axis(range(block.shape[1]), axis=1),
+            )
 
 
 class ParquetReader(TableReader):
@@ -306,7 +337,7 @@ def _numbers(cells: NDArray[Any], rows: Sequence[int], title: str) -> NDArray[An
     found = np.empty(cells.shape, dtype=np.complex128)
     for place, cell in np.ndenumerate(cells):
         try:
-            found[place] = complex(str(cell).replace(" ", "") or "nan")
+            found[place] = complex(re.sub("i$", "j", str(cell).replace(" ", "")) or "nan")
         except ValueError:
             raise DataError(
                 f"row {rows[place[0]]}, column {title}: expected a number such as 530.1 or "

@@ -4,6 +4,7 @@
 """
 
 import json
+import shlex
 import struct
 import sys
 import tempfile
@@ -57,7 +58,11 @@ class Form(NamedTuple):
 def eidors(path):
     """Structures of EIDORS: a model with its stimulations, and readings with frames as columns."""
     stimulation = [
-        {"stimulation": "Amp", "stim_pattern": csc_matrix(d[:, None]), "meas_pattern": csc_matrix(s)}
+        {
+            "stimulation": "Amp",
+            "stim_pattern": csc_matrix(d[:, None]),
+            "meas_pattern": csc_matrix(s),
+        }
         for d, s in patterns()
     ]
     model = {"name": "tank", "type": "fwd_model", "stimulation": stimulation}
@@ -78,7 +83,10 @@ def eidors_hdf5(path):
         drives, senses = [], []
         for number, (drive, sense) in enumerate(patterns()):
             for matrix, found in ((drive[:, None], drives), (sense, senses)):
-                sparse, group = csc_matrix(matrix), file.create_group(f"#refs#/{number}{len(found)}{len(matrix)}")
+                sparse, group = (
+                    csc_matrix(matrix),
+                    file.create_group(f"#refs#/{number}{len(found)}{len(matrix)}"),
+                )
                 group.attrs["MATLAB_sparse"] = len(matrix)
                 group["data"], group["ir"], group["jc"] = sparse.data, sparse.indices, sparse.indptr
                 found.append(group.ref)
@@ -119,7 +127,12 @@ def draeger(path):
 
 
 def gimli(path):
-    lines = [f"{N}# Number of electrodes", "# x z", *(f"{k}\t0" for k in range(N)), str(len(ADJACENT))]
+    lines = [
+        f"{N}# Number of electrodes",
+        "# x z",
+        *(f"{k}\t0" for k in range(N)),
+        str(len(ADJACENT)),
+    ]
     lines.append("# a b m n err k rhoa")
     for row, value in zip(ADJACENT.table, FRAMES[0], strict=True):
         lines.append("\t".join(map(str, (*(e + 1 for e in row), 0.03, 2.0, 2.0 * value))))
@@ -134,22 +147,112 @@ def rows(frames=FRAMES, separator=",", form="{:.9g}"):
     return [separator.join(form.format(v) for v in frame) for frame in frames]
 
 
-def names(prefix, count=len(ADJACENT), first=0, separator=","):
+def names(prefix, count, first=0, separator=","):
     return separator.join(f"{prefix}{k + first}" for k in range(count))
 
 
+def numbered(frames=FRAMES, prefix="v", separator=",", form="{:.9g}", extra=("", ())):
+    """Lines of a table of numbered columns, with the name and cells of one before them."""
+    before, cells = extra
+    lines = [names(prefix, frames.shape[1], separator=separator), *rows(frames, separator, form)]
+    if not before:
+        return lines
+    return [f"{a}{separator}{b}" for a, b in zip((before, *cells), lines, strict=True)]
+
+
+def excel(path, *pages):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for number, lines in enumerate(pages):
+        page = book.create_sheet(f"page{number}")
+        for line in lines:
+            cells = line.split(",")
+            page.append([float(c) if c[:1] in "-0123456789" else c for c in cells])
+    book.save(path)
+
+
+def polar(frames, first="{:.9g}", second="{:.9g}"):
+    """Cells of magnitudes and phases beside each other."""
+    pairs = (zip(np.abs(f), np.degrees(np.angle(f)), strict=True) for f in frames)
+    return [",".join(f"{first.format(a)},{second.format(b)}" for a, b in row) for row in pairs]
+
+
+def long_rows(frames):
+    """A line for each reading, with the frame's number."""
+    lines = (f"{k},{value:.9g}" for k, frame in enumerate(frames) for value in frame)
+    return ["frame,value", *lines]
+
+
+def by_drive(frames):
+    return names("v", N - 3), *rows(frames.reshape(-1, N - 3))
+
+
+COMPLEX = FRAMES * np.exp(0.3j)
+NAMED = [f"E{a + 1}_E{b + 1}_E{c + 1}_E{d + 1}" for a, b, c, d in ADJACENT.table]
+GERMAN = [line.replace(".", ",") for line in numbered(separator=";")]
+ROTATED = in_order(ADJACENT, "rotated").measure(Z)
+S16 = Protocol.adjacent(16)
+RAW16 = Protocol.adjacent(16, shared=True).measure(SIXTEEN)
+P8 = "--protocol adjacent:8"
+PLAIN = numbered()
+UNITS = ",".join(f"v{k} [ohm]" for k in range(40))
+PLACES = ["x,y", *["0.1,0.2"] * 3]
 FORMS = [
     Form("EIDORS, MATLAB 5", "a.mat", eidors),
     Form("EIDORS, one reading named", "a.mat", eidors, "--values vh.meas", FRAMES[:1]),
     Form("EIDORS, MATLAB 7.3", "a.mat", eidors_hdf5),
-    Form("Sciospec, a folder", "frames", sciospec),
-    Form("Sciospec, second frequency", "frames", sciospec, "--values f1", FRAMES / 2),
-    Form("Draeger PulmoVista", "a.eit", draeger, "", Protocol.adjacent(16).measure(SIXTEEN), Protocol.adjacent(16)),
-    Form("Goe .get", "a.get", lambda p: p.write_bytes(Protocol.adjacent(16, shared=True).measure(SIXTEEN).astype("<f4").tobytes()), "", Protocol.adjacent(16).measure(SIXTEEN), Protocol.adjacent(16)),
-    Form("pyGIMLi .dat", "a.dat", gimli, "", FRAMES[:1]),
-    Form("OpenEIT text", "a.txt", text([f"magnitudes :   {r} ," for r in rows(separator=" , ")]), "--protocol adjacent:8"),
-    Form("all pairs with the driven ones", "a.csv", text([names("v", 64), *rows(DRIVEN.measure(Z))]), "--protocol adjacent:8+driven"),
-    Form("those in rotated order", "a.csv", text([names("v", 64), *rows(in_order(DRIVEN, "rotated").measure(Z))]), "--protocol adjacent:8+driven --order rotated"),
+    Form("Sciospec, a folder of frames", "frames", sciospec),
+    Form("Sciospec, the second frequency", "frames", sciospec, "--values f1", FRAMES / 2),
+    Form("Draeger PulmoVista", "a.eit", draeger, "", S16.measure(SIXTEEN), S16),
+    Form("Goe", "a.get", lambda p: RAW16.astype("<f4").tofile(p), "", S16.measure(SIXTEEN), S16),
+    Form("pyGIMLi", "a.dat", gimli, "", FRAMES[:1]),
+    Form("OpenEIT", "a.txt", text([f"magnitudes :   {r} ," for r in rows()]), P8),
+    Form("8 x 8, driven pairs, too", "a.csv", text(numbered(DRIVEN.measure(Z))), P8 + "+driven"),
+    Form("the same, rotated", "a.csv", text(numbered(in_order(DRIVEN, "rotated").measure(Z))),
+         P8 + "+driven --order rotated"),
+    Form("table, v0 ...", "a.csv", text(PLAIN), P8),
+    Form("table, v1 ...", "a.tsv", text([names("v", 40, 1, "\t"), *rows(separator="\t")]), P8),
+    Form("other names", "a.csv", text(numbered(prefix="ch")), P8),
+    Form("decimal commas, semicolons", "a.csv", text(GERMAN), P8),
+    Form("decimal commas, tabs", "a.txt", text([g.replace(";", "\t") for g in GERMAN]), P8),
+    Form("decimal commas, blanks", "a.txt", text([g.replace(";", "  ") for g in GERMAN]), P8),
+    Form("preamble", "a.csv", text(["UTC:,2026-03-01", "gain,4", "", *PLAIN]), P8),
+    Form("separators behind rows", "a.csv", text([f"{line}, " for line in PLAIN]), P8),
+    Form("brackets, no names", "a.txt", text([f"[{r}]," for r in rows()]), P8),
+    Form("no names", "a.csv", text(rows()), P8),
+    Form("no names, times first", "a.csv", text([f"{k}.5,{r}" for k, r in enumerate(rows())]), P8),
+    Form("byte order mark", "a.csv", text(["\ufeff" + PLAIN[0], *rows()]), P8),
+    Form("units in the names", "a.csv", text([UNITS, *rows()]), P8),
+    Form("units below the names", "a.csv", text([PLAIN[0], ",".join(["ohm"] * 40), *rows()]), P8),
+    Form("first to last column", "a.csv", text([",".join(map("n{}x".format, range(40))), *rows()]),
+         P8 + " --values n0x..n39x"),
+    Form("names of electrodes from 1", "a.csv", text([",".join(NAMED), *rows()])),
+    Form("magnitudes and phases", "a.csv", text([",".join(f"mag_{k},phase_{k}" for k in range(40)),
+         *polar(COMPLEX)]), P8, COMPLEX),
+    Form("real and imaginary parts", "a.csv", text([",".join(f"re{k},im{k}" for k in range(40)),
+         *(",".join(f"{z.real:.9g},{z.imag:.9g}" for z in f) for f in COMPLEX)]), P8, COMPLEX),
+    Form("complex as MATLAB prints it", "a.csv", text([PLAIN[0],
+         *(",".join(f"{z.real:.9g}{z.imag:+.9g}i" for z in f) for f in COMPLEX)]), P8, COMPLEX),
+    Form("rotated order", "a.csv", text(numbered(ROTATED)), P8 + " --order rotated"),
+    Form("a drive pair's readings a row", "a.csv", text(by_drive(FRAMES)), P8),
+    Form("a reading a row", "a.csv", text(long_rows(FRAMES)), P8 + " --values value"),
+    Form("times in ms", "a.csv", text(numbered(extra=("t", ("0", "40", "80")))),
+         P8 + " --time-unit ms"),
+    Form("JSON, an object a line", "a.jsonl", text([json.dumps({"t": k, "v": f.tolist()})
+         for k, f in enumerate(FRAMES)]), P8),
+    Form("JSON, an array of objects", "a.json", lambda p: p.write_text(json.dumps(
+         [{"v": f.tolist()} for f in FRAMES])), P8),
+    Form("NumPy, one array", "a.npy", lambda p: np.save(p, FRAMES), P8),
+    Form("NumPy, several", "a.npz", lambda p: np.savez(p, data=FRAMES), P8 + " --values data"),
+    Form("MATLAB, frames as columns", "a.mat", lambda p: savemat(p, {"V": FRAMES.T}),
+         P8 + " --values V --transpose"),
+    Form("differences and baselines", "a.npz", lambda p: np.savez(p, d=FRAMES - FRAMES[0],
+         b=np.tile(FRAMES[0], (3, 1))), P8 + " --values d --touch-reference b --differences"),
+    Form("volts at 2 mA", "a.csv", text(numbered(FRAMES * 0.002)), P8 + " --scale 500"),
+    Form("Excel", "a.xlsx", lambda p: excel(p, PLAIN), P8),
+    Form("Excel, positions on page 2", "a.xlsx", lambda p: excel(p, PLAIN, PLACES),
+         P8 + " --sheet page0,page1"),
 ]  # fmt: skip
 
 
@@ -164,6 +267,44 @@ def imported(form: Form, folder: Path) -> list[str]:
 def test_every_form_gives_the_same_frames(form, tmp_path):
     command_line.run(*imported(form, tmp_path))
     data = open_dataset(tmp_path / "out")
+    assert len(data.protocol) == len(form.protocol)
     back = dict(zip(data.protocol.table, range(len(data.protocol)), strict=True))
     order = [back[row] for row in form.protocol.table]
     assert data.impedance[:, order] == pytest.approx(form.frames, rel=1e-4, abs=1e-4)
+
+
+def test_a_preview_says_the_command_that_reads_the_same(tmp_path):
+    """And writes nothing; without a protocol it names those that fit."""
+    times = np.arange(3) * 0.1
+    text(numbered(prefix="ch", extra=("time", times.tolist())))(tmp_path / "a.csv")
+    words = ["import", str(tmp_path / "a.csv"), "--preview", "--column", "t=time"]
+    said = command_line.printed_json(*words, "--protocol", "adjacent:8")
+    assert "adjacent:8" in said["protocol"]
+    assert "0.00%" in said["order"]
+    assert said["labels"] == "t = time"
+    again = shlex.split(said["command"])
+    assert again[:1] == ["eitskin"]
+    assert again[-1] == "FOLDER"
+    command_line.run(*again[1:-1], str(tmp_path / "out"))
+    data = open_dataset(tmp_path / "out")
+    assert data.impedance == pytest.approx(FRAMES, rel=1e-4, abs=1e-4)
+    assert data.time == pytest.approx(times)
+    said = command_line.printed_json(*words, "--values", "ch")
+    assert "adjacent:8" in said["protocol"]
+    assert said["protocol"].startswith("unknown")
+
+
+def main():
+    """Print the table of sources, commands and results."""
+    table = ["| source | command | result |", "|---|---|---|"]
+    for form in FORMS:
+        with tempfile.TemporaryDirectory() as folder:
+            words = imported(form, Path(folder))
+            ran = command_line.run(*words)
+            result = ran.stdout.strip().partition(" in ")[0] or ran.stderr.strip()
+        table.append(f"| {form.source} | `import {form.file} {form.options}` | {result} |")
+    sys.stdout.write("\n".join([*table, ""]))
+
+
+if __name__ == "__main__":
+    main()
