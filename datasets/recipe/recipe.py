@@ -166,12 +166,6 @@ class Recipe:
         return self.snapshots + sum(each.count * each.frames for each in self.episodes)
 
     @property
-    def largest_force(self) -> float:
-        """Largest force of any touch [N]; 0 without touches."""
-        forces = [group.force[1] for group in self.scenes if group.state == "touch"]
-        return max([*forces, *(each.largest_force for each in self.episodes)], default=0.0)
-
-    @property
     def extreme_angles(self) -> tuple[float, float]:
         """Least and largest bend of any frame [deg]; zeros without bends."""
         angles = [angle for group in self.scenes for angle in group.angle_deg]

@@ -326,5 +326,7 @@ def test_columns_beyond_the_memory_are_refused(folder, monkeypatch):
     found = open_dataset(folder)
     monkeypatch.setattr(folders.os, "sysconf", lambda _: 90)  # 8,100 bytes
     assert len(found.state) == 50
-    with pytest.raises(ConfigurationError, match="read_shards"):
-        _ = found.impedance
+    for too_much in (lambda: found.impedance, lambda: found.select(range(40))):
+        with pytest.raises(ConfigurationError, match="read_shards"):
+            too_much()
+    assert len(found.select([3])) == 1

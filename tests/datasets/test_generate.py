@@ -291,6 +291,10 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkey
     with pytest.raises(ConfigurationError, match=r"at least 0\.013 MB, got 0\.013 MB"):
         generate(CHEAP, tmp_path / "set")
     assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(shutil, "disk_usage", lambda _folder: Usage(10**9, 10**9, LEAST_BYTES))
+    monkeypatch.setattr(generation, "make_shards", None)
+    with pytest.raises(TypeError):  # it would have begun
+        generate(CHEAP, tmp_path / "set")
 
 
 def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_path, monkeypatch):

@@ -73,7 +73,7 @@ def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path)
         ({"design": None}, ["--sensor"]),
         (
             {"design": dataclasses.replace(SensorDesign.reference(), thickness=0.004)},
-            ["thickness"],
+            ["differs (thickness: import"],
         ),
         ({"frequency": 1e3, "quantity": "voltage"}, ["1000 Hz", "voltage"]),  # all differences
     ],

@@ -267,7 +267,7 @@ MANY = Recipe(
     "many specimens",
     seed=4,
     frames_per_shard=6,
-    specimens=Specimens(count=400, conductivity=0.05, thickness=0.02, gel_modulus=0.1),
+    specimens=Specimens(count=400, conductivity=0.05, thickness=0.03, gel_modulus=0.05),
     scenes=(SceneGroup("bend", count=1200, angle_deg=(-20.0, 30.0)),),
 )
 
@@ -304,9 +304,12 @@ def test_few_specimens_decide_for_many_which_tables_are_needed():
     chosen = deciding_specimens(MANY)
     assert len(chosen) <= 48
     made = [specimen(MANY, number) for number in range(400)]
-    thickness = [each.design.thickness for each in made]
-    modulus = [each.mechanics.gel.shear_modulus for each in made]
-    for values in (thickness, modulus):
+    thickness = np.array([each.design.thickness for each in made])
+    gel = np.array([each.mechanics.gel.shear_modulus for each in made])
+    around = np.array([each.mechanics.encapsulation.shear_modulus for each in made])
+    # Depths over the thickness follow from force over modulus times thickness squared.
+    forces = gel * thickness**2, around * thickness**2, gel * around * thickness**4
+    for values in (thickness, around / gel, *forces):
         assert {int(np.argmin(values)), int(np.argmax(values))} <= set(chosen)
     wider = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=1000))
     assert len(deciding_specimens(wider)) <= 48

@@ -45,7 +45,9 @@ def test_items_are_the_frames(folder, data):
         frames[50]
 
 
-def test_items_belong_to_the_reader(folder):
+def test_items_belong_to_the_reader_also_of_one_shard(folder, tmp_path):
+    save_dataset(make(5), tmp_path / "one")
+    assert len(TorchDataset(tmp_path / "one")) == 5
     frames = TorchDataset(folder)
     frames[0]["impedance"][:] = 0
     assert frames[0]["impedance"].abs().min() > 0

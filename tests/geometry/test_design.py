@@ -75,7 +75,8 @@ def test_the_reference_electrodes_are_a_uniform_layout():
     y = (0.0, 0.0, 0.0, 0.030, 0.060, 0.060, 0.060, 0.030)
     electrodes = tuple(map(Electrode, x, y))
     assert uniform(Rectangle(0.15, 0.06), 8, start=0.0225) == electrodes
-    assert REFERENCE.electrodes == electrodes
+    assert REFERENCE == SensorDesign(Rectangle(0.15, 0.06), 0.005, electrodes)
+    assert (REFERENCE.conductivity, REFERENCE.encapsulated_thickness) == (1.0, 0.012)
 
 
 @pytest.mark.parametrize("outline", [Rectangle(0.15, 0.06), Disc(0.05), L_SHAPE])

@@ -74,6 +74,7 @@ REFUSALS = [
     (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), r"point 0 .*point 2"),
     (lambda: Polygon(((0, 0), (2, 0), (2, 1), (1, 0), (0, 1))), "point 3"),
     (lambda: Polygon(((0, 0), (1, 0), (2, 0), (2, 1e-8))), "along y"),
+    (lambda: Polygon(((0, 0), (20, 0), (0, 1))), "along x"),
     (lambda: Polygon(((0, 0), (1, 0), (1, 0), (0, 1))), r"1 and 2 .*same"),
     # supports, layers, designs
     (lambda: Plates(0.0), "support span.*positive"),

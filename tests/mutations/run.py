@@ -118,19 +118,26 @@ def _nearest(
 ) -> tuple[str, ...]:
     """Test files of the statement: those of its own folder, then those that run the fewest files.
 
-    Compiled functions and other processes leave no trace: the tests of the folder stand in.
+    Compiled functions and other processes leave no trace: the tests that compare kernels with their
+    plain twins, and those of the folder, stand in.
     """
-    files = tests.get(drawn.file, {}).get(drawn.line, set())
-    folder = ROOT / "tests" / Path(drawn.file).parent
+    files, root = tests.get(drawn.file, {}).get(drawn.line, set()), ROOT / "tests"
+    twins: list[str] = []
+    folder = (root / drawn.file).parent
     while not files:
-        files = {str(path.relative_to(ROOT / "tests")) for path in folder.glob("test_*.py")}
+        files = {str(path.relative_to(root)) for path in folder.glob("test_*.py")}
+        twins = [
+            str(path.relative_to(root))
+            for name in ("test_*compiled.py", "test_*kernels.py")
+            for path in (root / Path(drawn.file).parts[0]).rglob(name)
+        ]
         folder = folder.parent
 
     def distance(file: str) -> tuple[int, int]:
         return (-len(os.path.commonpath([file, drawn.file])), width[file])
 
     inside = [file for file in files if not file.startswith("project/")]  # of no use in a copy
-    return tuple(sorted(inside, key=distance)[:MAX_FILES])
+    return tuple(dict.fromkeys([*twins, *sorted(inside, key=distance)[:MAX_FILES]]))
 
 
 def copied(folder: Path) -> Path:

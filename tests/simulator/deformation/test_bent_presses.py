@@ -83,11 +83,24 @@ def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
     frame = ContactFrame.at(Homogeneous(F), X, Y, STACK)
     assert frame.rotation == pytest.approx(TURN, abs=1e-12)
     stress = np.random.default_rng(1).normal(size=(3, 3))
-    # On a flat face of unit area lie 1.2 x 0.9 of the bent face.
-    normal = np.array([0.0, 0.0, 1.0])
-    assert frame.nominal(stress) @ normal == pytest.approx(1.08 * TURN @ stress @ normal)
+    # On flat faces of unit area across x, y and z lie 0.9, 1.2 and 1.2 x 0.9 of the bent top.
+    assert frame.nominal(stress) == pytest.approx(TURN @ stress * [0.9, 1.2, 1.08])
     points = np.array([[X, Y, TOP], [X + 0.001, Y, TOP], [X, Y + 0.002, TOP]])
     assert frame.flattened(points) == pytest.approx(Homogeneous(F).positions(points), abs=1e-12)
+
+
+def test_the_frame_of_a_curved_top_is_that_of_the_place_touched() -> None:
+    class Curved(Homogeneous):
+        """Stretches grow along x and y from the place touched."""
+
+        def mapped(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            moved, F = super().mapped(points)
+            growth = np.diag([20.0, 0.0, 0.0]) * (points[..., :1, None] - X)
+            return moved, F + growth + np.diag([0.0, 9.0, 0.0]) * (points[..., 1:2, None] - Y)
+
+    frame = ContactFrame.at(Curved(np.diag([1.2, 0.9, 1.0])), X, Y, STACK)
+    assert frame.stretches == pytest.approx([1.2, 0.9], rel=1e-9)
+    assert frame.rotation == pytest.approx(np.eye(3), abs=1e-9)
 
 
 @pytest.fixture(scope="module")
