@@ -8,7 +8,7 @@ from command_line import printed_json, run
 
 from eitskin.benchmarks import accuracy
 from eitskin.benchmarks import forward_models as models
-from eitskin.benchmarks.accuracy import QUICK_SCENES, Deformed, compare, published_error
+from eitskin.benchmarks.accuracy import QUICK_SCENES, Deformed, published_error
 from eitskin.benchmarks.forward_models import Drop, Truth, drops, judge, model_frame
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
@@ -102,29 +102,6 @@ def test_superposed_drives_are_what_the_peer_says_of_each_pair(truth):
             u = model._forward.solve(np.array([i, j]))[model._electrodes]
             assert R[number] == pytest.approx(u[i] - u[j])
         assert model.frame(background=2.0)(None) == pytest.approx(0.5 * R)
-
-
-@pytest.mark.slow
-def test_the_peer_feels_a_drop_as_we_do_where_electrodes_are_far(truth):
-    pytest.importorskip("pyeit")
-    # Point electrodes spoil R itself; what a far drop adds depends on them much less.
-    mesh = ForwardModel(truth.design, ((1, 1), Grading(4e-3, 4e-3, 1.0, 2))).mesh
-    drop, pair = Drop(0.10, 0.03, 0.005), Protocol.pairwise(8).labels.index("3-7")
-    frames = [model_frame(ForwardModel(truth.design, "fast"))]
-    frames += [models.PointElectrodeModel(truth.design, mesh, p).frame(1.0) for p in (False, True)]
-    expected, *theirs = ((frame(drop) - frame(None))[pair] for frame in frames)
-    assert theirs == pytest.approx([expected] * 2, rel=0.1)
-
-
-@pytest.mark.slow
-def test_a_duel_is_on_equal_nodes(truth, data):
-    pytest.importorskip("pyeit")
-    mine, peer = compare(models.uniform(9e-3, 0), truth)
-    pairs = [(mine.unknowns, mine.nodes, peer.nodes, peer.cells)]
-    own, other = data["rows"][-2:]
-    pairs += [(own["unknowns"], own["nodes"], other["nodes"], other["cells"])]
-    assert [each[3] for each in pairs] == ["triangles", "tetrahedra"]
-    assert all(len(set(each[:3])) == 1 for each in pairs)
 
 
 @pytest.mark.slow

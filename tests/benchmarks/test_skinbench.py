@@ -95,14 +95,6 @@ def test_a_run_again_replaces_its_entries_and_the_best_come_first():
     assert all(line.count("|") == table[0].count("|") for line in table)
 
 
-@pytest.mark.parametrize(
-    "changes", [{"quick": True}, {"provenance": Provenance.now(3)}, {"name": "speed"}]
-)
-def test_other_runs_are_no_entries(changes):
-    with pytest.raises(ConfigurationError):
-        Leaderboard().with_results(results({"50 / maps": 3.0}, **changes))
-
-
 def test_a_file_is_read_as_it_was_written_and_others_are_refused(tmp_path):
     path = tmp_path / "board.json"
     board = Leaderboard().with_results(results({"50 / maps": 3.0}), "f00d", {"maps": "c0de"})

@@ -34,21 +34,6 @@ def test_rates_stand_beside_errors_and_ratios_are_of_one_run(tmp_path, monkeypat
     assert names == {"results.json", "speed.png", "table.csv"}
 
 
-@pytest.mark.slow
-def test_the_peers_time_is_of_a_scene_where_it_is_installed(monkeypatch):
-    pytest.importorskip("pyeit")
-    found = speed.pyeit(0, count=1)
-    assert found["pyEIT.nodes"] == 1989
-    assert found["pyEIT.scene_ms"] > 0.0
-    monkeypatch.setattr(speed, "has_pyeit", lambda: False)
-    assert speed.pyeit(0) == {}
-
-
-def test_a_frames_time_is_that_of_the_pipeline_alone():
-    found = speed.frame_time("idle", frames=5, seed=0)
-    assert 0.0 < found["pipeline, idle.median_ms"] <= found["pipeline, idle.p99_ms"] < 1e3
-
-
 @pytest.mark.parametrize("workload", WORKLOADS, ids=lambda workload: workload.name)
 def test_scenes_share_bends_and_specimens_as_the_workload_says(workload):
     some = speed.scenes(workload, 40, seed=1)

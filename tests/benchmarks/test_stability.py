@@ -82,11 +82,6 @@ def test_every_case_has_an_outcome_and_a_reason(case, outcome, reason):
     assert all(value is None or np.isfinite(value) for value in (row.residual, row.error))
 
 
-def test_an_interrupt_is_not_swallowed():
-    with pytest.raises(KeyboardInterrupt):
-        judge(failing(KeyboardInterrupt()))
-
-
 def test_the_heat_balance_sees_a_wrong_conductivity():
     model = ForwardModel(SensorDesign.reference(), "fast")
     assert electrical.imbalance(model) < 1e-11
@@ -152,10 +147,3 @@ def test_the_command_writes_all_rows_and_ends_with_1_where_one_is_wrong(tmp_path
     ran = CliRunner().invoke(app, [*words, "--json", "--quiet"])
     assert ran.exit_code == 1
     assert json.loads(ran.stdout)["figures"]["all.wrong"] == 1
-
-
-@pytest.mark.parametrize("quick", [True, False])
-def test_no_two_cases_of_a_family_have_the_same_name(quick):
-    for cases in stability.cases(0, quick).values():
-        names = [case.name for case in cases]
-        assert len(set(names)) == len(names)

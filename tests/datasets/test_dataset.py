@@ -178,18 +178,6 @@ def test_a_recording_that_was_killed_can_be_read_up_to_its_last_shard(tmp_path):
     assert len(open_dataset(tmp_path / "run")) == 6  # never closed
 
 
-def test_recording_keeps_what_came_before_an_error(tmp_path):
-    def record():
-        with ShardWriter(tmp_path / "run") as writer:
-            for frame in frames(5):
-                writer.append(frame)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        record()
-    assert len(open_dataset(tmp_path / "run")) == 5
-
-
 def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
     with ShardWriter(tmp_path / "run") as writer:
         writer.append(next(frames(1)))

@@ -115,11 +115,6 @@ def test_episodes_are_not_cut():
     assert joined == list(range(160))
 
 
-def test_unknown_shipped_name_lists_those_that_exist():
-    with pytest.raises(ConfigurationError, match=r"'quik'.*paper_states, paper_touch, quick"):
-        Recipe.shipped("quik")
-
-
 def test_sensor_may_be_a_file_beside_the_recipe(tmp_path):
     design = dataclasses.replace(SensorDesign.reference(), conductivity=0.5)
     (tmp_path / "sensor.toml").write_text(design.to_toml(), encoding="utf-8")
@@ -233,11 +228,6 @@ def test_a_group_writes_what_it_wrote_before_it_could_do_more():
         *("state", "count", "angle_deg", "touches", "force", "margin", "spacing", "positions"),
         *("repeats", "per_bend"),
     ]
-
-
-def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
-    with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
-        Recipe.from_toml(write(tmp_path, ADJACENT.format("adjacent:16")))
 
 
 ON_PLATES = SceneGroup("touch", positions=((0.02, 0.03), (0.13, 0.03)), support=Plates())

@@ -21,7 +21,6 @@ from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import (
     PortInfo,
     connector,
-    find_port,
     open_port,
     usb_serial_of,
 )
@@ -107,12 +106,6 @@ def test_goes_on_after_connecting_again(board):
 
 
 # ---- opening ----
-
-
-def test_a_file_is_no_port(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match="serial port"):
-        open_board(f"serial:{tmp_path}/file")
 
 
 def test_a_port_in_use_is_refused_and_reopens_when_free():
@@ -244,11 +237,6 @@ def bus(monkeypatch):
     return made
 
 
-def test_a_port_is_found_by_its_serial_number(bus):
-    bus.ports += (OTHER,)
-    assert find_port("205A3D") == "/dev/ttyACM0"
-
-
 def test_the_serial_number_of_a_path_or_a_link_to_it(bus, tmp_path):
     bus.ports = (BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
     (tmp_path / "by-id").symlink_to(tmp_path / "real")
@@ -300,12 +288,6 @@ def test_a_port_without_serial_number_is_its_path(bus):
     bus.ports = []
     connect()
     assert bus.opened == [("/dev/ttyS0", "serial:/dev/ttyS0", 230400)]
-
-
-def test_the_uri_of_a_port_opens_it_again():
-    assert BUILT_IN.uri == "serial:/dev/ttyS0"
-    assert BOARD.uri == "serial:?usb=205A3D"
-    assert OTHER.uri == "serial:?usb=A10%201%262"
 
 
 def test_what_pyserial_lists_is_taken_over(monkeypatch):

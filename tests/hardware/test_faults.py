@@ -397,11 +397,3 @@ def test_a_lead_that_is_off_reads_ground_through_its_capacitance(protocol):
             assert value == pytest.approx(sign * np.mean(against), rel=1e-4, abs=1e-3)
         elif 4 in row[:2] and 4 in row[2:]:
             assert abs(value) == pytest.approx(39.8e3, rel=0.05)
-
-
-def test_faults_of_the_network_stand_beside_those_of_values():
-    named = read_faults("shorted_pair,nan_channel")
-    assert [fault.name for fault in named] == ["shorted_pair", "nan_channel"]
-    protocol = PROTOCOLS["adjacent"]
-    (frame,) = frames("swapped_electrodes@0:2,nan_channel@0:1", protocol)
-    assert np.flatnonzero(~np.isfinite(frame.impedance)).tolist() == [1]

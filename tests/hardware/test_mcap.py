@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap_reader import read
-from rosbags.rosbag2 import Writer
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.errors import ConfigurationError, PartialError
+from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
 from eitskin.hardware.ros2.mcap import GAP, McapWriter, Stamps
 from eitskin.hardware.ros2.messages import NAME, TOUCH_FIELDS, RosMessages
@@ -205,19 +204,6 @@ def test_live_a_session_begins_by_the_clock_and_stamps_never_go_back() -> None:
 # Whole or unfinished
 
 
-def test_what_was_written_before_an_interrupt_is_kept(tmp_path) -> None:
-    path = tmp_path / "run.mcap"
-
-    def readings():
-        yield Reading(a_frame(), None, UNKNOWN, UNKNOWN)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_all(path, readings())
-    assert len(read(path)["/eitskin/impedance"]) == 1
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_killed_writer_leaves_its_folder_and_no_file_under_the_name(tmp_path) -> None:
     path = tmp_path / "run.mcap"
     killed = McapWriter(path)
@@ -238,18 +224,6 @@ def test_nothing_is_replaced_and_the_ending_is_checked(tmp_path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="cannot write"):
         McapWriter(tmp_path / "file" / "run.mcap")
-
-
-def test_a_full_disk_says_where_the_rest_lies(tmp_path, monkeypatch) -> None:
-    writer = McapWriter(tmp_path / "run.mcap")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Writer, "write", full)
-    with pytest.raises(PartialError, match=r"No space left.*run\.mcap\.unfinished"):
-        writer.write(Reading(a_frame(), None, UNKNOWN, UNKNOWN))
-    writer.discard()
 
 
 def test_the_missing_extra_is_named(tmp_path, monkeypatch) -> None:

@@ -95,6 +95,7 @@ OTHERS = {
         DeviceError,
         r"2 ports .*/dev/ttyACM0.*/dev/ttyACM1",
     ),
+    "a file": (lambda: open_board(f"serial:{__file__}"), DeviceError, "serial port"),
     "missing port": (lambda: open_board("serial:/dev/no"), DeviceError, "cable"),
     "USB number": (lambda: open_board("serial:?usb=A%201"), DeviceError, "serial number 'A 1'"),
     "USB number of text": (

@@ -249,12 +249,6 @@ def test_over_a_real_pseudo_terminal():
         os.close(theirs)
 
 
-# ---- text lines ----
-
-
-# ---- lines ----
-
-
 @pytest.mark.parametrize(
     ("text", "impedance", "frequency"),
     [
@@ -305,12 +299,6 @@ def test_a_line_without_end_does_not_fill_the_memory():
     assert len(decoder._begun) < 300
     assert len(decoder.feed(b"\n" + printed([1])[0].encode())) == 1
     assert decoder.drops == {LineDrop.TOO_LONG: 1}
-
-
-def test_the_mark_is_a_line_of_its_own():
-    decoder = LineDecoder("frame")
-    assert decoder.feed(b"frame 12\nRzMag: 1 Ohm , RzPhase: 0\n")[0] == Mark()
-    assert not decoder.drops
 
 
 @settings(max_examples=200, deadline=None)
@@ -412,3 +400,59 @@ def test_marks_need_no_pause():
     assert [each.number for each in found] == [0, 2]
     assert finder.lost == 2
     assert finder.drops == {FrameDrop.FIRST: 3, FrameDrop.INCOMPLETE: 5}
+
+
+# ---- all numbers of a frame in one line, and other forms of a measurement ----
+
+
+def frames(lines, protocol):
+    """Frames of a board that prints lines, one at a time, after the end of one that was cut."""
+    texts = [b"5\r\n", *(line.encode() + b"\r\n" for line in lines)]
+    port = Printer((0.1 * k, text) for k, text in enumerate(texts, 1))
+    board = TextBoard(lambda: port, "text:x", protocol, clock=port.clock)
+    return list(itertools.islice(board.frames(), len(lines)))
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "magnitudes : {} , {} , {} , ",
+        "{}, {}, {}",
+        "{};{};{};",
+        "{} {}\t{}",
+        "[{}, {}, {}],",
+        '{{"n": 7, "eit": [{}, {}, {}]}}',
+        "EIT={},{},{}",
+    ],
+)
+def test_a_line_is_a_frame(form):
+    found = frames([form.format(612.5, -3, "1e3"), form.format(1, "nan", 3)], Protocol.pairwise(3))
+    assert np.array_equal(found[0].impedance, [612.5, -3, 1000])
+    assert found[1].status.tolist() == [0, Status.NOT_FINITE, 0]
+    assert [frame.number for frame in found] == [0, 1]
+
+
+def test_the_end_of_a_line_is_no_frame():
+    decoder = LineDecoder(size=3)
+    decoder.restart()
+    assert decoder.feed(b"2.5,3,4\n") == []
+    assert len(decoder.feed(b"612.5,3,4\n")) == 1
+
+
+def test_lines_of_another_number_are_quoted():
+    with pytest.raises(DeviceError, match=r"2 numbers .* 3 measurements: 'a: 1.5, 2'.*protocol="):
+        frames(["a: 1.5, 2"], Protocol.pairwise(3))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Point 1 - Magnitude: 2000.0, Phase: 90",
+        "Impedance: 2000 ohms, Phase: 90.0 degrees",
+        "Freq:40000,00 RzMag: 2000,000 Ohm , RzPhase: 90,0",
+        "RzMag: 2.0 kOhm , RzPhase: 90",
+    ],
+)
+def test_a_measurement_is_printed_in_other_words_and_units(text):
+    (line,) = LineDecoder().feed(text.encode() + b"\n")
+    assert line.impedance == pytest.approx(2000j, abs=1e-9)

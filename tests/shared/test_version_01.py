@@ -1,6 +1,8 @@
 """Files that version 0.1 saved open, and give the values that version 0.1 gave.
 
-`tests/data/v0.1/create.py` made the files, and `expected.json` beside them, with version 0.1.
+A dataset in two shards, a recording of a live session, a pipeline of the paper's method and one of
+touch positions; `expected.json` has what version 0.1 read from and estimated with them, and
+`names.txt` its public names.
 Values of datasets are the same to the last bit. Estimates are the same up to the order in which
 another machine sums.
 """
