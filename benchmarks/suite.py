@@ -56,6 +56,7 @@ ALL = (
     Benchmark("paper", 40, ("--out", "{out}", "--seeds", "2", "--paper-seeds", "1")),
     Benchmark("recordings", 8, ("{data}", "--out", "{out}"), needs="{data}/ohmc8.mat"),
     Benchmark("transfer", 8, seeded=True),
+    Benchmark("life", 8, seeded=True),
     Benchmark("methods", 10, seeded=True),
     Benchmark("layouts", 90),
 )

@@ -128,6 +128,36 @@ def transfer(
 
 @app.command()
 @options.with_output
+def life(
+    pipeline: Annotated[
+        Path | None,
+        typer.Argument(help="Pipeline, NAME.eitmodel; the one that comes with eitskin if omitted."),
+    ] = None,
+    out: Out = _OUT,
+    *,
+    hours: Annotated[
+        float | None, typer.Option(min=0.0, max=1000.0, help="Hours of streams; one if omitted.")
+    ] = None,
+    quick: Quick = False,
+    seed: int = 0,
+    output: options.Output,
+) -> None:
+    """Measure a pipeline in streams of touches that move, bends, faults and the unknown.
+
+    By event: errors, delays, and how often it is wrong without a word, or warns without need.
+    Streams are kept.
+    """
+    from eitskin.benchmarks.life import run
+    from eitskin.training.pipeline.saved_form import SHIPPED
+
+    require_all(training=options.TRAINING)
+    with _folder(output, out, "life") as (folder, progress):
+        found = run(pipeline or SHIPPED, folder, seed, hours, quick, progress)
+    _present(output, found, out)
+
+
+@app.command()
+@options.with_output
 def methods(
     out: Out = _OUT,
     *,

@@ -1,0 +1,207 @@
+"""Run of `bench life`: a pipeline in streams of what skins meet every day, judged by event.
+
+Two shares of frames count. A frame is confidently wrong where state, number of touches, a place or
+the angle is off, by more than three claimed standard errors and 5 mm or 2 deg, and no problem is
+told; it is flagged though right where a problem is told that nothing called for.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.life_world import (
+    EVENTS,
+    KNOWN_DEG,
+    NOISE,
+    OPENING,
+    Event,
+    Stream,
+    lives,
+)
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.datasets.store.schema import State
+from eitskin.training.evaluation.scores import match, root_mean_square
+from eitskin.training.method.predictions import Estimate
+from eitskin.training.pipeline.pipeline import Pipeline
+
+Array = NDArray[np.float64]
+
+SENSORS, QUICK_SENSORS = 15, 5
+SENSORS_AN_HOUR = 14  # whose streams last an hour together
+DEVIATIONS, LEAST_PLACE, LEAST_ANGLE = 3.0, 0.005, 2.0  # [m], [deg]: further off is wrong
+FLAT_DEG = 4.0  # bends below this may be called idle
+MOST = "all events"
+_COLUMNS: Columns = {
+    "event": ("event", "", 1),
+    "frames": ("frames", "d", 1),
+    "wrong [%]": ("confidently wrong", ".2f", 100.0),
+    "flagged [%]": ("flagged though right", ".2f", 100.0),
+    "told [%]": ("with a problem", ".3g", 100.0),
+    "place [mm]": ("place, rms [mm]", ".3g", 1.0),
+    "/ SE": ("place, error over standard error", ".3g", 1.0),
+    "angle [deg]": ("angle, rms [deg]", ".3g", 1.0),
+    "/ SE ": ("angle, error over standard error", ".3g", 1.0),
+    "force [N]": ("force, bias [N]", "+.2f", 1.0),
+    "delay": ("delay [frames]", ".2g", 1.0),
+}
+
+
+@dataclass(slots=True)
+class Judgements:
+    """Judged frames of one event: shares, errors, and errors over standard errors."""
+
+    wrong: list[bool] = field(default_factory=list)
+    flagged: list[bool] = field(default_factory=list)
+    told: list[bool] = field(default_factory=list)
+    place: list[float] = field(default_factory=list)
+    place_ratio: list[float] = field(default_factory=list)
+    angle: list[float] = field(default_factory=list)
+    angle_ratio: list[float] = field(default_factory=list)
+    force: list[float] = field(default_factory=list)
+    delay: list[float] = field(default_factory=list)
+
+    def add(self, said: Estimate, touches: Array, angle_deg: float, event: Event) -> bool:
+        """Judge an estimate by the touches (k, 3) and the angle [deg]; returns whether right."""
+        true = touches[np.isfinite(touches[:, 0])]
+        right = self._places(said, true, event) and self._angle(said, angle_deg, bool(len(true)))
+        if not len(true) and abs(angle_deg) < FLAT_DEG:
+            right &= said.state is State.IDLE or (said.state is State.BEND and angle_deg != 0.0)
+        else:
+            right &= said.state is (State.TOUCH if len(true) else State.BEND)
+        right &= event.known or said.state is State.TOUCH  # a twist is nothing that can be told
+        told = bool(said.problems)
+        self.wrong.append(not right and not told)
+        self.flagged.append(right and told and event.healthy)
+        self.told.append(told)
+        return right
+
+    def _places(self, said: Estimate, true: Array, event: Event) -> bool:
+        """Whether the places are right and as many, or fewer whose standard errors cover all.
+
+        Keeps the errors.
+        """
+        found = np.array([[t.x, t.y, t.force, t.deviation] for t in said.touches or ()])
+        found = found.reshape(-1, 4)
+        if not event.known:
+            if len(found) != 1 or not len(true):
+                return False
+            true = true.mean(axis=0, keepdims=True)
+        rows, columns = match(true[:, :2], found[:, :2])
+        errors = np.linalg.norm(true[rows, :2] - found[columns, :2], axis=1)
+        deviations = found[columns, 3]
+        self.place += errors.tolist()
+        self.place_ratio += (errors / deviations).tolist()
+        self.force += (found[columns, 2] - true[rows, 2]).tolist() if event.known else []
+        if 0 < len(found) < len(true):  # one that says that it may be anywhere about both
+            apart = np.linalg.norm(true[:, None, :2] - found[:, :2], axis=2)
+            return bool((apart <= DEVIATIONS * found[:, 3]).any(axis=1).all())
+        near = errors <= np.maximum(DEVIATIONS * deviations, LEAST_PLACE)
+        return bool(near.all()) and len(near) == len(found) == len(true)
+
+    def _angle(self, said: Estimate, angle_deg: float, touched: bool) -> bool:
+        """Whether the angle is right; keeps its error, of bent sensors."""
+        if said.bend_angle_deg is None:
+            return False
+        error, deviation = said.bend_angle_deg - angle_deg, said.bend_deviation_deg or np.nan
+        if abs(angle_deg) >= FLAT_DEG and not touched:
+            self.angle.append(error)
+            self.angle_ratio.append(error / deviation)
+        return abs(error) <= max(DEVIATIONS * deviation, LEAST_ANGLE)
+
+    def row(self, name: str) -> dict[str, Any]:
+        """Figures by their names; None where there are none."""
+
+        def rms(values: Sequence[float], factor: float = 1.0) -> float | None:
+            known = [value for value in values if np.isfinite(value)]
+            return factor * root_mean_square(np.array(known)) if known else None
+
+        return {
+            "event": name,
+            "frames": len(self.wrong),
+            "confidently wrong": float(np.mean(self.wrong)),
+            "flagged though right": float(np.mean(self.flagged)),
+            "with a problem": float(np.mean(self.told)),
+            "place, rms [mm]": rms(self.place, 1e3),
+            "place, error over standard error": rms(self.place_ratio),
+            "angle, rms [deg]": rms(self.angle),
+            "angle, error over standard error": rms(self.angle_ratio),
+            "force, bias [N]": float(np.mean(self.force)) if self.force else None,
+            "delay [frames]": float(np.mean(self.delay)) if self.delay else None,
+        }
+
+
+def judge(pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Event) -> Judgements:
+    """Judge the estimates of a session's frames after its opening.
+
+    The delay is the number of frames from each change of the touches to the first right estimate.
+    """
+    pipeline.reset()
+    found, waiting = Judgements(), None
+    for n, frame in enumerate(frames):
+        if n < OPENING:
+            pipeline.process(frame)
+            continue
+        right = found.add(pipeline.process(frame), stream.touches[n], stream.angle_deg[n], event)
+        before, now = np.isfinite(stream.touches[n - 1 : n + 1, :, 0]).sum(axis=1).tolist()
+        if before != now:
+            waiting = n
+        if waiting is not None and right:
+            found.delay.append(float(n - waiting))
+            waiting = None
+    return found
+
+
+def run(
+    path: Path,
+    folder: Path,
+    seed: int,
+    hours: float | None,
+    quick: bool,
+    progress: Progress,
+) -> Report:
+    """Measure a pipeline in the streams of some sensors.
+
+    Args:
+        path: of the pipeline.
+        folder: of the streams, which are kept.
+        seed: of sensors, events and noise.
+        hours: of streams; of `SENSORS` sensors when omitted.
+        quick: fewer sensors.
+        progress: told of sensors that are done.
+    """
+    began = time.perf_counter()
+    count = QUICK_SENSORS if quick else SENSORS
+    if hours is not None:
+        count = max(1, round(SENSORS_AN_HOUR * hours))
+    all_judged: dict[str, Judgements] = {name: Judgements() for name in (*EVENTS, MOST)}
+    trained = Pipeline.load(path)
+    for number, life in enumerate(lives(folder, seed, count, progress)):
+        low, high = np.log(NOISE)
+        parts = life.board, life.protocol, trained.layout.frequency
+        for place, (name, event) in enumerate(EVENTS.items()):
+            drawn = seed, number, place
+            noise = float(np.exp(np.random.default_rng(drawn).uniform(low, high)))
+            pipeline, stream = replace(trained), life.streams[name]
+            if event.calibrated:
+                known = life.known.frames(*parts, 1.0, (*drawn, 1))[OPENING:]
+                pipeline.calibrate(known, KNOWN_DEG)
+            frames = stream.frames(*parts, noise, (*drawn, 0))
+            found = judge(pipeline, stream, frames, event)
+            for each in (all_judged[name], all_judged[MOST]):
+                for part in Judgements.__slots__:
+                    getattr(each, part).extend(getattr(found, part))
+    rows = [found.row(name) for name, found in all_judged.items()]
+    figures = [
+        (f"{row['event']} / {name}", value)
+        for row in rows
+        for name, value in row.items()
+        if name != "event" and value is not None
+    ]
+    options = f"--seed {seed}" + (f" --hours {hours:g}" if hours is not None else "")
+    results = measured("life", figures, began=began, seed=seed, quick=quick, options=options)
+    return Report(results=results, rows=rows, tables=[ReportTable.of(rows, _COLUMNS)])
