@@ -1,7 +1,10 @@
 """Detection of faulty measurements and electrode contacts, whose changes resemble touches."""
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +12,12 @@ from scipy.linalg import lapack
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.objective import MapEstimate, levenberg_marquardt, misfit_sigma
+from eitskin.training.joint.objective import (
+    MapEstimate,
+    levenberg_marquardt,
+    misfit_sigma,
+    whitening_matrix,
+)
 from eitskin.training.joint.touch_search import pruned
 
 Array = NDArray[np.float64]
@@ -20,6 +28,11 @@ SUSPICIOUS_SIGMA = 3.0  # misfit above its expectation from which a fault is con
 MOST_FAULTS = 2  # in one frame
 LEAST_SHARE = 0.5  # of a touch's gain that a fault must promise to be tried instead
 ALLOWANCE = 2.0  # misfit by which a fault may fit worse than the touches it replaces
+FAULT_SIZE = 0.01  # standard deviation of the log of a measurement with a fault, before it is seen
+FAULT_PRICE = 2.0 * math.log(36 / 0.05)
+"""Decrease of minus twice the log density that is asked of each fault: any of some three dozen has
+odds of 0.05 before a frame is seen."""
+MOST_CONTACTS = 3  # that are taken to have changed together
 STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements
 
 
@@ -37,6 +50,27 @@ class ChannelFault:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FaultyChange:
+    """A frame whose change is that of some faults, and of nothing else but noise.
+
+    Attributes:
+        faults: of one measurement, or of up to `MOST_CONTACTS` contacts.
+        improbability: minus twice the log of its density with the faults' prices, but for a
+            constant.
+        rest: the frame less these faults, as far as they are known.
+    """
+
+    faults: tuple[ChannelFault, ...]
+    improbability: float
+    rest: CombinedChange
+
+    @property
+    def names(self) -> str:
+        """The faults in words."""
+        return " and ".join(fault.name for fault in self.faults)
+
+
+@dataclass(frozen=True, eq=False)
 class PossibleFaults:
     """All single faults of one sensor, and their signatures.
 
@@ -47,6 +81,51 @@ class PossibleFaults:
 
     faults: tuple[ChannelFault, ...]
     changes: Array
+
+    @cached_property
+    def sets(self) -> tuple[NDArray[np.intp], ...]:
+        """Numbers of the faults (n, k) that may be there together, for k = 1, 2, ..."""
+        contacts = [i for i, fault in enumerate(self.faults) if len(fault.members) > 1]
+        several = (list(combinations(contacts, k)) for k in range(2, MOST_CONTACTS + 1))
+        singles = [(i,) for i in range(len(self.faults))]
+        return tuple(np.array(each) for each in (singles, *several) if each)
+
+    def alone(self, combined: CombinedChange, slopes: Array) -> FaultyChange:
+        """The likeliest faults, should they be all that changed, by their evidence.
+
+        The size of each is normal before it is measured.
+
+        Args:
+            combined: change of the frame.
+            slopes: changes (n, K) of unit variance that there may be besides.
+        """
+        scale = math.sqrt(combined.frames)
+        whitening = whitening_matrix(combined.noise + slopes.T @ slopes)
+        changes = FAULT_SIZE * self.changes
+        seen, rest = whitening @ combined.seen(changes), combined.remainder(changes) / scale
+        shown = np.concatenate([seen, rest])
+        residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
+        gram, on = shown.T @ shown, shown.T @ residual
+        best, gain = np.zeros(0, np.intp), -math.inf
+        for sets in self.sets:
+            information = gram[sets[:, :, None], sets[:, None]] + np.eye(sets.shape[1])
+            sizes = np.linalg.solve(information, on[sets][..., None])[..., 0]
+            gains = np.einsum("nk,nk->n", sizes, on[sets]) - np.linalg.slogdet(information)[1]
+            gains -= FAULT_PRICE * sets.shape[1]
+            if gains.max() > gain:
+                gain, best = float(gains.max()), sets[int(gains.argmax())]
+        inverse = np.linalg.inv(gram[np.ix_(best, best)] + np.eye(len(best)))
+        mine = changes[:, best]
+        spread = combined.seen(mine) @ np.linalg.cholesky(inverse)
+        further = spread @ spread.T + (0.0 if combined.further is None else combined.further)
+        cleaned = replace(
+            combined,
+            measured=np.where(combined.good, combined.measured - mine @ (inverse @ on[best]), 0.0),
+            further=further,
+        )
+        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
+        improbability = float(residual @ residual) - gain - width
+        return FaultyChange(tuple(self.faults[i] for i in best), improbability, cleaned)
 
     def likeliest(
         self,

@@ -1,5 +1,6 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, field, replace
 from typing import Annotated, Any, ClassVar
@@ -69,6 +70,7 @@ from eitskin.training.method.targets import Targets, TrainingFrames
 Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
+RIVAL = 2.0 * math.log(20.0)  # of improbabilities; what is likelier by less does not settle it
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 
@@ -192,6 +194,13 @@ class JointMethod(Method):
         with kernels():
             return Predictions.joined([self._predict(frame) for frame in frames])
 
+    def motions(self, observations: Observations, predictions: Predictions) -> Array:
+        found, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
+        touches = np.column_stack([found.place, found.force if self.forces else found.strength])
+        response = self._specimen(observations.flat[0]).response
+        changes = response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
+        return changes.reshape(-1, changes.shape[-1]) @ self.combinations.back
+
     def _predict(self, frame: Observations) -> Predictions:
         """Predictions for one frame.
 
@@ -218,6 +227,20 @@ class JointMethod(Method):
 
         found = self._fitted(change, reference, specimen, bend_deg)
         static[[member for fault in found.faults for member in fault.members]] = np.nan
+        doubts: tuple[str, ...] = ()
+        if len(found.touches) and not found.faults:
+            turn = MOVED_DEG * found.estimate.objective.curve.slope(reference.angle_deg)
+            faulty = specimen.faults.alone(change, turn[None])
+            odds = found.improbability - faulty.improbability
+            if odds > 0.0:
+                objective = replace(found.estimate.objective, combined=faulty.rest)
+                found = FrameFit.untouched(objective, faulty.faults)
+                static -= change.measured - faulty.rest.measured
+            elif odds > -RIVAL:
+                doubts = (
+                    f"{faulty.names}, or there are touches: both explain this frame; do not rely "
+                    "on its touches, and look at contacts and wires",
+                )
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
         elif len(found.touches):
@@ -232,7 +255,7 @@ class JointMethod(Method):
                 late = moved * (self.combinations.lateness @ slope)
                 seen = replace(seen, further=np.outer(late, late))
             bend = specimen.angle(seen)
-        return self._prediction(found, bend, specimen)
+        return self._prediction(found, bend, specimen, doubts)
 
     def _fitted(
         self,
@@ -270,9 +293,13 @@ class JointMethod(Method):
         return usual if gain > -2.0 * LOG_ODDS else found
 
     def _prediction(
-        self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
+        self,
+        found: FrameFit,
+        bend: AngleEstimate,
+        specimen: SpecimenModel,
+        doubts: tuple[str, ...],
     ) -> Predictions:
-        """One frame's predictions from its fit."""
+        """One frame's predictions from its fit, and doubts about it in words."""
         places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         spread *= self.error_scale.of(specimen.features) * self.own_error_scale
@@ -290,7 +317,7 @@ class JointMethod(Method):
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.of(places, strength, force, spread),),
-            (specimen.problems + fit_problems(found, bend, self.touches),),
+            (specimen.problems + fit_problems(found, bend, self.touches) + doubts,),
         )
 
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:

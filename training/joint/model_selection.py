@@ -96,6 +96,20 @@ class FrameFit:
         of_touches = np.array([covariance[block, block] for block in blocks]).reshape(-1, 3, 3)
         self.covariance = of_touches * (TOUCH_UNITS[:, None] * TOUCH_UNITS)
 
+    @classmethod
+    def untouched(
+        cls, objective: TouchObjective, faults: tuple[ChannelFault, ...] = ()
+    ) -> "FrameFit":
+        """Fit without touches, of a frame whose `faults` were taken out."""
+        nothing = Unknowns(np.zeros((0, 3)), objective.reference_deg)
+        return cls(levenberg_marquardt(objective, nothing, *FINE), 0.0, faults)
+
+    @property
+    def improbability(self) -> float:
+        """That of the estimate, with what no combination of measurements has."""
+        rest = self.estimate.whole()[0]
+        return self.estimate.improbability + float(rest @ rest)
+
 
 def fit_frame(
     objective: TouchObjective,

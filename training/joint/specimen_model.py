@@ -46,8 +46,6 @@ clamp are so wide there that a large bend explains almost any frame."""
 LOG_ODDS = math.log(1.0 / 50.0)
 """Logarithm of the odds that a sensor bends as usual, before any of its frames is seen: the usual
 clamp counts as one of some fifty, however many of the training specimens it holds."""
-FAULT_SIZE = 0.01  # standard deviation of the log of a measurement with a fault, before it is seen
-FAULT_ODDS = 0.05  # of any fault against a bend, before a frame is seen
 MOVED = 2.0  # standard errors below which no bend is claimed, and no fault looked for
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
 
@@ -291,32 +289,20 @@ class SpecimenModel:
     def _flat_but_for_a_contact(
         self, combined: CombinedChange, bend: AngleEstimate
     ) -> AngleEstimate | None:
-        """Estimate of a flat sensor with one changed contact or measurement, where it is likelier.
+        """Estimate of a flat sensor with changed contacts or a measurement, where it is likelier.
 
         A contact that changes moves its channels as some clamp's bend does. Both are weighed by the
-        evidence: the fault's size is normal before it is measured, and the bend uniform over the
-        angles learned.
+        evidence, the bend uniform over the angles learned.
         """
         if bend.faults or abs(bend.angle_deg) < MOVED * bend.deviation_deg:
             return None
-        whitening, scale = whitening_matrix(combined.noise), math.sqrt(combined.frames)
-        residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
-        changes = FAULT_SIZE * self.faults.changes
-        shown = np.concatenate(
-            [whitening @ combined.seen(changes), combined.remainder(changes) / scale]
-        )
-        size = 1.0 + np.einsum("cn,cn->n", shown, shown)
-        gains = (residual @ shown) ** 2 / size - np.log(size)
-        best = int(gains.argmax())
-        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
-        evidence = 0.5 * (width - float(residual @ residual) + float(gains[best]))
+        faulty = self.faults.alone(combined, np.zeros((1, len(combined.change))))
         low, high = self.curve.angle_deg
-        odds = evidence - bend.log_evidence - math.log(math.sqrt(2.0 * math.pi) / (high - low))
-        if odds + math.log(FAULT_ODDS / len(size)) < 0.0:
+        bent = bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low))
+        if faulty.improbability > -2.0 * bent:
             return None
-        fault = self.faults.faults[best]
-        found = self._angle(combined.without(fault.members))
-        return replace(found, faults=(fault, *found.faults))
+        found = self._angle(faulty.rest)
+        return replace(found, faults=(*faulty.faults, *found.faults))
 
     def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float] | None:
         """Angle of an untouched frame and its standard error [deg] by the networks, if any."""

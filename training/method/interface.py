@@ -228,6 +228,17 @@ class Method(ABC):
     def predict(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others; see `Predictions.of`."""
 
+    def motions(
+        self,
+        observations: Observations,
+        predictions: Predictions,  # noqa: ARG002  of use to methods that know a response
+    ) -> Array:
+        """Changes of dV (d, C) by a motion of the first frame's touches, of any sizes.
+
+        Frames of a touch that moves so are not averaged. None by default.
+        """
+        return np.zeros((0, observations.static.shape[1]))
+
     @abstractmethod
     def arrays(self) -> Arrays:
         """Arrays of numbers, of any shape (...,), from which `from_arrays` restores the method."""

@@ -356,13 +356,16 @@ class Pipeline:
                 session.doubt = self.doubt(voltages)
             voltages, stepped = session.without_gain_step(voltages)
             voltages = session.with_same_sign(voltages)
-            perceived = self.method.predict(session.observed(voltages))
+            observed = session.observed(voltages)
+            perceived = self.method.predict(observed)
         except Exception:
             if first:
                 session.begin()
             raise
         if (touched := perceived.touched(self.targets)) or not first:
-            session.renew(voltages, touched)
+            chance = np.nan_to_num(perceived.probabilities[0, State.TOUCH])
+            along = self.method.motions(observed, perceived) if touched else None
+            session.renew(voltages, touched, float(chance), along)
         problems += (*stepped, *perceived.problems[0], *session.problems(frame.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:

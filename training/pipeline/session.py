@@ -23,12 +23,16 @@ from eitskin.training.pipeline.references import (
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
-FEWEST_SCATTERS = 5  # frames that the noise of training counts as
-MAX_WEIGHT = 4.0  # of a frame, in frames with the noise of training; beyond it the model errs more
+FEWEST_SCATTERS = 2  # frames that the noise of training counts as
+LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames tell
+MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
+"""Of a frame, in frames with the noise of training; beyond the largest the model errs more."""
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
 MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
+TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
+SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
     "angle, idle and bend are unknown; straighten and release it and begin anew, or use its stored "
@@ -160,22 +164,26 @@ class HeldTouch:
     """The latest frames of a touch: as many as show it where it is now.
 
     Windows of the latest frames are tested for motion, from two frames on: over a window of n
-    frames the squared slopes of the channels, in units of their variance 12 s^2 / (n^3 - n), have a
-    mean of one where nothing moves. The mean of frames is taken over the longest window without
-    motion, and, once a touch has moved, only over windows in which that motion would show again;
-    else the latest frame stands for itself. So a touch that slides is not dragged behind.
+    frames the slopes of the channels have the variance 12 s^2 / (n^3 - n) where nothing moves. They
+    are tested by their mean square, and, which is far keener, by the part of them in the directions
+    in which the touches found last would change the channels. The mean of frames is taken over the
+    longest window without motion, and, once a touch has moved, only over windows in which that
+    motion would show again; else the latest frame stands for itself. So a touch that slides or
+    eases is not dragged behind.
 
     Attributes:
         noise: rms relative difference of two frames of a still sensor, until frames tell.
         scale: of the noise that the method weighs frames by.
+        directions: of changes (d, measurements) by a motion of the touches found last.
     """
 
     noise: float
     scale: float = 1.0
+    directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
-    _speed: float = 0.0  # squared change from frame to frame of the latest motion, over s^2
+    _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
 
     def add(self, V: Voltages, flat: Voltages, held: bool) -> tuple[Voltages, int]:
         """Mean of the frames that show the touch of frame V, and their number.
@@ -204,18 +212,24 @@ class HeldTouch:
     @property
     def weight(self) -> float:
         """Frames with the noise that the method expects that a frame of this session is worth."""
-        quiet = (self.scale * self.noise) ** 2 / self._variance
-        return min(max(quiet, 1.0 / MAX_WEIGHT), MAX_WEIGHT)
+        quiet = 0.5 * (self.scale * self.noise) ** 2 / self._variance
+        return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
+
+    @property
+    def still(self) -> float:
+        """Rms relative difference of two frames of a still sensor in this session, at most."""
+        told = len(self._scatter) > FEWEST_SCATTERS
+        return math.sqrt(2.0 * self._variance) if told else LOUDEST * self.noise
 
     @property
     def _variance(self) -> float:
-        """Variance of a channel's relative change, the median over the latest frames."""
-        return median([*self._scatter, *[self.noise**2] * FEWEST_SCATTERS])
+        """Variance of a channel's relative change in one frame, the median over the latest."""
+        return median([*self._scatter, *[0.5 * self.noise**2] * FEWEST_SCATTERS])
 
     def _deviation(self, channels: int) -> float:
         """Relative deviation of the mean square over channels, larger where these share noise."""
         alone = float(np.sqrt(2.0 / channels))
-        if len(self._scatter) < 2 * FEWEST_SCATTERS:
+        if len(self._scatter) < 10:
             return alone
         return max(1.5 * median(abs(s / self._variance - 1.0) for s in self._scatter), alone)
 
@@ -224,17 +238,24 @@ class HeldTouch:
         rows = np.array(self._changes)[-len(self._frames) :]
         count = 1
         for n in range(2, len(rows) + 1):
-            window = rows[-n:, np.isfinite(rows[-n:]).all(axis=0)]
-            if not window.size:
+            window = rows[-n:]
+            good = np.isfinite(window).all(axis=0)
+            if not good.any():
                 break
-            time = np.arange(n) - 0.5 * (n - 1)
             weight = n * (n * n - 1) / 12.0  # sum of squared times
-            shown = float(((time @ window) ** 2).mean() / weight / self._variance)
-            limit = 1.0 + MOTION * self._deviation(window.shape[1])
-            if shown > limit:
-                self._speed = (shown - 1.0) / weight
+            slope = (np.arange(n) - 0.5 * (n - 1)) @ window[:, good]
+            slope /= math.sqrt(weight * self._variance)
+            shown = float(slope @ slope) / len(slope)
+            ratio = shown / (1.0 + MOTION * self._deviation(len(slope)))
+            if len(along := self.directions):
+                along = np.linalg.qr(np.vstack([along, window.mean(axis=0)])[:, good].T)[0]
+                share, size = slope @ along, along.shape[1]
+                most = size + TOUCH_MOTION * math.sqrt(2.0 * size) + 5.0
+                ratio = max(ratio, float(share @ share) / most)
+            if ratio > 1.0:
+                self._speed = ratio / weight
                 break
-            if self._speed * weight > 2.0 * limit or not self._speed:
+            if self._speed * weight > 2.0 or not self._speed:
                 count = n
         else:
             if len(rows) == LONGEST_HELD:
@@ -289,7 +310,7 @@ class Session:
             )
         self._held = HeldTouch(self.noise, self.noise_scale)
         self._opening = self.stored is None
-        self.touched, self._outdated, self.doubt = False, False, ""
+        self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
         self._reversed = np.zeros(0, np.intp)
@@ -388,8 +409,9 @@ class Session:
         an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
         elapsed = self._order.elapsed
-        held, count = self._held.add(voltages, self.bend, self.averages and self.touched)
+        held, count = self._held.add(voltages, self.bend, self.averages and self._suspected)
         weight = self._held.weight
+        self.static.noise = self.dynamic.noise = self._held.still
         rows = {
             "static": relative_difference(held, self.bend),
             "dynamic": relative_difference(held, self.touch),
@@ -402,12 +424,27 @@ class Session:
         }
         return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
 
-    def renew(self, voltages: Voltages, touched: bool) -> None:
-        """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else."""
-        self.touched = touched
+    def renew(
+        self,
+        voltages: Voltages,
+        touched: bool,
+        chance: float = 0.0,
+        directions: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else.
+
+        Args:
+            voltages: of the frame.
+            touched: whether it is.
+            chance: probability that it is; where it may be, references wait, and the next frame is
+                weighed together with it.
+            directions: of changes (d, measurements) by a motion of its touches.
+        """
+        self.touched, self._suspected = touched, touched or chance > SUSPECTED
+        self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if touched:
             self._opening = False
-        else:
+        elif not self._suspected:
             self.average(voltages)
             self._outdated, self._renewed = False, self._order.elapsed
 

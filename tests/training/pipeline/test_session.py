@@ -300,4 +300,4 @@ def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
         for _ in range(40):
             held.add(FLAT * (1 + 1e-4 * rng.standard_normal(28)), FLAT, held=False)
         weights.append(held.weight)
-    assert weights == pytest.approx([4.0, 1.0], rel=0.25)
+    assert weights == pytest.approx([2.0, 0.5], rel=0.25)
