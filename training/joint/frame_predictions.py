@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
+from eitskin.errors import DataError
 from eitskin.training.joint.model_selection import REPORTED_SIGMA, FrameFit
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, misfit_sigma
 from eitskin.training.joint.specimen_model import AngleEstimate
@@ -40,6 +42,11 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
         "session with the flat sensor"
         for fault in bend.faults
     ]
+    if found.rival:
+        problems.append(
+            f"{found.rival}, or there are touches, both of which explain this frame: do not rely "
+            "on its touches, and look at contacts and wires"
+        )
     if bend.misfit_sigma > REPORTED_SIGMA:
         problems.append(
             f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
@@ -181,6 +188,14 @@ class ErrorScale:
             usual, strange = nnls(columns / fitted[:, None], ratio / fitted)[0].tolist()
             fitted = columns @ [usual, strange]
         return cls(usual, strange)
+
+    @classmethod
+    def stored(cls, stored: NDArray[Any]) -> "ErrorScale":
+        """Scale that a pipeline stores; those of version 0.1 have one for all sensors."""
+        values = stored.astype(float)
+        if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
+            raise DataError("expected two factors of errors from 0 to 1e6; train it again")
+        return cls(*values.tolist()) if values.ndim else cls(float(values) ** 2)
 
     def of(self, features: Array) -> float:
         """Factor for a sensor with features (P,)."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, field, replace
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +227,6 @@ class JointMethod(Method):
 
         found = self._fitted(change, reference, specimen, bend_deg)
         static[[member for fault in found.faults for member in fault.members]] = np.nan
-        doubts: tuple[str, ...] = ()
         if len(found.touches) and not found.faults:
             turn = MOVED_DEG * found.estimate.objective.curve.slope(reference.angle_deg)
             faulty = specimen.faults.alone(change, turn[None])
@@ -237,10 +236,7 @@ class JointMethod(Method):
                 found = FrameFit.untouched(objective, faulty.faults)
                 static -= change.measured - faulty.rest.measured
             elif odds > -RIVAL:
-                doubts = (
-                    f"{faulty.names}, or there are touches: both explain this frame; do not rely "
-                    "on its touches, and look at contacts and wires",
-                )
+                found.rival = faulty.names
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
         elif len(found.touches):
@@ -255,7 +251,7 @@ class JointMethod(Method):
                 late = moved * (self.combinations.lateness @ slope)
                 seen = replace(seen, further=np.outer(late, late))
             bend = specimen.angle(seen)
-        return self._prediction(found, bend, specimen, doubts)
+        return self._prediction(found, bend, specimen)
 
     def _fitted(
         self,
@@ -293,13 +289,9 @@ class JointMethod(Method):
         return usual if gain > -2.0 * LOG_ODDS else found
 
     def _prediction(
-        self,
-        found: FrameFit,
-        bend: AngleEstimate,
-        specimen: SpecimenModel,
-        doubts: tuple[str, ...],
+        self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
     ) -> Predictions:
-        """One frame's predictions from its fit, and doubts about it in words."""
+        """One frame's predictions from its fit."""
         places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         spread *= self.error_scale.of(specimen.features) * self.own_error_scale
@@ -317,7 +309,7 @@ class JointMethod(Method):
             np.array([bend.deviation_deg]),
             map_,
             (FoundTouches.of(places, strength, force, spread),),
-            (specimen.problems + fit_problems(found, bend, self.touches) + doubts,),
+            (specimen.problems + fit_problems(found, bend, self.touches),),
         )
 
     def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
@@ -459,13 +451,5 @@ class JointMethod(Method):
                 name: LearningCurve.from_arrays(arrays_under(f"{name}.history", arrays))
                 for name in NETWORKS
             },
-            error_scale=_error_scale(arrays.get("error_scale", np.ones(()))),
+            error_scale=ErrorScale.stored(arrays.get("error_scale", np.ones(()))),
         )
-
-
-def _error_scale(stored: NDArray[Any]) -> ErrorScale:
-    """Scale of the standard errors of places; pipelines before had one for all sensors."""
-    values = stored.astype(float)
-    if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
-        raise DataError("expected two factors of standard errors from 0 to 1e6; train it again")
-    return ErrorScale(*values.tolist()) if values.ndim else ErrorScale(float(values) ** 2)

@@ -67,6 +67,7 @@ class FrameFit:
         estimate: from which all follows.
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         faults: whose measurements were left out.
+        rival: faults that explain the frame about as well as its touches, in words.
         touches: x [m], y [m] and force [N] of each (k, 3).
         angle_deg: bend angle [deg].
         angle_deviation_deg: standard error of its change since the reference [deg].
@@ -78,6 +79,7 @@ class FrameFit:
     estimate: MapEstimate
     evidence: float
     faults: tuple[ChannelFault, ...] = ()
+    rival: str = ""
     touches: Array = field(init=False)
     angle_deg: float = field(init=False)
     angle_deviation_deg: float = field(init=False)

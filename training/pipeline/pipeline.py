@@ -356,16 +356,14 @@ class Pipeline:
                 session.doubt = self.doubt(voltages)
             voltages, stepped = session.without_gain_step(voltages)
             voltages = session.with_same_sign(voltages)
-            observed = session.observed(voltages)
-            perceived = self.method.predict(observed)
+            perceived = self.method.predict(observed := session.observed(voltages))
         except Exception:
             if first:
                 session.begin()
             raise
         if (touched := perceived.touched(self.targets)) or not first:
-            chance = np.nan_to_num(perceived.probabilities[0, State.TOUCH])
             along = self.method.motions(observed, perceived) if touched else None
-            session.renew(voltages, touched, float(chance), along)
+            session.renew(voltages, touched, perceived.probabilities[0, State.TOUCH], along)
         problems += (*stepped, *perceived.problems[0], *session.problems(frame.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:
@@ -411,8 +409,7 @@ class Pipeline:
     def load(cls, path: str | Path, method: type[Method] | None = None) -> Self:
         """A saved pipeline, checked by the outputs that were saved with it.
 
-        "reference.eitmodel", unless a folder of that name exists, is the pretrained pipeline for
-        the reference sensor.
+        "reference.eitmodel", unless a folder of that name exists, is that of the reference sensor.
 
         Args:
             path: of the folder.

@@ -1,4 +1,4 @@
-"""Session of a pipeline: order of its frames, references, a held touch, and doubts about both."""
+"""Session of a pipeline: order of its frames, references, and doubts about both."""
 
 import math
 from collections import deque
@@ -13,6 +13,7 @@ from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Zero
+from eitskin.training.pipeline.held_touch import HeldTouch
 from eitskin.training.pipeline.references import (
     LONGEST_MEAN,
     RunningMean,
@@ -21,17 +22,8 @@ from eitskin.training.pipeline.references import (
 )
 
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
-LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
-NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
-FEWEST_SCATTERS = 2  # frames that the noise of training counts as
-LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames tell
-MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
-"""Of a frame, in frames with the noise of training; beyond the largest the model errs more."""
-JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
-TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
 SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -157,110 +149,6 @@ def _told(frame: Frame, problem: str) -> tuple[str, ...]:
     """Fault of a frame's number or time, as a problem of its estimate; none where it is empty."""
     told = f"frame {frame.number}: {problem}; the references stay as they were"
     return (told,) if problem else ()
-
-
-@dataclass
-class HeldTouch:
-    """The latest frames of a touch: as many as show it where it is now.
-
-    Windows of the latest frames are tested for motion, from two frames on: over a window of n
-    frames the slopes of the channels have the variance 12 s^2 / (n^3 - n) where nothing moves. They
-    are tested by their mean square, and, which is far keener, by the part of them in the directions
-    in which the touches found last would change the channels. The mean of frames is taken over the
-    longest window without motion, and, once a touch has moved, only over windows in which that
-    motion would show again; else the latest frame stands for itself. So a touch that slides or
-    eases is not dragged behind.
-
-    Attributes:
-        noise: rms relative difference of two frames of a still sensor, until frames tell.
-        scale: of the noise that the method weighs frames by.
-        directions: of changes (d, measurements) by a motion of the touches found last.
-    """
-
-    noise: float
-    scale: float = 1.0
-    directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
-    _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
-    _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
-    _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
-    _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
-
-    def add(self, V: Voltages, flat: Voltages, held: bool) -> tuple[Voltages, int]:
-        """Mean of the frames that show the touch of frame V, and their number.
-
-        Args:
-            V: frame (measurements,) [ohm], NaN where a channel is bad.
-            flat: reference (measurements,) [ohm] that changes are relative to.
-            held: whether the frame before it was touched; else V stands for itself.
-        """
-        change = relative_difference(V, flat)
-        if len(self._changes) >= 2:  # neither offset nor slope is left in this difference
-            bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
-            known = bent[np.isfinite(bent)]
-            scatter = float(known @ known) / (1.5 * max(len(known), 1))
-            if 0.0 < scatter < (JUMPS * self.noise) ** 2:
-                self._scatter.append(scatter)
-        self._changes.append(change)
-        if not held:
-            self._frames.clear()
-            self._speed = 0.0
-        self._frames.append(V)
-        count = self._still()
-        mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
-        return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
-
-    @property
-    def weight(self) -> float:
-        """Frames with the noise that the method expects that a frame of this session is worth."""
-        quiet = 0.5 * (self.scale * self.noise) ** 2 / self._variance
-        return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
-
-    @property
-    def still(self) -> float:
-        """Rms relative difference of two frames of a still sensor in this session, at most."""
-        told = len(self._scatter) > FEWEST_SCATTERS
-        return math.sqrt(2.0 * self._variance) if told else LOUDEST * self.noise
-
-    @property
-    def _variance(self) -> float:
-        """Variance of a channel's relative change in one frame, the median over the latest."""
-        return median([*self._scatter, *[0.5 * self.noise**2] * FEWEST_SCATTERS])
-
-    def _deviation(self, channels: int) -> float:
-        """Relative deviation of the mean square over channels, larger where these share noise."""
-        alone = float(np.sqrt(2.0 / channels))
-        if len(self._scatter) < 10:
-            return alone
-        return max(1.5 * median(abs(s / self._variance - 1.0) for s in self._scatter), alone)
-
-    def _still(self) -> int:
-        """Number of the latest frames over which the touch stands still."""
-        rows = np.array(self._changes)[-len(self._frames) :]
-        count = 1
-        for n in range(2, len(rows) + 1):
-            window = rows[-n:]
-            good = np.isfinite(window).all(axis=0)
-            if not good.any():
-                break
-            weight = n * (n * n - 1) / 12.0  # sum of squared times
-            slope = (np.arange(n) - 0.5 * (n - 1)) @ window[:, good]
-            slope /= math.sqrt(weight * self._variance)
-            shown = float(slope @ slope) / len(slope)
-            ratio = shown / (1.0 + MOTION * self._deviation(len(slope)))
-            if len(along := self.directions):
-                along = np.linalg.qr(np.vstack([along, window.mean(axis=0)])[:, good].T)[0]
-                share, size = slope @ along, along.shape[1]
-                most = size + TOUCH_MOTION * math.sqrt(2.0 * size) + 5.0
-                ratio = max(ratio, float(share @ share) / most)
-            if ratio > 1.0:
-                self._speed = ratio / weight
-                break
-            if self._speed * weight > 2.0 or not self._speed:
-                count = n
-        else:
-            if len(rows) == LONGEST_HELD:
-                self._speed = 0.0
-        return count
 
 
 @dataclass

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, FEWEST_SPECIMENS, FlatSensors
+from eitskin.training.pipeline.held_touch import HeldTouch
 from eitskin.training.pipeline.references import LONGEST_MEAN
 from eitskin.training.pipeline.session import (
     LONGEST_ELAPSED,
     LONGEST_GAP,
-    HeldTouch,
     Session,
     SessionOrder,
 )
