@@ -78,7 +78,6 @@ def test_every_case_has_an_outcome_and_a_reason(case, outcome, reason):
     row = judge(case, patience=0.05)
     assert row.outcome == outcome
     assert reason in row.reason
-    assert row.seconds < 1.0
     assert all(value is None or np.isfinite(value) for value in (row.residual, row.error))
 
 

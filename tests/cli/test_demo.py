@@ -11,7 +11,6 @@ from itertools import count
 import msgspec
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 from rich.console import Console
 
@@ -20,7 +19,6 @@ from eitskin.cli.demo import pictures, stages
 from eitskin.cli.demo.command import run_demo
 from eitskin.cli.demo.stages import SETS, STAGES, Demo
 from eitskin.cli.options import Output
-from eitskin.cli.page.drawing import GelShape
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -227,12 +225,3 @@ def test_the_film_has_every_moment_and_begins_with_the_fullest():
     first = np.asarray(film.convert("RGB"))
     film.seek(4)
     assert np.abs(first - np.asarray(film.convert("RGB")).astype(float)).max() > 100
-
-
-def test_touches_are_drawn_on_the_bent_face():
-    axes, shape = Figure().add_subplot(projection="3d"), GelShape.of(SensorDesign.reference())
-    pictures.draw_touches(axes, shape, 30.0, [[40.0, 20.0], [110.0, 40.0]])
-    shown = np.stack(axes.collections[0]._offsets3d, 1)
-    flat = np.array([(40.0, 20.0, 5.0), (110.0, 40.0, 5.0)])
-    assert np.allclose(shown, 1e3 * shape.bent(30.0, [], 1e-3 * flat))
-    assert not np.allclose(shown, flat, atol=1.0)

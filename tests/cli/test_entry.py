@@ -78,10 +78,6 @@ def test_messages_neither_control_the_terminal_nor_fill_it(monkeypatch, tmp_path
     assert len(said) < 5000
 
 
-def test_lines_of_reports_hold_no_control_characters():
-    assert "\x1b" not in entry.failure_report(ValueError("\x1b[2J"))
-
-
 def struck(cause):
     """Compiled code that was struck by a signal, or failed otherwise."""
     with ended_by_signals():

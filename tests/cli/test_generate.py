@@ -81,7 +81,7 @@ def wait_for_a_shard(process, out):
 
 @pytest.mark.slow
 def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
-    """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
+    """As Ctrl-C twice in a terminal: exit code 130, and a line to copy that finishes the set."""
     recipe.write_text(RECIPE.format(count=20000))
     out = tmp_path / "a set"
     given = ["generate", str(recipe), "--out", str(out), "--seed", "9", "--workers", "1", "--quiet"]
@@ -93,7 +93,8 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     ) as process:
         wait_for_a_shard(process, out)
         os.killpg(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=600)
     assert process.returncode == 130
     assert said.splitlines()[0].endswith(
         f"continue with: eitskin generate {recipe} --out '{out}' --seed 9 --resume"

@@ -100,13 +100,6 @@ def test_the_zero_of_a_session_may_be_stored(folder, tmp_path):
     assert not pipeline.process(pressed).touches
 
 
-@pytest.mark.slow
-def test_mcap_has_the_estimates(folder, tmp_path):
-    pytest.importorskip("rosbags")
-    options = ("--model", folder / "mine.eitmodel", "--out", tmp_path / "mine.mcap", "--json", "-q")
-    assert json.loads(run("export", "mcap", folder / "mine", *options).stdout)["estimates"] == 60
-
-
 def test_positions_cannot_be_calibrated(folder, tmp_path):
     words = ("calibrate", folder / "mine.eitmodel", "--board", BOARD, "--out", tmp_path / "b")
     found = CliRunner().invoke(app, [*map(str, words)]).exception

@@ -10,7 +10,6 @@ from eitskin.cli import entry
 from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import open_board
-from eitskin.hardware.ros2.participant import require_name
 from eitskin.hardware.streams import address_of
 from eitskin.simulator import Scene
 from eitskin.training import TrainingSettings
@@ -40,11 +39,6 @@ def test_seeds_are_not_negative(scene):
 def test_hosts_are_names_or_numbers(host):
     with pytest.raises(ConfigurationError, match="--udp: expected a name"):
         address_of("--udp", f"{host}:5")
-
-
-def test_a_namespace_fits_into_the_names_of_topics():
-    with pytest.raises(ConfigurationError, match="160 characters"):
-        require_name(LONG)
 
 
 def test_a_byte_order_mark_is_no_part_of_a_file(scene):

@@ -131,7 +131,7 @@ def test_kills_at_random_moments_cost_no_finished_shard(whole, tmp_path, crashes
         before = shards(out)
         run = start(out, rng.integers(1, 3))
         killed += kill(run, out, rng)
-        code = run.wait(timeout=300)
+        code = run.wait(timeout=800)
         assert before <= shards(out)
         assert intact(out, whole)
         if code == 0:

@@ -3,9 +3,6 @@
 import dataclasses
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from collections import namedtuple
 from types import SimpleNamespace
 
@@ -178,57 +175,6 @@ def test_occupied_folders_are_refused(whole, tmp_path):
         generate(RECIPE, tmp_path, resume=True)
     with pytest.raises(ConfigurationError, match=r"workers.*at least 1"):
         generate(RECIPE, tmp_path / "new", workers=0)
-
-
-SCRIPT = """
-import signal
-import sys
-from eitskin.datasets import Recipe, generate
-from eitskin.config import parse_toml
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # which background jobs have ignored
-if __name__ == "__main__":
-    recipe = parse_toml(Recipe, sys.argv[1])
-    generate(recipe, sys.argv[2], 2, lambda done, _: print(done, flush=True))
-"""
-LONG = """
-name = "long"
-frames_per_shard = 5
-[[scenes]]
-state = "bend"
-count = 5000
-angle_deg = [1, 9]
-"""
-
-
-@pytest.mark.slow
-def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path, monkeypatch):
-    """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
-    script, out, done = tmp_path / "make.py", tmp_path / "set", []
-    script.write_text(SCRIPT)
-    with subprocess.Popen(
-        [sys.executable, str(script), LONG, str(out)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        before, after = (int(process.stdout.readline()) for _ in range(2))
-        assert after > before  # a shard is finished, others are begun
-        os.killpg(process.pid, signal.SIGINT)
-        os.killpg(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-    assert said.count("Traceback") == 1
-    assert said.rstrip().endswith("KeyboardInterrupt")
-
-    def interrupt(finished, _total):
-        done.append(finished)
-        raise KeyboardInterrupt
-
-    in_this_process(monkeypatch)
-    with pytest.raises(KeyboardInterrupt):
-        generate(parse_toml(Recipe, LONG), out, progress=interrupt, resume=True)
-    assert done[0] > 0  # finished shards are kept
 
 
 def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):

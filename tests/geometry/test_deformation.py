@@ -92,7 +92,7 @@ def test_both_faces_of_a_free_arc_are_free():
     half = 0.5 * DESIGN.encapsulated_thickness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     top, bottom = np.linalg.norm(arc.gradient(arc.centre + half)[..., 0], axis=-1)
     assert top > 1.1
-    mid = np.linalg.norm(arc.gradient(arc.centre[None])[..., 0])
+    mid = np.linalg.norm(arc.gradient(np.array(arc.centre))[:, 0])
     assert mid**4 == pytest.approx(1.0 + (math.radians(90.0) / 0.060 * 0.012) ** 2, rel=1e-9)
     assert top**2 + top**-2 == pytest.approx(bottom**2 + bottom**-2, rel=1e-12)
 

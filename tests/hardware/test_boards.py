@@ -191,7 +191,7 @@ def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_b
                     numbers += [frame.number for frame in take(board, 5)]
             assert numbers == sorted(set(numbers))
             process.send_signal(ended_by)
-            assert process.wait(20) == 130
+            assert process.wait(300) == 130
             assert not list(tmp_path.iterdir())
         finally:
             process.kill()

@@ -182,7 +182,7 @@ def test_a_function_is_called_with_readings_and_its_error_ends_the_session():
 
     readings = LiveReadings(Cable(frame(0)), FakePipeline())
     readings.call(function)
-    assert ended.wait(20.0)
+    assert ended.wait(300.0)
     with pytest.raises(ValueError, match="stuck"):
         readings.close()
     readings.close()
@@ -212,10 +212,10 @@ def test_closing_ends_every_thread_and_iteration(monkeypatch):
     others = [threading.Thread(target=list, args=(readings,)) for _ in range(2)]
     for each in others:
         each.start()
-    assert seen.wait(20.0)
+    assert seen.wait(300.0)
     readings.close()
     for each in others:
-        each.join(20.0)
+        each.join(300.0)
     assert threading.active_count() == before
 
 

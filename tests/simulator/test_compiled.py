@@ -49,11 +49,6 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
     assert np.abs(found - plain).max() < 1e-8 * np.abs(plain - flat).max()
 
 
-def test_without_numba_there_are_no_kernels(monkeypatch) -> None:
-    monkeypatch.setattr(compiled, "find_spec", lambda _: None)
-    assert compiled.loaded.__wrapped__(KERNELS) is None
-
-
 def test_kernels_can_be_left_out(monkeypatch) -> None:
     assert compiled.compiled(KERNELS) is None
     assert with_kernels(compiled.compiled, KERNELS) is not None

@@ -94,7 +94,7 @@ def port_of(page):
 
 def ask(page, method, path, body=None, headers=None, own=True):
     """Status, headers and body of an answer; from the page's own origin unless sent otherwise."""
-    client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+    client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=300)
     own = {"Origin": page.url.rstrip("/")} if own and method == "POST" else {}
     with closing(client):
         client.request(method, path, body, own | (headers or {}))
@@ -113,7 +113,7 @@ class Stream:
     """A browser's event source."""
 
     def __init__(self, page, headers=None):
-        self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+        self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=300)
         self.client.request("GET", "/events", headers=headers or {})
         self.answer = self.client.getresponse()
 

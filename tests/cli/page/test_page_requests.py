@@ -314,7 +314,7 @@ REQUEST = b"POST /scene HTTP/1.0\r\nHost: a\r\ncontent-LENGTH: 5\r\n\r\n12345"
 
 
 def connected(page):
-    return socket.create_connection(("127.0.0.1", port_of(page)), timeout=10)
+    return socket.create_connection(("127.0.0.1", port_of(page)), timeout=300)
 
 
 def ended(client):

@@ -1,7 +1,6 @@
 """Calibration of a pipeline to one sensor: inputs, effect, and the command."""
 
 from contextlib import nullcontext
-from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -10,11 +9,9 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
-from eitskin.hardware.virtual import virtual_board
-from eitskin.simulator import Frame, Simulator
+from eitskin.simulator import Frame
 from eitskin.training import Pipeline
 from eitskin.training.method.interface import Calibration
-from eitskin.training.pipeline.saved_form import SHIPPED
 
 from linear_sensor import linear_sensor, trained_pipeline
 
@@ -122,15 +119,6 @@ def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
     done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
     assert done.exit_code == 0, done.output
     assert rmse(Pipeline.load(out), sensor) < 0.5
-
-
-@pytest.mark.slow
-def test_a_virtual_board_bends_its_sensor_where_nobody_is_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr(virtual_board, "Simulator", lru_cache(Simulator))
-    words = ("--board", "virtual:?speed=max", "--angles", "-15,20", "--frames", 4, "--no-prompt")
-    done = run(SHIPPED, *words, "--out", tmp_path / "mine.eitmodel")
-    assert done.exit_code == 0, done.output
-    assert Pipeline.load(tmp_path / "mine.eitmodel").calibration["residual_deg"] < 0.5
 
 
 @pytest.mark.slow

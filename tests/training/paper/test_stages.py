@@ -1,7 +1,6 @@
 """Stages that are learned: state, touch map, touches."""
 
 import dataclasses
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -254,18 +253,6 @@ def test_saved_networks_of_other_shapes_are_refused(presses, reconstruction, emb
     classifier = Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
     with pytest.raises(DataError, match="other shapes"):
         Classifier.from_arrays(classifier.arrays(), shape=(16, 16))
-
-
-def test_one_torch_thread_gives_the_threads_back():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        with suppress(KeyError), one_torch_thread():
-            assert torch.get_num_threads() == 1
-            raise KeyError
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
 
 
 def test_settings_refuse_nonsense():

@@ -1,7 +1,5 @@
 """The pipeline that comes with eitskin, on frames of the simulator."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -132,22 +130,6 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
         assert {each.state for each in said} == {state}
         assert {len(each.touches) for each in said} == {len(scene.touches)}
         assert [bool(each.problems) for each in said] == [False, False, True, False, False]
-
-
-@pytest.mark.slow
-def test_it_runs_without_torch():
-    """Which takes seconds to load: a live session would lose its first frames."""
-    code = (
-        "import sys\n"
-        "from eitskin.simulator import Frame\n"
-        "from eitskin.training import Pipeline\n"
-        "pipeline = Pipeline.load('reference.eitmodel')\n"
-        "layout = pipeline.layout\n"
-        "frame = Frame(layout.reference, layout.protocol, frequency=layout.frequency)\n"
-        "print(pipeline.process(frame).state.name, 'torch' in sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["IDLE", "False"]
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit
 
@@ -50,11 +50,6 @@ def test_discs_have_their_area():
     for radius in (0.004, 0.0075, 0.02):
         shares = grid.discs([(0.0731, 0.0302), (0.075, 0.030)], radius)
         assert shares.sum(axis=1) * grid.area == pytest.approx(np.pi * radius**2, rel=0.05)
-
-
-def test_numbers_of_pixels_out_of_range_are_refused():
-    with pytest.raises(ConfigurationError, match="got 3"):
-        PixelGrid.of(Disc(0.05), 3)
 
 
 # ---- figures of merit ----

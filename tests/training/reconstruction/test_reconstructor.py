@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError, FrameError, UnusableFrameError
+from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.outline import Disc
@@ -128,16 +128,6 @@ def test_wrong_frames_are_refused(greit):
         greit.data(np.ones(10), np.ones(208))
     with pytest.raises(FrameError, match="got shape"):
         greit.images(np.ones(10))
-
-
-def test_wrong_options_are_refused():
-    for wrong, message in (
-        ({"protocol": Protocol.pairwise(8)}, "protocol of 16 electrodes"),
-        ({"method": "magic"}, "expected a method of back-projection"),
-        ({"difference": "none"}, "expected a difference of relative"),
-    ):
-        with pytest.raises(ConfigurationError, match=message):
-            Reconstructor(DESIGN, **wrong)
 
 
 def test_two_terminal_frames_are_compared_channel_by_channel():
