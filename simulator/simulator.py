@@ -13,6 +13,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
+from eitskin.geometry.design.outline import Polygon
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
@@ -173,8 +175,12 @@ class Simulator:
 
     def _pressed(self, scene: Scene) -> PressedSensor:
         """The sensor on its support in a scene."""
-        supported = self.supported(scene)
-        return PressedSensor(supported, self.mechanics, self.touch_model, self.grid)
+        pressed = self.supported(scene)
+        if isinstance(pressed.outline, Polygon) and (plain := pressed.outline.as_rectangle):
+            # Presses do not feel electrodes, which might cross a corner of the rectangle's rim.
+            pair = uniform(plain, 2, width=0.25 * min(plain.length, plain.width))
+            pressed = dataclasses.replace(pressed, outline=plain, electrodes=pair)
+        return PressedSensor(pressed, self.mechanics, self.touch_model, self.grid)
 
     def _bent_state(self, scene: Scene) -> BentStack | None:
         """State in which plates that bend the sensor hold it; None for one that is pressed flat."""

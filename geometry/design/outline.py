@@ -210,6 +210,13 @@ class Polygon(_StraightSided):
         """Extent along y [m]."""
         return max(y for _, y in self.points)
 
+    @property
+    def as_rectangle(self) -> Rectangle | None:
+        """Rectangle of the same rim; None where the polygon is of another shape."""
+        (x, y), box = np.array(self.points).T, self.length * self.width
+        area = 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+        return Rectangle(self.length, self.width) if abs(area - box) <= _SAME * box else None
+
 
 @dataclass(frozen=True, slots=True)
 class Disc(_Plane):

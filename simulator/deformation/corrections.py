@@ -76,10 +76,10 @@ def is_tabulable(design: SensorDesign) -> bool:
         return False
     if isinstance(outline, Disc):
         return outline.radius >= _SMALLEST * thickness
-    return _has_strip(design) or min(outline.length, outline.width) >= _NARROWEST * thickness
+    return has_strip(design) or min(outline.length, outline.width) >= _NARROWEST * thickness
 
 
-def _has_strip(design: SensorDesign) -> bool:
+def has_strip(design: SensorDesign) -> bool:
     """Whether the outline is a rectangle whose presses have tables of their own."""
     long = _SHORTEST * design.encapsulated_thickness
     return isinstance(design.outline, Rectangle) and design.outline.length >= long
@@ -125,7 +125,7 @@ class TabledSensor:
 
     def singles(self, stack: Stack) -> list[Problem]:
         """Tables of single presses that only the solved stack next to the sensor's needs."""
-        kinds = ("strip", "end") if _has_strip(self.design) else ()
+        kinds = ("strip", "end") if has_strip(self.design) else ()
         return [self.problem(kind, stack) for kind in kinds]
 
     def varied(self, stack: Stack) -> Problem:
@@ -134,7 +134,7 @@ class TabledSensor:
 
     def pairs(self, stack: Stack) -> list[Problem]:
         """Tables of two presses by each other."""
-        kinds = ("pair", "pair-sides") if _has_strip(self.design) else ("pair",)
+        kinds = ("pair", "pair-sides") if has_strip(self.design) else ("pair",)
         return [self.problem(kind, stack) for kind in kinds]
 
     def stacks(self, grid: SensorGrid) -> tuple[Stack, dict[Stack, float]]:
@@ -143,7 +143,7 @@ class TabledSensor:
         On a rectangle with tables of its own, differences to the solved stack suffice.
         """
         base, weights = StackGrid.around(self.design, self.mechanics, grid).base_and_weights()
-        if _has_strip(self.design):
+        if has_strip(self.design):
             weights[base] = weights.get(base, 0.0) - 1.0
             weights = {} if len(weights) == 1 else weights
         return base, weights
@@ -188,7 +188,7 @@ def corrections(
     return Corrections(
         design,
         tuple(map(load_table, sensor.singles(base))),
-        None if _has_strip(design) and not weights else load_table(sensor.varied(base)),
+        None if has_strip(design) and not weights else load_table(sensor.varied(base)),
         tuple((load_table(sensor.varied(stack)), each) for stack, each in weights.items()),
         mechanics.gel.shear_modulus,
     )
@@ -358,7 +358,8 @@ class Corrections:
     def _beside_rectangle(self, places: Array, scenes: Indices, sums: NodeSums | None) -> Array:
         """Corrections beside the sides in reach, each of which is as one without ends.
 
-        A right corner throws back all of a side's field.
+        A right corner throws back all of a side's field; the share of its images is left out, since
+        all this is a difference to a solved strip.
         """
         extra = np.zeros(len(places))
         if self.base is None:
@@ -397,6 +398,8 @@ class Corrections:
         base, outline = self.first, self.design.outline
         reach = float(base.nodes("distance_to_side")[-1])
         sides = list(sides_of(outline, x, y, reach)) if isinstance(outline, _Straight) else []
+        thickness = self.design.encapsulated_thickness
+        sides += [image for side in sides for image in side.corner_images(reach, thickness)]
         if not sides:
             return PressCorrection([], 0.0)
         bases = CubicSplines(base.sizes["along"]), CubicSplines(base.sizes["inward"])
@@ -412,9 +415,10 @@ class Corrections:
         for side, coefficients, more in zip(sides, total, extra.tolist(), strict=True):
             (foot_x, foot_y), (cos, sin) = side.foot, side.along
             frame = Frame(foot_x - middle * sin, foot_y + middle * cos, cos, sin)
-            fade = SideFade(side, middle, self.design.encapsulated_thickness)
-            fields.append(Field(bases, self.design.thickness, coefficients, frame, fade))
-            sunk += more * fade.at_press()
+            fade = SideFade(side, middle, thickness)
+            parts = side.share * coefficients
+            fields.append(Field(bases, self.design.thickness, parts, frame, fade))
+            sunk += more * fade.at_press() if side.ends else 0.0
         return PressCorrection(fields, sunk)
 
     def _on_disc(self, x: float, y: float, depth: float) -> PressCorrection:

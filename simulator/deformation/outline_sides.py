@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 # from a re-entrant corner at which half of the correction is left, over the thickness of the stack.
 # They were fitted to twelve presses that were solved on an L-shaped outline.
 _OF_POINT, _OF_PRESS, _STIFF = 0.3, 0.6, 0.3
+# Share of a side's correction for the image of a press in the other side of a right corner. It was
+# fitted to twelve presses that were solved on a rectangle, an L-shaped and a hexagonal outline.
+_CORNER = -0.3
 
 
 class SideEnd(NamedTuple):
@@ -42,13 +45,27 @@ class Side(NamedTuple):
         foot: of the press on the line through the side, (x, y) [m].
         along: unit vector, counter-clockwise.
         aside: distance of the press from that line [m].
-        ends: both ends.
+        ends: those at which the rest of the line is missing.
+        share: of the correction beside the line that is added.
     """
 
     foot: tuple[float, float]
     along: tuple[float, float]
     aside: float
-    ends: tuple[SideEnd, SideEnd]
+    ends: tuple[SideEnd, ...]
+    share: float = 1.0
+
+    def corner_images(self, reach: float, thickness: float) -> Iterator["Side"]:
+        """The side as the images of the press beyond its convex corners see it, within a reach.
+
+        An image that comes near the press itself fades over half the thickness of the stack.
+        """
+        for end in self.ends:
+            if end.image > 0.0 and end.inward > 0.0 and math.hypot(self.aside, end.inward) < reach:
+                beyond = 2.0 * end.way * end.inward
+                x, y = (a + beyond * b for a, b in zip(self.foot, self.along, strict=True))
+                apart = end.inward**2 / (end.inward**2 + (0.5 * thickness) ** 2)
+                yield self._replace(foot=(x, y), ends=(), share=_CORNER * end.image * apart)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

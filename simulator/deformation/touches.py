@@ -17,6 +17,7 @@ from eitskin.simulator.deformation.contact import BentState, ContactFrame
 from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
+    has_strip,
     is_tabulable,
     sums_on,
 )
@@ -41,11 +42,11 @@ _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _MAX_RELATIVE_DEPTH = 0.55
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
-# leave more than 5 %.
-_MIN_CORNER_DISTANCE = 1.0
+# leave more than 7 %.
+_MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon
 # and on a bent sensor.
-_FLAT, _POLYGON, _BENT = 0.04, 0.05, 0.05
+_FLAT, _POLYGON, _BENT = 0.04, 0.07, 0.05
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -264,7 +265,7 @@ def pressed_touches(
     `bent_after` says that the pressed sensor is bent, rolled or twisted afterwards.
     """
     design, outline = sensor.design, sensor.design.outline
-    flat = _POLYGON if isinstance(outline, Polygon) else _FLAT
+    flat = _FLAT if has_strip(design) else _POLYGON
     error = None if bent_after else flat if bent is None else _BENT
     found = []
     dented = _solve_dents(touches, sensor, bent, with_depths=True)

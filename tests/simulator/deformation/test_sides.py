@@ -139,6 +139,31 @@ def test_presses_near_a_re_entrant_corner_come_with_a_caution() -> None:
     assert "re-entrant" in near.caution
 
 
+def test_a_rectangle_given_as_a_polygon_is_pressed_as_the_rectangle() -> None:
+    points = ((0.15, 0.06), (0.15, 0.0), (0.08, 0.0), (0.0, 0.0), (0.0, 0.06))
+    rims = Rectangle(0.15, 0.06), Polygon(points)
+    touch = Scene(touches=(Touch(0.03, 0.03, 8.0),))
+    plain, given = (
+        Simulator(SensorDesign(rim, HEIGHT, uniform(rim, 8)), "coarse", touch_model="tabulated")
+        for rim in rims
+    )
+    inner = np.random.default_rng(0).uniform((0, 0, 0), (0.15, 0.06, HEIGHT), (40, 3))
+    expected, found = (each.deformation(touch).gradient(inner) for each in (plain, given))
+    assert found == pytest.approx(expected, abs=1e-12)
+    assert plain.presses(touch)[0] == given.presses(touch)[0]
+
+
+@pytest.mark.parametrize("place", [(0.03, 0.03), (0.025, 0.02), (0.012, 0.012)])
+def test_sums_beside_a_right_corner_give_the_signal_of_tables_of_rectangles(place, table) -> None:
+    simulator = Simulator(SensorDesign.reference(), "coarse", touch_model="tabulated")
+    touched = simulator.deformation(Scene(touches=(Touch(*place, 10.0),)))
+    fields, _ = on(Rectangle(0.15, 0.06), table).at(*place, touched.presses[0].dent.depth)
+    summed = dataclasses.replace(touched, corrections=tuple(fields))
+    expected, found = (simulator.deformed(each).impedance.real for each in (touched, summed))
+    flat = simulator.measure(Scene()).impedance.real
+    assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected - flat)
+
+
 @pytest.mark.slow
 def test_the_signal_is_that_of_a_press_solved_in_the_whole_stack(monkeypatch) -> None:
     # Cells that grow fast away from the press, also at the ends, change 1 % of the signals.
