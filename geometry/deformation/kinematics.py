@@ -30,6 +30,16 @@ class Deformation(ABC):
         At flat points X [m], (..., 3).
         """
 
+    def after(self, places: Points, gradients: Gradients) -> tuple[Points, Gradients]:
+        """Positions and gradients of points that another deformation moved to places (..., 3) [m].
+
+        By the chain rule F = F_own(places) F, from gradients F (..., 3, 3) so far.
+        """
+        positions, outer = self.mapped(places)
+        outer, inner = _entries(outer), _entries(gradients)
+        F = np.asarray(sum(outer[:, j, None] * inner[j] for j in range(3)))
+        return positions, np.moveaxis(F, (0, 1), (-2, -1))
+
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         return self.mapped(points)[0]
@@ -48,11 +58,7 @@ class Composed(Deformation):
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradient by the chain rule."""
-        places, inner = self.first.mapped(points)
-        positions, outer = self.second.mapped(places)
-        outer, inner = _entries(outer), _entries(inner)
-        F = np.asarray(sum(outer[:, j, None] * inner[j] for j in range(3)))
-        return positions, np.moveaxis(F, (0, 1), (-2, -1))
+        return self.second.after(*self.first.mapped(points))
 
 
 @dataclass(frozen=True, slots=True)

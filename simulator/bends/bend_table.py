@@ -12,11 +12,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from eitskin.compiled import compiled
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
@@ -78,6 +80,10 @@ class BentLayer(Deformation):
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients, continuous everywhere."""
+        return self.after(points, np.broadcast_to(np.eye(3), (*np.shape(points), 3)))
+
+    def after(self, points: Points, gradients: Gradients) -> tuple[Points, Gradients]:
+        """Positions and gradients of points that have moved already, by the chain rule."""
         x = np.asarray(points, dtype=float) - self.centre
         outside = np.abs(x[..., 2]) > 0.5 * self.thickness + _SAME
         outside |= np.abs(x[..., 1]) > self.half_sizes[1] + 0.5 * self.thickness
@@ -87,6 +93,11 @@ class BentLayer(Deformation):
                 f"gel is {2 * self.half_sizes[1]:g} m wide and whose stack is {self.thickness:g} m "
                 "thick; a rolled sensor needs a kinematic fixture, Hinge(...) or FreeArc(...)"
             )
+        if kernels := compiled("eitskin.simulator.deformation.kernels"):
+            places, F = np.array(points, dtype=float, order="C"), np.array(gradients, order="C")
+            box = np.stack([self.centre, self.half_sizes])
+            kernels.bend(box, *self.field.splines, places.reshape(-1, 3), F.reshape(-1, 9))
+            return places, F
         inside = np.clip(x, -self.half_sizes, self.half_sizes)
         columns = inside.reshape(-1, 1, 3) + np.array([0.0, 0.0, self.half_sizes[2]])
         moved = self.field.moved(columns).reshape(12, *x.shape[:-1])
@@ -95,7 +106,7 @@ class BentLayer(Deformation):
         if np.any(beyond):
             positions = positions + np.einsum("ij...,...j->...i", slope, beyond)
         moved[3::4] += 1.0  # the diagonal
-        return positions, np.moveaxis(slope, (0, 1), (-2, -1))
+        return positions, np.moveaxis(slope, (0, 1), (-2, -1)) @ gradients
 
 
 def _mirrored(nodes: Sequence[Array], values: Array) -> Field:
@@ -143,26 +154,51 @@ class BendTable:
         Raises ConfigurationError for an angle outside.
         """
         self.check(angle_deg)
-        values, energy, moment = np.zeros(1), 0.0, 0.0
-        for table, weight in self.tables:
-            coefficients, _ = table.evaluate(angle=angle_deg)
-            values = values + weight * coefficients[0]
-            spline = _energy_over_angle(table)
-            energy += weight * float(spline(angle_deg))
-            moment += weight * float(np.degrees(spline(angle_deg, 1)))
+        summed = _summed(self)
+        values = np.tensordot(summed.weights(angle_deg), summed.values, axes=1)
+        energy, moment = summed.energy(angle_deg), np.degrees(summed.energy(angle_deg, 1))
         x, y, z, centre, thickness = (
-            np.asarray(sum(weight * table.sizes[name] for table, weight in self.tables))
-            for name in ("x", "y", "z", "centre", "thickness")
+            summed.sizes[name] for name in ("x", "y", "z", "centre", "thickness")
         )
         field, ends = _mirrored((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
-        return BentLayer(field, centre, ends, float(thickness), angle_deg, energy, moment)
+        sizes = centre, ends, float(thickness)
+        return BentLayer(field, *sizes, angle_deg, float(energy), float(moment))
 
 
-@lru_cache(maxsize=32)
-def _energy_over_angle(table: SolutionTable) -> CubicHermiteSpline:
-    """Energy [J] over the angle [deg], whose slope is the moment."""
-    numbers = table.numbers["energy"], np.radians(table.numbers["moment"])
-    return CubicHermiteSpline(table.nodes("angle"), *numbers)
+class _Summed(NamedTuple):
+    """Weighted sum of tables: at the solved angles and between, (angles, nx, ny, nz, 3).
+
+    Attributes:
+        weights: spline of the weights of the solved angles [deg].
+        values: displacements of the nodes [m].
+        energy: spline over the angle [deg], whose slope is the moment.
+        sizes: of the bent layer [m].
+    """
+
+    weights: CubicSpline
+    values: Array
+    energy: CubicHermiteSpline
+    sizes: dict[str, Array]
+
+
+@lru_cache(maxsize=16)
+def _summed(bends: BendTable) -> _Summed:
+    angles, (first, _) = bends.angles_deg, bends.tables[0]
+    values = sum(weight * table.evaluate(angle=angles)[0] for table, weight in bends.tables)
+    energy, moment = (
+        sum(weight * table.numbers[name] for table, weight in bends.tables)
+        for name in ("energy", "moment")
+    )
+    sizes = {
+        name: np.asarray(sum(weight * table.sizes[name] for table, weight in bends.tables))
+        for name in first.sizes
+    }
+    return _Summed(
+        CubicSpline(angles, np.eye(len(angles))),
+        np.asarray(values),
+        CubicHermiteSpline(angles, energy, np.radians(moment)),
+        sizes,
+    )
 
 
 def tabulate_bends(

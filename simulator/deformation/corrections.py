@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -27,12 +27,13 @@ from eitskin.simulator.deformation.node_sums import (
     MIRRORED_Y,
     NodeSums,
     functions_from,
+    sum_of,
 )
 from eitskin.simulator.deformation.outline_sides import SideFade, sides_of
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
-from eitskin.simulator.deformation.solution_table import SolutionTable, product_in_blocks
+from eitskin.simulator.deformation.solution_table import SolutionTable
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -199,54 +200,10 @@ def load_table(problem: Problem) -> SolutionTable:
     return load_or_solve(problem, SolutionTable.from_arrays)
 
 
-class TableSum:
-    """Sum of tables of one kind with weights, whose fields are summed at once.
-
-    Heights of fields count over the gel's, stresses over its modulus, and coefficients are on the
-    functions of the base, in the order (nx, nz, k, ny).
-    """
-
-    def __init__(self, base: SolutionTable, tables: tuple[SolutionTable, ...]) -> None:
-        self._tables = tables
-        fields = []
-        for table in tables:
-            own = np.array([1.0, 1.0, 1.0 / table.size("height"), 1.0 / table.size("modulus")])
-            coefficients = table.modes * (table.scales * own).astype(np.float32)
-            coefficients = _resampled(coefficients, table, base)
-            fields.append(np.moveaxis(coefficients, 2, -1).astype(np.float32))
-        self._shape = fields[0].shape[1:]
-        self._fields = np.concatenate([each.reshape(len(each), -1) for each in fields])
-
-    def evaluate(
-        self, weights: Iterable[float], height: float, **parameters: Array
-    ) -> tuple[Callable[[], Numbers], Array]:
-        """Function that gives the fields (all images, t, nx, nz, k, ny), and extra depths (t,) [m].
-
-        At parameters (t,), among them a depth [m], under a gel of a height [m].
-        """
-        amounts, extra = [], np.zeros(1)
-        for table, weight in zip(self._tables, weights, strict=True):
-            higher = height / table.size("height")
-            own = parameters | {"depth": parameters["depth"] / higher}
-            found, numbers = table.amounts(**own)
-            amounts.append(weight * found.reshape(-1, *found.shape[-2:]))
-            extra = extra + weight * higher * numbers["extra_depth"]
-        return partial(self.fields, np.concatenate(amounts, axis=-1)), extra
-
-    def fields(self, amounts: Array) -> Numbers:
-        """Fields (..., nx, nz, k, ny) of amounts of the modes of all tables (..., modes)."""
-        rows = product_in_blocks(amounts.reshape(-1, amounts.shape[-1]), self._fields)
-        return rows.reshape(*amounts.shape[:-1], *self._shape)
-
-
-# Sums are as large as all their tables, and those of a nominal sensor serve all its specimens.
-sum_of = lru_cache(maxsize=32)(TableSum)
-
-
-def sums_on(design: SensorDesign, scenes: int) -> NodeSums:
+def sums_on(design: SensorDesign, scenes: int, components: int) -> NodeSums:
     """Sums for corrections of scenes on a long rectangle, whose nodes are denser towards its sides.
 
-    Components are the displacement and the mean stress, as cubics over the height.
+    Components are the displacement and, as the fourth, the mean stress, as cubics over the height.
     """
     outline = design.outline
     along, across = (
@@ -255,7 +212,7 @@ def sums_on(design: SensorDesign, scenes: int) -> NodeSums:
     )
     turned = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, across + 1)))
     nodes = np.linspace(0.0, outline.length, along + 1), outline.width * turned
-    return NodeSums(nodes, scenes, 4, 4)
+    return NodeSums(nodes, scenes, 4, components)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,7 +257,7 @@ class Corrections:
 
     def at(self, x: float, y: float, depth: float) -> PressCorrection:
         """Correction of one press at (x, y) to a depth [m], as of `evaluate`."""
-        sums = sums_on(self.design, 1) if self.strip else None
+        sums = sums_on(self.design, 1, 4) if self.strip else None
         fields, extra = self.evaluate(np.array([[x, y, depth]]), np.zeros(1, int), sums)
         summed = sums.fields(self.design.thickness, self.scales) if sums else []
         return PressCorrection([*summed, *fields[0]], float(extra[0]))
@@ -332,27 +289,30 @@ class Corrections:
     ) -> Array:
         """Corrections on a long rectangle: those of a strip, and differences near both ends."""
         (x, y, depth), (strip, end) = places.T, self.strip
-        H, height = strip.size("thickness"), self.design.thickness
-        images = (DIRECT, MIRRORED_Y), (MIRRORED_X, BOTH_MIRRORED)
-        pressed = {"distance_to_side": y, "depth": depth}
-        fields, extra = sum_of(strip, (strip,)).evaluate([1.0], height, **pressed)
+        H, height, k = strip.size("thickness"), self.design.thickness, 4
+        if sums:
+            k = sums.components
+        images, pressed = (DIRECT, MIRRORED_Y), {"distance_to_side": y, "depth": depth}
+        table = sum_of(strip, (strip,), k, images)
+        amounts, extra = table.amounts([1.0], height, **pressed)
         if sums:
             bases = tables.strip_bases(H, outline.width)
-            along = functions_from(bases[0], sums.nodes[0], x)
-            for image, found in zip(images[0], fields(), strict=True):
-                sums.add(found, along, bases[1].dense(sums.nodes[1]), scenes, image)
+            along, across = (
+                functions_from(bases[0], sums.nodes[0], x),
+                bases[1].dense(sums.nodes[1]),
+            )
+            sums.add(table.modes, amounts, along, across, scenes)
         distance = np.stack([x, outline.length - x])
         far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
         pressed = {name: values[near] for name, values in pressed.items()}
-        fields, more = sum_of(end, (end,)).evaluate(
-            [1.0], height, distance_to_end=distance[far, near], **pressed
-        )
+        table = sum_of(end, (end,), k, images)
+        amounts, more = table.amounts([1.0], height, distance_to_end=distance[far, near], **pressed)
         np.add.at(extra, near, more)
         if sums and len(near):
             ends = tables.end_bases(H, outline.width)
-            factors = ends[0].dense(sums.nodes[0]), ends[1].dense(sums.nodes[1])
-            for found, image in zip(fields(), np.array(images).swapaxes(0, 1), strict=True):
-                sums.add(found, *factors, scenes[near], image[far])
+            along, across = (basis.dense(at) for basis, at in zip(ends, sums.nodes, strict=True))
+            image = np.stack([far, np.zeros_like(far)], axis=1)
+            sums.add(table.modes, amounts, along, across, scenes[near], image)
         return extra
 
     def _beside_rectangle(self, places: Array, scenes: Indices, sums: NodeSums | None) -> Array:
@@ -371,26 +331,22 @@ class Corrections:
         images = np.array([DIRECT, BOTH_MIRRORED, MIRRORED_Y, MIRRORED_X])
         side, press = np.nonzero((distance < base.nodes("distance_to_side")[-1]) & (distance > 0.0))
         varied, weights = zip(*self.varied, strict=True)
-        fields, more = sum_of(base, varied).evaluate(
-            weights,
-            self.design.thickness,
-            distance_to_side=distance[side, press],
-            depth=depth[press],
-        )
+        table = sum_of(base, varied, sums.components if sums else 4)
+        pressed = {"distance_to_side": distance[side, press], "depth": depth[press]}
+        amounts, more = table.amounts(weights, self.design.thickness, **pressed)
         np.add.at(extra, press, more)
-        if sums and len(press):
-            (found,), inward = fields(), CubicSplines(base.sizes["inward"] + base.size("middle"))
-            along = CubicSplines(base.sizes["along"])
-            for upright in (0, 1):
-                here = np.flatnonzero(side // 2 == upright)
-                s, p, nodes = side[here], press[here], sums.nodes
-                own = functions_from(along, nodes[upright], foot[s, p])
-                fixed = inward.dense(nodes[1 - upright]).astype(np.float32)
-                if upright:  # beside a side along y the components along x and y change places
-                    turned = np.ascontiguousarray(found[here].swapaxes(1, 4)[:, :, :, [1, 0, 2, 3]])
-                    sums.add(turned, fixed, own, scenes[p], images[s])
-                else:
-                    sums.add(found[here], own, fixed, scenes[p], images[s])
+        if not sums:
+            return extra
+        inward = CubicSplines(base.sizes["inward"] + base.size("middle"))
+        along = CubicSplines(base.sizes["along"])
+        for upright in (0, 1):  # along y the components along x and y change places
+            here = np.flatnonzero(side // 2 == upright)
+            s, p, nodes = side[here], press[here], sums.nodes
+            own = functions_from(along, nodes[upright], foot[s, p])
+            factors = [own, inward.dense(nodes[1 - upright])]
+            modes, factors = (table.turned, factors[::-1]) if upright else (table.modes, factors)
+            if len(here):
+                sums.add(modes, amounts[here], factors[0], factors[1], scenes[p], images[s])
         return extra
 
     def _beside_sides(self, x: float, y: float, depth: float) -> PressCorrection:
@@ -404,13 +360,11 @@ class Corrections:
             return PressCorrection([], 0.0)
         bases = CubicSplines(base.sizes["along"]), CubicSplines(base.sizes["inward"])
         varied, weights = zip(*self.varied, strict=True)
-        found, extra = sum_of(base, varied).evaluate(
-            weights,
-            self.design.thickness,
-            distance_to_side=np.array([side.aside for side in sides]),
-            depth=np.array([depth]),
+        table, asides = sum_of(base, varied, 4), np.array([side.aside for side in sides])
+        amounts, extra = table.amounts(
+            weights, self.design.thickness, distance_to_side=asides, depth=np.array([depth])
         )
-        total = np.moveaxis(found()[0], -1, 2) * self.scales
+        total = table.fields(amounts) * self.scales
         middle, fields, sunk = base.size("middle"), [], 0.0
         for side, coefficients, more in zip(sides, total, extra.tolist(), strict=True):
             (foot_x, foot_y), (cos, sin) = side.foot, side.along
@@ -431,29 +385,11 @@ class Corrections:
         frame, fields, extra = Frame(radius, radius, cos, sin), [], 0.0
         pressed = {"distance_to_side": np.array([radius - distance]), "depth": np.array([depth])}
         for table, weight in self.varied:
-            found, more = sum_of(table, (table,)).evaluate([weight], height, **pressed)
             # A press beyond the middle is one on this side, turned by half a turn.
-            here, there = np.moveaxis(found()[:, 0], -1, 2) * self.scales
-            coefficients = here + there[::-1, ::-1] * np.array([-1.0, -1.0, 1.0, 1.0])
+            both = sum_of(table, (table,), 4, (DIRECT, BOTH_MIRRORED))
+            amounts, more = both.amounts([weight], height, **pressed)
+            coefficients = both.fields(amounts)[0] * self.scales
             splines = CubicSplines(table.sizes["nodes"])
             fields.append(Field((splines, splines), height, coefficients, frame))
             extra += float(more[0])
         return PressCorrection(fields, extra)
-
-
-def _resampled(coefficients: Numbers, table: SolutionTable, base: SolutionTable) -> Numbers:
-    """Coefficients (t, nx, ny, nz, k) of a table beside a side, on the splines of another."""
-    if table is base or (
-        np.array_equal(table.sizes["along"], base.sizes["along"])
-        and np.array_equal(table.sizes["inward"], base.sizes["inward"])
-    ):
-        return coefficients
-    moved = table.size("middle") - base.size("middle")
-    along, inward = (
-        CubicSplines(new).fit @ CubicSplines(own).dense(new)
-        for own, new in (
-            (table.sizes["along"], base.sizes["along"]),
-            (table.sizes["inward"] + moved, base.sizes["inward"]),
-        )
-    )
-    return np.asarray(np.einsum("ai,bj,tijlk->tablk", along, inward, coefficients, optimize=True))

@@ -2,20 +2,22 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift
 from eitskin.geometry.deformation.kinematics import (
     WHOLE_TENSOR,
-    Composed,
     Deformation,
     area_ratio,
     pulled_back_entries,
 )
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.deformation.dents import KERNELS
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
 Array = NDArray[np.float64]
@@ -56,26 +58,33 @@ class DeformedLayer:
         """
         own = x if self.shift is None else self.shift.positions(x)
         sigma = self.design.conductivity_at(own)
-        F = self._gradient(x)
-        if F is None:
+        factors = self._gradients(x)
+        if not factors:
             unit: Array = sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
             return unit
         if self.deformation is not None and self.piezoresistivity != Piezoresistivity():
             stress = self.mean_stress(own) if self.mean_stress else 0.0
-            J = np.linalg.det(F)
-            if self.shift is not None:
-                J = J / np.linalg.det(self.shift.gradient(x))
-            sigma = sigma * self.piezoresistivity.factor(J, stress)
-        found: Array = sigma[..., None] * pulled_back_entries(F)
+            sigma = sigma * self.piezoresistivity.factor(np.linalg.det(factors[0]), stress)
+        kernels = compiled(KERNELS)
+        found = np.empty((*sigma.shape, 6))
+        if kernels is not None:
+            first, *shift = (np.ascontiguousarray(F).reshape(-1, 9) for F in factors)
+            after = shift[0] if shift else np.empty((0, 9))
+            if not kernels.pull_back(first, after, sigma.ravel(), found.reshape(-1, 6)):
+                return found
+        np.multiply(sigma[..., None], pulled_back_entries(reduce(np.matmul, factors)), out=found)
         return found
 
-    def _gradient(self, x: Array) -> Array | None:
-        """Gradient of the map from nominal to deformed points, (..., 3, 3); None for none."""
-        if self.deformation is None:
-            return None if self.shift is None else self.shift.gradient(x)
-        if self.shift is None:
-            return self.deformation.gradient(x)
-        return Composed(self.shift, self.deformation).gradient(x)
+    def _gradients(self, x: Array) -> list[Array]:
+        """Gradients (..., 3, 3) whose product is that of the map from nominal to deformed points.
+
+        That of the deformation comes before that of the shift, where there are such.
+        """
+        factors = [] if self.shift is None else [self.shift.gradient(x)]
+        if self.deformation is not None:
+            own = x if self.shift is None else self.shift.positions(x)
+            factors.insert(0, self.deformation.gradient(own))
+        return factors
 
     def conductivity(self, x: Array) -> Array:
         """Tensors J F^-1 sigma F^-T [S/m], (..., 3, 3), at flat points (..., 3) [m]."""
@@ -83,8 +92,10 @@ class DeformedLayer:
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
         """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""
-        F = self._gradient(x)
-        return np.ones(x.shape[:-1]) if F is None else area_ratio(F, normal)
+        factors = self._gradients(x)
+        if not factors:
+            return np.ones(x.shape[:-1])
+        return area_ratio(reduce(np.matmul, factors), normal)
 
 
 class MeshPoints(NamedTuple):

@@ -1,6 +1,7 @@
 """Deformation of the layer by presses: superposed axisymmetric dents and their corrections."""
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
@@ -9,11 +10,13 @@ from numpy.typing import NDArray
 from eitskin.compiled import compiled
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
+from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.press_table import TabulatedDent
 
 Array = NDArray[np.float64]
 
 _HAIR = 1e-9  # [m]
+KERNELS = "eitskin.simulator.deformation.kernels"
 
 
 class ColumnField(Protocol):
@@ -39,15 +42,6 @@ class PlacedDent:
     def moved(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
         moved, heights = np.zeros((12, columns.shape[1], len(columns))), columns[..., 2]
-        kernels = compiled("eitskin.simulator.deformation.kernels")
-        even = len(heights) > 0 and (heights == heights[:1]).all()
-        if kernels is not None and even:
-            pieces = self.dent.at_heights(heights[0])
-            by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
-            axes = columns[:, 0, :2].T.copy()
-            place = float(self.x), float(self.y)
-            kernels.add_dent(place, *axes, pieces.x, by_piece, _HAIR, moved)
-            return moved
         near, (dx, dy), r = self._around(columns)
         motion = np.moveaxis(self.dent.motion(r, heights[near]), (1, 2, 0), (0, 1, 2))
         u, w, u_z, w_z, u_r, w_r = motion
@@ -58,6 +52,13 @@ class PlacedDent:
         along = shear, s * s * u_r + c * c * hoop, s * u_z
         moved[..., near] = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
         return moved
+
+    def add_to(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
+        """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
+        dent, place = self.dent, (float(self.x), float(self.y))
+        kernels.add_dent(
+            place, dent.thickness, dent.profile.x, dent.pieces, _HAIR, points, places, F
+        )
 
     def values(self, columns: Array) -> Array:
         """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3)."""
@@ -94,6 +95,8 @@ class Dents(Deformation):
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
+        if kernels := compiled(KERNELS):
+            return self._mapped_by(kernels, points)
         columns, shape = _columns(points), points.shape[:-1]
         moved = np.zeros((12, columns.shape[1], len(columns)))
         for field in (*self.corrections, *self.presses):
@@ -102,6 +105,17 @@ class Dents(Deformation):
         moved = moved.swapaxes(-2, -1)
         positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
         return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
+
+    def _mapped_by(self, kernels: ModuleType, points: Points) -> tuple[Points, Gradients]:
+        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        places, F = flat.copy(), np.tile(np.eye(3).ravel(), (len(flat), 1))
+        for field in (*self.corrections, *self.presses):
+            if isinstance(field, Field | PlacedDent):
+                field.add_to(kernels, flat, places, F)
+            else:
+                moved = field.moved(flat[:, None])[:, 0].T
+                places, F = places + moved[:, :3], F + moved[:, 3:]
+        return places.reshape(points.shape), F.reshape(*points.shape, 3)
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""

@@ -4,14 +4,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import ModuleType
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, NdBSpline, make_interp_spline
-
-from eitskin.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -203,11 +202,7 @@ class Field:
 
     def moved(self, columns: Array) -> Array:
         """Displacements [m] and their derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
-        kernels = compiled("eitskin.simulator.deformation.kernels")
-        if kernels is None or self.coefficients.shape[2] > _UPRIGHT:
-            moved = self._moved_plainly(columns)
-        else:
-            moved = self._moved_by_kernel(kernels.add_field, columns)
+        moved = self._moved_plainly(columns)
         if self.fade is not None:
             x, y, _ = self._in_frame(columns)
             c, s = (1.0, 0.0) if self.frame is None else (self.frame.cos, self.frame.sin)
@@ -219,29 +214,33 @@ class Field:
             moved[:3] *= weight
         return moved
 
-    def _moved_by_kernel(self, add_field: Callable[..., None], columns: Array) -> Array:
-        nx, ny, nz, _ = self.coefficients.shape
-        powers = np.matmul(_powers(nz), self.coefficients[..., :3])
-        frame, half = self.frame, (math.inf, math.inf)
-        x, y = columns[:, 0, 0], columns[:, 0, 1]
-        if frame is None:
-            frame = Frame(0.0, 0.0, 1.0, 0.0)
-            x, y = (np.clip(at, *basis.ends) for at, basis in zip((x, y), self.bases, strict=True))
-        else:
-            half = self.bases[0].ends[1], self.bases[1].ends[1]
-        levels = np.clip(2.0 * columns[..., 2] / self.height - 1.0, -1.0, 1.0)
-        moved = np.zeros((12, columns.shape[1], len(columns)))
-        add_field(
-            tuple(map(float, frame)),
-            half,
-            *(basis.knots for basis in self.bases if isinstance(basis, CubicSplines)),
-            np.ascontiguousarray(powers, dtype=np.float64).reshape(nx, ny, -1),
-            np.ascontiguousarray(levels),
-            2.0 / self.height,
-            *(np.ascontiguousarray(at) for at in (x, y)),
-            moved,
+    def add_to(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
+        """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
+        if self.fade is not None or self.coefficients.shape[2] > _UPRIGHT:
+            moved = self.moved(points[:, None])[:, 0].T
+            places += moved[:, :3]
+            F += moved[:, 3:]
+            return
+        frame, half = Frame(0.0, 0.0, 1.0, 0.0), (math.inf, math.inf)
+        if self.frame is not None:
+            frame, half = self.frame, (self.bases[0].ends[1], self.bases[1].ends[1])
+        kernels.add_field(
+            tuple(map(float, frame)), half, self.height, *self.splines, points, places, F
         )
-        return moved
+
+    @property
+    def splines(self) -> tuple[Array, Array, Array]:
+        """Knots along x and y, and coefficients (nx, ny, 12) of the powers 0 to 3 of the level.
+
+        Levels go from -1 to 1 over the height; each power has the three components of the
+        displacement.
+        """
+        along, across = self.bases
+        if not (isinstance(along, CubicSplines) and isinstance(across, CubicSplines)):
+            raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
+        nx, ny, nz, k = self.coefficients.shape
+        powers = self.coefficients.reshape(nx * ny, -1) @ _powers(nz, k)
+        return along.knots, across.knots, powers.reshape(nx, ny, -1)
 
     def _moved_plainly(self, columns: Array) -> Array:
         x, y, within = self._in_frame(columns)
@@ -283,7 +282,7 @@ class Field:
             sums = NdBSpline(knots, np.ascontiguousarray(coefficients), _DEGREE)
             return np.stack([sums(points, nu=nu) for nu in orders], axis=1)
         if orders != (_VALUE,):
-            raise TypeError("only splines have slopes; `resampled_sum` makes them of polynomials")
+            raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
         lines = along.dense(x), across.dense(y)
         found = np.einsum("ni,nj,ijzk->nzk", *lines, coefficients, optimize=True)
         return np.asarray(found[:, None])
@@ -299,7 +298,9 @@ class Field:
 
 
 @lru_cache(maxsize=8)
-def _powers(count: int) -> Array:
-    """Coefficients of the powers 0 to 3 of Legendre polynomials, (4, count)."""
-    powers = [legendre.leg2poly(row) for row in np.eye(count)]
-    return np.stack([np.pad(each, (0, _UPRIGHT - len(each))) for each in powers], axis=1)
+def _powers(count: int, components: int) -> Array:
+    """Coefficients of the powers 0 to 3 of three components, (count * components, 12)."""
+    powers = np.stack(
+        [np.pad(legendre.leg2poly(e), (0, _UPRIGHT - i - 1)) for i, e in enumerate(np.eye(count))]
+    )
+    return np.asarray(np.kron(powers, np.eye(components, 3)), dtype=np.float64)

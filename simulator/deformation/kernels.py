@@ -1,4 +1,8 @@
-"""Compiled sums of fields and dents over columns of points; plain twins: `field`, `dents`."""
+"""Compiled motion of points; plain twins: `field`, `dents`, `bend_table`, `kinematics`.
+
+Where points (n, 3) follow each other in vertical columns, what depends on x and y alone is found
+once for a column. Deformed places (n, 3) and gradients F (n, 9), by rows, are added to.
+"""
 
 import math
 
@@ -35,133 +39,259 @@ def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> in
     return cell
 
 
+@kernel("i8(f8[::1], f8[::1], f8[:,:,::1], i8, i8, f8, f8, f8[:,::1], f8[:,::1])")
+def sum_up(
+    tx: Array,
+    ty: Array,
+    coefficients: Array,
+    i: int,
+    j: int,
+    x: float,
+    y: float,
+    values: Array,
+    sums: Array,
+) -> int:
+    """Sums at (x, y) of a field and its slopes by x and y, (3, 12), of powers of the level.
+
+    Returns the cell along x and y as one number; `values` (4, 4) is room.
+    """
+    a, da, b, db = values[0], values[1], values[2], values[3]
+    i = functions(tx, x, i, a, da)
+    j = functions(ty, y, j, b, db)
+    sums[:] = 0.0
+    for p in range(4):
+        row = coefficients[i - 3 + p, j - 3 : j + 1]
+        for m in range(12):  # a fixed number of turns takes half the time of any number
+            c0, c1, c2, c3 = row[0, m], row[1, m], row[2, m], row[3, m]
+            value = b[0] * c0 + b[1] * c1 + b[2] * c2 + b[3] * c3
+            by_y = db[0] * c0 + db[1] * c1 + db[2] * c2 + db[3] * c3
+            sums[0, m] += a[p] * value
+            sums[1, m] += da[p] * value
+            sums[2, m] += a[p] * by_y
+    return i * 65536 + j
+
+
+@kernel("void(f8[:,::1], f8, f8, f8[::1], f8[:,::1])")
+def over_height(sums: Array, z: float, rate: float, u: Array, slope: Array) -> None:
+    """Set displacement u (3,) and slopes (3, 3) at a level z that grows with the height by rate."""
+    for k in range(3):
+        s0, s1, s2, s3 = sums[0, k], sums[0, 3 + k], sums[0, 6 + k], sums[0, 9 + k]
+        u[k] = s0 + z * (s1 + z * (s2 + z * s3))
+        slope[k, 2] = rate * (s1 + z * (2.0 * s2 + 3.0 * z * s3))
+        for d in range(2):
+            upper = sums[1 + d, 6 + k] + z * sums[1 + d, 9 + k]
+            slope[k, d] = sums[1 + d, k] + z * (sums[1 + d, 3 + k] + z * upper)
+
+
 @kernel(
-    "void(UniTuple(f8, 4), UniTuple(f8, 2), f8[::1], f8[::1], "
-    "f8[:,:,::1], f8[:,::1], f8, f8[::1], f8[::1], f8[:,:,::1])"
+    "void(UniTuple(f8, 4), UniTuple(f8, 2), f8, f8[::1], f8[::1], f8[:,:,::1], "
+    "f8[:,::1], f8[:,::1], f8[:,::1])"
 )
 def add_field(
     frame: tuple[float, float, float, float],
     half: tuple[float, float],
+    height: float,
     tx: Array,
     ty: Array,
     coefficients: Array,
-    levels: Array,
-    rate: float,
-    x: Array,
-    y: Array,
-    moved: Array,
+    points: Array,
+    places: Array,
+    gradients: Array,
 ) -> None:
-    """Set displacements and their derivatives by x, y, z at columns, `moved` (12, h, n).
+    """Add the displacement of a field of splines and its derivatives.
 
     Args:
         frame: x, y [m], cosine and sine of the angle of the field's frame.
-        half: half the length and width of the field's box [m].
+        half: half the length and width of the field's box, beyond which there is nothing; infinite
+            where the field keeps the values of its ends [m].
+        height: of the box [m].
         tx, ty: knots of the splines.
         coefficients: of the powers 0 to 3 of the level, of three components, (nx, ny, 12).
-        levels: of the points of each column, from -1 to 1 over the height, (n, h).
-        rate: of the level by the height [1/m].
-        x, y: of the columns, (n,) [m].
-        moved: zeros.
+        points: undeformed.
+        places, gradients: added to.
     """
-    a, da, b, db = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    sums, slope, u = np.empty((3, 12)), np.empty((3, 3)), np.empty(3)
+    values, sums = np.empty((4, 4)), np.empty((3, 12))
+    slope, u = np.empty((3, 3)), np.empty(3)
     ox, oy, c, s = frame
-    i, j = 3, 3
-    for n in range(len(x)):
-        dx, dy = x[n] - ox, y[n] - oy
-        at_x, at_y = c * dx + s * dy, c * dy - s * dx
-        if abs(at_x) >= half[0] or abs(at_y) >= half[1]:
+    ends = tx[0], tx[-1], ty[0], ty[-1]
+    cells, inside, before_x, before_y = 3 * 65536 + 3, False, np.nan, np.nan
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        if x != before_x or y != before_y:
+            before_x, before_y = x, y
+            at_x, at_y = c * (x - ox) + s * (y - oy), c * (y - oy) - s * (x - ox)
+            inside = abs(at_x) < half[0] and abs(at_y) < half[1]
+            if inside:
+                at_x, at_y = min(max(at_x, ends[0]), ends[1]), min(max(at_y, ends[2]), ends[3])
+                cells = sum_up(
+                    tx, ty, coefficients, cells // 65536, cells % 65536, at_x, at_y, values, sums
+                )
+        if not inside:
             continue
-        i = functions(tx, at_x, i, a, da)
-        j = functions(ty, at_y, j, b, db)
-        sums[:] = 0.0
-        for p in range(4):
-            row = coefficients[i - 3 + p, j - 3 : j + 1]
-            for m in range(12):  # a fixed number of turns takes half the time of any number
-                c0, c1, c2, c3 = row[0, m], row[1, m], row[2, m], row[3, m]
-                value = b[0] * c0 + b[1] * c1 + b[2] * c2 + b[3] * c3
-                by_y = db[0] * c0 + db[1] * c1 + db[2] * c2 + db[3] * c3
-                sums[0, m] += a[p] * value
-                sums[1, m] += da[p] * value
-                sums[2, m] += a[p] * by_y
-        for q in range(levels.shape[1]):
-            z = levels[n, q]
-            for k in range(3):
-                s0, s1, s2, s3 = sums[0, k], sums[0, 3 + k], sums[0, 6 + k], sums[0, 9 + k]
-                u[k] = s0 + z * (s1 + z * (s2 + z * s3))
-                slope[k, 2] = rate * (s1 + z * (2.0 * s2 + 3.0 * z * s3))
-                for d in range(2):
-                    upper = sums[1 + d, 6 + k] + z * sums[1 + d, 9 + k]
-                    slope[k, d] = sums[1 + d, k] + z * (sums[1 + d, 3 + k] + z * upper)
-            moved[0, q, n] = c * u[0] - s * u[1]
-            moved[1, q, n] = s * u[0] + c * u[1]
-            moved[2, q, n] = u[2]
-            # The gradient Q G Q^T: rows turned first, then columns.
-            for k in range(3):
-                one, other = slope[0, k], slope[1, k]
-                slope[0, k], slope[1, k] = c * one - s * other, s * one + c * other
-            for k in range(3):
-                one, other = slope[k, 0], slope[k, 1]
-                moved[3 + 3 * k, q, n] = c * one - s * other
-                moved[4 + 3 * k, q, n] = s * one + c * other
-                moved[5 + 3 * k, q, n] = slope[k, 2]
+        level = min(max(2.0 * points[n, 2] / height - 1.0, -1.0), 1.0)
+        over_height(sums, level, 2.0 / height, u, slope)
+        places[n, 0] += c * u[0] - s * u[1]
+        places[n, 1] += s * u[0] + c * u[1]
+        places[n, 2] += u[2]
+        # The gradient Q G Q^T: rows turned first, then columns.
+        for k in range(3):
+            one, other = slope[0, k], slope[1, k]
+            slope[0, k], slope[1, k] = c * one - s * other, s * one + c * other
+        for k in range(3):
+            one, other = slope[k, 0], slope[k, 1]
+            gradients[n, 3 * k] += c * one - s * other
+            gradients[n, 3 * k + 1] += s * one + c * other
+            gradients[n, 3 * k + 2] += slope[k, 2]
 
 
-@kernel("void(UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[:,:,::1], f8, f8[:,:,::1])")
+@kernel("void(UniTuple(f8, 2), f8, f8[::1], f8[:,:,::1], f8, f8[:,::1], f8[:,::1], f8[:,::1])")
 def add_dent(
     place: tuple[float, float],
-    x: Array,
-    y: Array,
+    height: float,
     knots: Array,
     pieces: Array,
     least: float,
-    moved: Array,
+    points: Array,
+    places: Array,
+    gradients: Array,
 ) -> None:
-    """Add the displacement of a dent and its derivatives, at columns of h points, to `moved`.
+    """Add the displacement of a dent and its derivatives.
 
     Args:
         place: of the axis, x and y [m].
-        x, y: of the columns, (n,) [m].
+        height: of the layer [m].
         knots: of the piecewise cubics in r, (m + 1,) [m].
-        pieces: coefficients of u, w, du/dz, dw/dz, du/dr, dw/dr at h heights, highest power
-            first, (m, 4, 6 h).
+        pieces: coefficients of u and w, of the powers 0 to 5 of the level each, of the powers of r
+            from the highest, (m, 4, 12).
         least: distance to which points on the axis are moved aside [m].
-        moved: displacement and derivatives by x, y, z, (12, h, n).
+        points: undeformed.
+        places, gradients: added to.
     """
-    h = moved.shape[1]
-    reach, last = knots[-1], len(knots) - 2
-    motion = np.empty(6 * h)
-    piece = 0
-    for n in range(len(x)):
-        dx, dy = x[n] - place[0], y[n] - place[1]
-        r = math.sqrt(dx * dx + dy * dy)
+    reach, last, rate = knots[-1], len(knots) - 2, 2.0 / height
+    value, slope = np.empty(12), np.empty(12)
+    piece, before_x, before_y, r, c, s = 0, np.nan, np.nan, reach, 1.0, 0.0
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        if x != before_x or y != before_y:
+            before_x, before_y = x, y
+            dx, dy = x - place[0], y - place[1]
+            r = math.sqrt(dx * dx + dy * dy)
+            if r < reach:
+                if r < least:
+                    dx, dy, r = least, 0.0, least
+                while piece < last and r >= knots[piece + 1]:
+                    piece += 1
+                while piece > 0 and r < knots[piece]:
+                    piece -= 1
+                t = r - knots[piece]
+                own = pieces[piece]
+                for m in range(12):
+                    c3, c2, c1, c0 = own[0, m], own[1, m], own[2, m], own[3, m]
+                    value[m] = ((c3 * t + c2) * t + c1) * t + c0
+                    slope[m] = (3.0 * c3 * t + 2.0 * c2) * t + c1
+                c, s = dx / r, dy / r
         if r >= reach:
             continue
-        if r < least:
-            dx, dy, r = least, 0.0, least
-        while piece < last and r >= knots[piece + 1]:
-            piece += 1
-        while piece > 0 and r < knots[piece]:
-            piece -= 1
-        s = r - knots[piece]
-        c3, c2, c1, c0 = pieces[piece]
-        for m in range(6 * h):
-            motion[m] = ((c3[m] * s + c2[m]) * s + c1[m]) * s + c0[m]
-        c, s = dx / r, dy / r
+        z = rate * points[n, 2] - 1.0
+        u, w, u_r, w_r = value[5], value[11], slope[5], slope[11]
+        u_z, w_z = 0.0, 0.0
+        for m in range(4, -1, -1):
+            u_z, w_z = u_z * z + u, w_z * z + w
+            u, w = u * z + value[m], w * z + value[6 + m]
+            u_r, w_r = u_r * z + slope[m], w_r * z + slope[6 + m]
+        u_z, w_z = rate * u_z, rate * w_z
         cc, ss, cs = c * c, s * s, c * s
-        for q in range(h):
-            u, w, u_z = motion[q], motion[h + q], motion[2 * h + q]
-            w_z, u_r, w_r = motion[3 * h + q], motion[4 * h + q], motion[5 * h + q]
-            moved[0, q, n] += c * u
-            moved[1, q, n] += s * u
-            moved[2, q, n] += w
-            moved[3, q, n] += cc * u_r + ss * (u / r)
-            moved[7, q, n] += ss * u_r + cc * (u / r)
-            across = cs * (u_r - u / r)
-            moved[4, q, n] += across
-            moved[6, q, n] += across
-            moved[5, q, n] += c * u_z
-            moved[8, q, n] += s * u_z
-            moved[9, q, n] += c * w_r
-            moved[10, q, n] += s * w_r
-            moved[11, q, n] += w_z
+        places[n, 0] += c * u
+        places[n, 1] += s * u
+        places[n, 2] += w
+        across = cs * (u_r - u / r)
+        gradients[n, 0] += cc * u_r + ss * (u / r)
+        gradients[n, 1] += across
+        gradients[n, 2] += c * u_z
+        gradients[n, 3] += across
+        gradients[n, 4] += ss * u_r + cc * (u / r)
+        gradients[n, 5] += s * u_z
+        gradients[n, 6] += c * w_r
+        gradients[n, 7] += s * w_r
+        gradients[n, 8] += w_z
+
+
+@kernel("void(f8[:,::1], f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
+def bend(
+    box: Array,
+    tx: Array,
+    ty: Array,
+    coefficients: Array,
+    places: Array,
+    gradients: Array,
+) -> None:
+    """Move places on by a bend, and multiply gradients by its own.
+
+    Args:
+        box: middle and half sizes of the bent layer, beyond which it goes on linearly, (2, 3) [m].
+        tx, ty: knots of the splines, from the middle.
+        coefficients: as of `add_field`.
+        places, gradients: replaced.
+    """
+    values, sums = np.empty((4, 4)), np.empty((3, 12))
+    slope, u, at, beyond = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    cells, before_x, before_y, rate = 3 * 65536 + 3, np.nan, np.nan, 1.0 / box[1, 2]
+    for n in range(len(places)):
+        for k in range(3):
+            at[k] = places[n, k] - box[0, k]
+            beyond[k] = at[k]
+            at[k] = min(max(at[k], -box[1, k]), box[1, k])
+            beyond[k] -= at[k]
+        if at[0] != before_x or at[1] != before_y:
+            before_x, before_y = at[0], at[1]
+            cells = sum_up(
+                tx, ty, coefficients, cells // 65536, cells % 65536, at[0], at[1], values, sums
+            )
+        over_height(sums, rate * at[2], rate, u, slope)
+        for k in range(3):
+            more = slope[k, 0] * beyond[0] + slope[k, 1] * beyond[1] + slope[k, 2] * beyond[2]
+            places[n, k] += u[k] + more
+            slope[k, k] += 1.0
+        for k in range(3):
+            f0, f1, f2 = gradients[n, k], gradients[n, 3 + k], gradients[n, 6 + k]
+            for d in range(3):
+                gradients[n, 3 * d + k] = slope[d, 0] * f0 + slope[d, 1] * f1 + slope[d, 2] * f2
+
+
+@kernel("i8(f8[:,::1], f8[:,::1], f8[::1], f8[:,::1])")
+def pull_back(gradients: Array, shift: Array, conductivity: Array, entries: Array) -> int:
+    """Set the entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T; how many J are not positive.
+
+    Args:
+        gradients: F, (n, 9); times those of a shift (n, 9) where there is one, else (0, 9).
+        conductivity: sigma, (n,) [S/m].
+        entries: of n tensors, (n, 6).
+    """
+    F, a, wrong = np.empty(9), np.empty(9), 0
+    for n in range(len(gradients)):
+        f = gradients[n]
+        for m in range(9):
+            F[m] = f[m]
+        if len(shift):
+            g = shift[n]
+            for i in range(3):
+                for j in range(3):
+                    F[3 * i + j] = (
+                        f[3 * i] * g[j] + f[3 * i + 1] * g[3 + j] + f[3 * i + 2] * g[6 + j]
+                    )
+        # Rows of the adjugate J F^-1.
+        a[0], a[1] = F[4] * F[8] - F[5] * F[7], F[2] * F[7] - F[1] * F[8]
+        a[2], a[3] = F[1] * F[5] - F[2] * F[4], F[5] * F[6] - F[3] * F[8]
+        a[4], a[5] = F[0] * F[8] - F[2] * F[6], F[2] * F[3] - F[0] * F[5]
+        a[6], a[7] = F[3] * F[7] - F[4] * F[6], F[1] * F[6] - F[0] * F[7]
+        a[8] = F[0] * F[4] - F[1] * F[3]
+        J = F[0] * a[0] + F[1] * a[3] + F[2] * a[6]
+        wrong += not J > 0.0
+        factor = conductivity[n] / J
+        entries[n, 0] = factor * (a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+        entries[n, 1] = factor * (a[3] * a[3] + a[4] * a[4] + a[5] * a[5])
+        entries[n, 2] = factor * (a[6] * a[6] + a[7] * a[7] + a[8] * a[8])
+        entries[n, 3] = factor * (a[0] * a[3] + a[1] * a[4] + a[2] * a[5])
+        entries[n, 4] = factor * (a[0] * a[6] + a[1] * a[7] + a[2] * a[8])
+        entries[n, 5] = factor * (a[3] * a[6] + a[4] * a[7] + a[5] * a[8])
+    return wrong

@@ -1,9 +1,13 @@
-"""Sums of fields of many scenes at the nodes of a rectangle, as splines in its own frame."""
+"""Sums of tables, and of the fields of many scenes at the nodes of a rectangle."""
+
+from collections.abc import Iterable
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.simulator.deformation.field import Basis, CubicSplines, Field
+from eitskin.simulator.deformation.solution_table import BLOCK, SolutionTable, product_in_blocks
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
@@ -22,8 +26,7 @@ class NodeSums:
 
     Attributes:
         nodes: along x and y, (nx,) and (ny,) [m].
-        values: of the images, (scenes, 2, 2, nx, nz, k, ny): mirrored along x or not, along y or
-            not.
+        values: at the nodes, (scenes, nx, nz, k, ny).
     """
 
     def __init__(
@@ -32,72 +35,168 @@ class NodeSums:
         """No fields yet, of `components` with `levels` polynomials over the height."""
         self.nodes = nodes
         shape = len(nodes[0]), levels, components, len(nodes[1])
-        self.values = np.zeros((scenes, 2, 2, *shape), np.float32)
+        self.values = np.zeros((scenes, *shape), np.float32)
+
+    @property
+    def components(self) -> int:
+        """Number k of components."""
+        return self.values.shape[3]
 
     def add(
         self,
-        fields: Numbers,
+        modes: Numbers,
+        amounts: Array,
         along: Numbers,
         across: Numbers,
         scenes: Indices,
-        images: ArrayLike,
+        images: ArrayLike = DIRECT,
     ) -> None:
-        """Add fields to the images of scenes.
+        """Add fields to scenes, or mirror images of them.
 
         Args:
-            fields: coefficients (n, nx', nz', k, ny').
+            modes: coefficients (r, nx', nz', k, ny').
+            amounts: of the modes in each field, (n, r).
             along: values at the nodes of the functions along x, (nx, nx') of all fields or
                 (n, nx, nx') of each.
             across: likewise along y, (ny, ny') or (n, ny, ny').
             scenes: numbers (n,).
             images: whether mirrored along x and y, (n, 2) or (2,).
         """
-        mirrored = np.broadcast_to(images, (len(scenes), 2))
         along, across = (each.astype(np.float32, copy=False) for each in (along, across))
+        mirrored = np.broadcast_to(images, (len(scenes), 2))
         number = 4 * scenes + 2 * mirrored[:, 0] + mirrored[:, 1]
+        slots, slot = np.unique(number, return_inverse=True)
         # Factors of each field come first: there are fewer sums than fields.
-        found = _placed(fields, along, across, own=True)
-        first, where = np.unique(number, return_index=True)[0], np.searchsorted
-        total = np.zeros((len(first), *found.shape[1:]), np.float32)
-        for place, field in zip(where(first, number), found, strict=True):
-            total[place] += field
-        total = _placed(total, along, across, own=False)
-        flat = self.values.reshape(-1, *self.values.shape[3:])
-        flat[first, :, : total.shape[2]] += total
+        total: Numbers = np.zeros(0, np.float32)
+        for start in range(0, len(amounts), BLOCK):
+            rows = slice(start, start + BLOCK)
+            fields = product_in_blocks(amounts[rows], modes.reshape(len(modes), -1))
+            fields = fields.reshape(-1, *modes.shape[1:])
+            own = (each[rows] if each.ndim == 3 else None for each in (along, across))
+            fields = _placed(fields, *own)
+            total = total if total.size else np.zeros((len(slots), *fields.shape[1:]), np.float32)
+            for place, field in zip(slot[rows].tolist(), fields, strict=True):
+                total[place] += field
+        total = _placed(total, *(each if each.ndim == 2 else None for each in (along, across)))
+        levels = modes.shape[2]
+        for one, place in enumerate(slots.tolist()):
+            image = mirror(total[one], (place // 2 % 2, place % 2))
+            self.values[place // 4, :, :levels] += image
 
     def fields(self, height: float, scales: Array) -> list[Field]:
         """Sums of all scenes, with components (k,) times scales, on a box of a height [m]."""
-        total = self.values[:, 0, 0].copy()
-        for x, y in (MIRRORED_X, MIRRORED_Y, BOTH_MIRRORED):
-            image = self.values[:, x, y]
-            image = image[:, ::-1] if x else image
-            image = image[..., ::-1] if y else image
-            signs = np.ones(total.shape[3], np.float32)
-            signs[0], signs[1] = 1.0 - 2.0 * x, 1.0 - 2.0 * y
-            total += image * signs[:, None]
         splines = CubicSplines(self.nodes[0]), CubicSplines(self.nodes[1])
-        fits = [each.fit.astype(np.float32) for each in splines]
-        total = _placed(total, fits[0], fits[1], own=False)
-        total *= scales.astype(np.float32)[:, None]
-        found = np.moveaxis(total, -1, 2)
-        return [
-            Field(splines, height, each) for each in np.ascontiguousarray(found, dtype=np.float64)
-        ]
+        total = _placed(self.values, *(each.fit.astype(np.float32) for each in splines))
+        total *= scales.astype(np.float32)[: self.components, None]
+        found = np.ascontiguousarray(np.moveaxis(total, -1, 2), dtype=np.float64)
+        return [Field(splines, height, each) for each in found]
 
 
-def _placed(fields: Numbers, along: Numbers, across: Numbers, own: bool) -> Numbers:
-    """Fields (n, nx', nz, k, ny') by those of the factors that each has of its own, or not."""
-    n, nx, *between, ny = fields.shape
-    if (along.ndim == 3) == own:
-        nx = along.shape[-2]
-        fields = np.matmul(along, fields.reshape(n, fields.shape[1], -1))
-    if (across.ndim == 3) == own:
-        fields = np.matmul(fields.reshape(n, -1, ny), across.swapaxes(-1, -2))
-        ny = across.shape[-2]
-    return fields.reshape(n, nx, *between, ny)
+def mirror(fields: Numbers, axes: tuple[int, int], polynomials: bool = False) -> Numbers:
+    """Mirror images along x, y or both of fields (..., nx, nz, k, ny) by values at nodes.
+
+    Or by coefficients, either of splines or of polynomials.
+    """
+    signs = np.ones((fields.shape[-2], 1), fields.dtype)
+    for axis, place in ((0, -4), (1, -1)):
+        if axes[axis]:
+            signs[axis] = -1.0
+            if polynomials:
+                odd = np.where(np.arange(fields.shape[place]) % 2, -1.0, 1.0)
+                fields = fields * odd.astype(fields.dtype).reshape(-1, *(1,) * (-1 - place))
+            else:
+                fields = np.flip(fields, place)
+    return fields * signs
 
 
 def functions_from(basis: Basis, nodes: Array, origins: Array) -> Numbers:
     """Values at nodes (m,) of the functions of a basis that begins at each origin, (n, m, k)."""
     values = basis.dense((nodes - origins[:, None]).ravel())
     return values.reshape(len(origins), len(nodes), -1).astype(np.float32)
+
+
+def _placed(fields: Numbers, along: Numbers | None, across: Numbers | None) -> Numbers:
+    """Fields (n, nx', nz, k, ny') by values of their functions along x and y, where given."""
+    n, nx, *between, ny = fields.shape
+    if along is not None:
+        fields, nx = np.matmul(along, fields.reshape(n, nx, -1)), along.shape[-2]
+    if across is not None:
+        fields = np.matmul(fields.reshape(n, -1, ny), across.swapaxes(-1, -2))
+        ny = across.shape[-2]
+    return fields.reshape(n, nx, *between, ny)
+
+
+class TableSum:
+    """Sum of tables of one kind with weights.
+
+    Heights of fields count over the gel's, stresses over its modulus, and coefficients are on the
+    functions of the base.
+
+    Attributes:
+        modes: of all tables and of all their images, (modes, nx, nz, k, ny).
+    """
+
+    def __init__(
+        self,
+        base: SolutionTable,
+        tables: tuple[SolutionTable, ...],
+        components: int,
+        images: tuple[tuple[int, int], ...] = (DIRECT,),
+    ) -> None:
+        self._tables, modes = tables, []
+        for table in tables:
+            own = np.array([1.0, 1.0, 1.0 / table.size("height"), 1.0 / table.size("modulus")])
+            coefficients = (table.modes * (table.scales * own).astype(np.float32))[..., :components]
+            coefficients = np.moveaxis(_resampled(coefficients, table, base), 2, -1)
+            polynomials = "along" not in base.sizes and "nodes" not in base.sizes
+            modes += [mirror(coefficients, image, polynomials) for image in images]
+        self.modes = np.concatenate(modes).astype(np.float32)
+
+    @cached_property
+    def turned(self) -> Numbers:
+        """Modes with x and y changed for each other, (modes, ny, nz, k, nx)."""
+        order = [1, 0, *range(2, self.modes.shape[3])]
+        return np.ascontiguousarray(self.modes.swapaxes(1, 4)[:, :, :, order])
+
+    def amounts(
+        self, weights: Iterable[float], height: float, **parameters: Array
+    ) -> tuple[Array, Array]:
+        """Amounts of the modes (t, modes) and extra depths (t,) [m] under a gel of a height [m].
+
+        At parameters (t,), among them may be a depth [m].
+        """
+        amounts, extra = [], np.zeros(1)
+        for table, weight in zip(self._tables, weights, strict=True):
+            higher = height / table.size("height")
+            own = {k: at / higher if k == "depth" else at for k, at in parameters.items()}
+            found, numbers = table.amounts(**own)
+            amounts += [weight * each for each in found.reshape(-1, *found.shape[-2:])]
+            extra = extra + weight * higher * numbers["extra_depth"]
+        return np.concatenate(amounts, axis=-1), extra
+
+    def fields(self, amounts: Array) -> Numbers:
+        """Coefficients (t, nx, ny, nz, k) of amounts of the modes (t, modes)."""
+        found = product_in_blocks(amounts, self.modes.reshape(len(self.modes), -1))
+        return np.moveaxis(found.reshape(-1, *self.modes.shape[1:]), -1, 2)
+
+
+# Sums are as large as all their tables, and those of a nominal sensor serve all its specimens.
+sum_of = lru_cache(maxsize=32)(TableSum)
+
+
+def _resampled(coefficients: Numbers, table: SolutionTable, base: SolutionTable) -> Numbers:
+    """Coefficients (t, nx, ny, nz, k) of a table beside a side, on the splines of another."""
+    if table is base or (
+        np.array_equal(table.sizes["along"], base.sizes["along"])
+        and np.array_equal(table.sizes["inward"], base.sizes["inward"])
+    ):
+        return coefficients
+    moved = table.size("middle") - base.size("middle")
+    along, inward = (
+        CubicSplines(new).fit @ CubicSplines(own).dense(new)
+        for own, new in (
+            (table.sizes["along"], base.sizes["along"]),
+            (table.sizes["inward"] + moved, base.sizes["inward"]),
+        )
+    )
+    return np.asarray(np.einsum("ai,bj,tijlk->tablk", along, inward, coefficients, optimize=True))

@@ -13,7 +13,6 @@ from eitskin.simulator.deformation.corrections import (
     PressCorrection,
     TabledSensor,
     load_table,
-    sum_of,
     sums_on,
 )
 from eitskin.simulator.deformation.field import Field, Frame
@@ -24,6 +23,7 @@ from eitskin.simulator.deformation.node_sums import (
     MIRRORED_Y,
     NodeSums,
     functions_from,
+    sum_of,
 )
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.solution_table import SolutionTable
@@ -72,7 +72,7 @@ class PairCorrections:
 
         No fields where the presses do not feel each other.
         """
-        sums = sums_on(self.design, 1) if self.sides else None
+        sums = sums_on(self.design, 1, 4) if self.sides else None
         places = np.array([first]), np.array([second])
         ((field,), extra) = self.evaluate(*places, np.zeros(1, int), sums)
         if field is None:
@@ -118,7 +118,7 @@ class PairCorrections:
         if self.sides is not None and sums is not None and scenes is not None:
             near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
             pairs = middle[near], apart[near], angle[near], deep[near]
-            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums, self.design.outline.length)
+            _add_of_sides(self.sides, *pairs, scenes[felt[near]], sums)
         return fields, extra
 
 
@@ -130,19 +130,23 @@ def _add_of_sides(
     deep: Array,
     scenes: Indices,
     sums: NodeSums,
-    length: float,
 ) -> None:
     """Add what the sides of a strip add to pairs about their middles, of products of depths."""
     width = table.size("width")
     low = pair_tables.lowest_middle(table.size("least"), apart, angle)
     place = (middle[:, 1] - low) / np.maximum(0.5 * width - low, _SAME)
-    amounts, _ = table.amounts(axis_distance=apart, direction=angle, place=np.clip(place, 0.0, 2.0))
-    amounts *= (deep / table.size("depth") ** 2)[:, None]
-    found = sum_of(table, (table,)).fields(amounts.reshape(4, *amounts.shape[-2:]))
-    bases = pair_tables.pair_side_bases(table.size("thickness"), width)
-    across = bases[1].dense(sums.nodes[1])
     # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
     # pair is the same at the same distance from the other side.
-    for each, image in zip(found, (DIRECT, BOTH_MIRRORED, MIRRORED_X, MIRRORED_Y), strict=True):
-        origins = length - middle[:, 0] if image[0] else middle[:, 0]
-        sums.add(each, functions_from(bases[0], sums.nodes[0], origins), across, scenes, image)
+    images = DIRECT, BOTH_MIRRORED, MIRRORED_X, MIRRORED_Y
+    every = sum_of(table, (table,), sums.components, images)
+    amounts, _ = every.amounts(
+        [1.0],
+        table.size("height"),
+        axis_distance=apart,
+        direction=angle,
+        place=np.clip(place, 0.0, 2.0),
+    )
+    amounts *= (deep / table.size("depth") ** 2)[:, None]
+    bases = pair_tables.pair_side_bases(table.size("thickness"), width)
+    along = functions_from(bases[0], sums.nodes[0], middle[:, 0])
+    sums.add(every.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)

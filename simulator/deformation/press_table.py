@@ -30,6 +30,10 @@ _SAMPLES = 65  # of the indenter's profile, which identify the indenter
 _DEGREE = 5  # over the height of the layer
 # Legendre coefficients of the derivative of a polynomial, from its own.
 _DERIVATIVE = np.vstack([legendre.legder(np.eye(_DEGREE + 1)), np.zeros(_DEGREE + 1)])
+# Coefficients of powers, of those of Legendre polynomials.
+_POWERS = np.zeros((_DEGREE + 1, _DEGREE + 1))
+for _n in range(_DEGREE + 1):
+    _POWERS[_n, : _n + 1] = legendre.leg2poly(np.eye(_n + 1)[_n])
 
 _DEPTHS = 18
 _DEEPEST = 0.6  # of the thickness of the stack
@@ -69,6 +73,15 @@ class TabulatedDent:
     profile: PPoly
 
     @property
+    def pieces(self) -> Array:
+        """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
+
+        From the highest power of r. Levels go from -1 to 1 over the height.
+        """
+        c = np.ascontiguousarray(self.profile.c.transpose(1, 0, 3, 2)[:, :, :2])
+        return np.asarray((c.reshape(-1, _DEGREE + 1) @ _POWERS).reshape(len(c), 4, -1))
+
+    @property
     def reach(self) -> float:
         """Distance from the axis beyond which nothing moves [m]."""
         return float(self.profile.x[-1])
@@ -77,22 +90,13 @@ class TabulatedDent:
         """u, w, du/dz, dw/dz, du/dr and dw/dr, (n, 6, h): u outwards and w upwards [m].
 
         At distances r > 0 (n,) from the axis and heights z (n, h) over the layer's bottom [m].
-        Where the heights are equal for all n, as for quadrature points in upright cells, the
-        polynomials over the height are summed before the splines.
         """
         inside = np.minimum(r, self.reach)
-        if len(z) and (z == z[0]).all():
-            found = self.at_heights(z[0])(inside)
-            return np.asarray(found.reshape(*r.shape, 6, z.shape[1]))
         P = self.over_height(z)
         c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
         pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
         parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
         return np.concatenate(parts, axis=-2)
-
-    def at_heights(self, z: Array) -> PPoly:
-        """Splines over r of u, w, du/dz, dw/dz, du/dr, dw/dr, (6 h,), at heights z (h,)."""
-        return _at_heights(self, tuple(z.tolist()))
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension, (n, h) at r (n,) and z (n, h)."""
@@ -106,20 +110,6 @@ class TabulatedDent:
     def over_height(self, z: Array) -> Array:
         """Legendre polynomials (..., m) at heights z (...) [m]."""
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
-
-
-@lru_cache(maxsize=16)
-def _at_heights(dent: TabulatedDent, heights: tuple[float, ...]) -> PPoly:
-    """Splines over r of u, w and their derivatives along z and r at heights, (6 h,)."""
-    P = dent.over_height(np.array(heights))
-    c = dent.profile.c[..., :2]
-    both = np.concatenate([P, dent.derivatives(P)]).T
-    splines = np.zeros((*c.shape[:2], 6, len(P)))
-    for k in range(2):
-        values = c[..., k] @ both
-        splines[:, :, k], splines[:, :, 2 + k] = values[..., : len(P)], values[..., len(P) :]
-    splines[1:, :, 4:] = splines[:-1, :, :2] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
-    return PPoly.construct_fast(splines.reshape(*splines.shape[:2], -1), dent.profile.x)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,45 +187,70 @@ class PressTable:
 
     def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
         table = _over_depth(self)
-        radius, pressure, thinning = table.numbers(scaled_depth)
-        in_layer, in_all = table.energies(scaled_depth, 1)
+        radius, pressure, thinning, *_ = table.numbers(scaled_depth).tolist()
+        *_, in_layer, in_all = table.numbers(scaled_depth, 1).tolist()
+        u, *others = np.moveaxis(np.tensordot(table.weights(scaled_depth), table.fields, 1), -1, 0)
+        size = float(self.knots[-1])
+        odd, even = _piecewise(_relative(self.knots, size))
+        pieces = np.stack([odd @ u, *(even @ each for each in others)], axis=-1)
+        pieces /= (size ** np.arange(3, -1, -1))[:, None, None, None]
         return TabulatedDent(
             force=force,
             depth=float(self.depths[-1] * scaled_depth**_SPACING),
-            contact_radius=float(radius),
-            peak_pressure=float(pressure),
-            thinning=float(thinning),
-            share=float(in_layer / in_all),
+            contact_radius=radius,
+            peak_pressure=pressure,
+            thinning=thinning,
+            share=in_layer / in_all,
             thickness=float(self.thickness),
-            profile=PPoly(table.profiles(scaled_depth), self.knots),
+            profile=PPoly.construct_fast(pieces, self.knots),
         )
 
 
 class _OverDepth(NamedTuple):
-    """Splines over (depth / largest depth)^(1 / 1.5), in which all quantities are smooth."""
+    """Quantities over (depth / largest depth)^(1 / 1.5), in which all are smooth.
+
+    Attributes:
+        forces: spline.
+        numbers: spline of radius, pressure, thinning and both energies.
+        weights: spline of the weights of the tabulated depths.
+        fields: of these, coefficients of u, w and the mean stress at the knots, (n, m, 6, 3).
+    """
 
     forces: CubicSpline
     numbers: CubicSpline
-    energies: CubicSpline
-    profiles: CubicSpline
+    weights: CubicSpline
+    fields: Array
 
 
 @lru_cache(maxsize=16)
 def _over_depth(table: PressTable) -> _OverDepth:
     scaled_depths = (table.depths / table.depths[-1]) ** (1.0 / _SPACING)
-    # On the axis u is odd, w and the stress are even; at the last knot all slopes are zero.
+    numbers = (table.contact_radii, table.peak_pressures, table.thinnings, *table.energies.T)
     fields = np.concatenate([table.moved, table.stressed[..., None]], axis=-1)
-    profiles = [
-        CubicSpline(table.knots, fields[..., k], axis=1, bc_type=(end, "clamped")).c
-        for k, end in enumerate(("natural", "clamped", "clamped"))
-    ]
-    numbers = (table.contact_radii, table.peak_pressures, table.thinnings)
     return _OverDepth(
         CubicSpline(scaled_depths, table.forces),
         CubicSpline(scaled_depths, np.stack(numbers, axis=1)),
-        CubicSpline(scaled_depths, table.energies),
-        CubicSpline(scaled_depths, np.moveaxis(np.stack(profiles, axis=-1), 2, 0)),
+        CubicSpline(scaled_depths, np.eye(len(scaled_depths))),
+        fields,
     )
+
+
+def _relative(knots: Array, size: float) -> tuple[float, ...]:
+    """Knots over a size, rounded so that those of different sensors are equal."""
+    return tuple((knots / size).round(12).tolist())
+
+
+@lru_cache(maxsize=32)
+def _piecewise(knots: tuple[float, ...]) -> tuple[Array, Array]:
+    """Piecewise cubics through unit values at knots, of odd and of even functions, (4, m - 1, m).
+
+    From the highest power; slopes are zero at the last knot, as those of even ones on the axis.
+    """
+    unit = np.eye(len(knots))
+    odd, even = (
+        CubicSpline(knots, unit, bc_type=(end, "clamped")).c for end in ("natural", "clamped")
+    )
+    return odd, even
 
 
 @lru_cache(maxsize=16)
@@ -376,7 +391,16 @@ def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:
     """Values (n, m, ...) over knots (m,), zero beyond the last, interpolated to other knots."""
     if np.array_equal(knots, wanted):
         return values
-    return np.asarray(CubicSpline(knots, values, axis=1)(np.minimum(wanted, knots[-1])))
+    size = float(knots[-1])
+    matrix = _interpolation(_relative(knots, size), _relative(np.minimum(wanted, size), size))
+    found = matrix @ values.reshape(*values.shape[:2], -1)
+    return np.asarray(found.reshape(len(values), len(wanted), *values.shape[2:]))
+
+
+@lru_cache(maxsize=32)
+def _interpolation(knots: tuple[float, ...], wanted: tuple[float, ...]) -> Array:
+    """Matrix from values at knots to those of their spline at other knots."""
+    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(wanted))
 
 
 def _knots(radius: float, thickness: float, end: float) -> Array:

@@ -14,7 +14,7 @@ from eitskin.simulator.deformation.solution_store import Arrays
 Array = NDArray[np.float64]
 
 _TOLERANCE = 3e-4  # singular values, relative to the largest, that a table keeps
-_BLOCK = 16  # rows of one product
+BLOCK = 16  # rows of one product
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 
 
@@ -188,7 +188,7 @@ def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) 
     The rows are multiplied in blocks of one size, filled up with zeros: what is found of one row
     depends on no other, and not on their number.
     """
-    blocks = np.zeros((-(-len(rows) // _BLOCK), _BLOCK, rows.shape[1]), matrix.dtype)
+    blocks = np.zeros((-(-len(rows) // BLOCK), BLOCK, rows.shape[1]), matrix.dtype)
     blocks.reshape(-1, rows.shape[1])[: len(rows)] = rows
     return np.asarray(np.matmul(blocks, matrix).reshape(-1, matrix.shape[1])[: len(rows)])
 

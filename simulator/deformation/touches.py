@@ -181,7 +181,8 @@ def _tabulated(
         return iter([() for _ in scenes])
     design, mechanics, _, grid = sensor
     table = corrections(design, mechanics, pressed[0].acting[0][0].indenter, grid)
-    sums = sums_on(design, len(scenes)) if table.strip else None
+    components = 4 if mechanics.piezoresistivity.pressure else 3
+    sums = sums_on(design, len(scenes), components) if table.strip else None
     fields, _ = _evaluate(scenes, sensor, sums)
     summed = sums.fields(design.thickness, table.scales) if sums else [None] * len(scenes)
     return iter(

@@ -14,11 +14,11 @@ from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.corrections import (
     Corrections,
-    _resampled,
     correction_problems,
     corrections,
 )
 from eitskin.simulator.deformation.field import CubicSplines, Field
+from eitskin.simulator.deformation.node_sums import _resampled
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance, sides_of
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
