@@ -1,12 +1,19 @@
 """Opening of a board by its URI."""
 
 import difflib
+import importlib.metadata
+import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 from urllib.parse import parse_qsl
 
 from eitskin.errors import ConfigurationError
 from eitskin.hardware.boards.board import Board
+
+GROUP: Final = "eitskin.boards"
+"""Group of the entry points by which installed packages offer kinds of boards."""
+
+_PORT: Final = re.compile(r"(?:/dev/[^?]+|COM\d{1,3})(?:\?.*)?")
 
 
 def open_board(uri: str, **options: Any) -> Board:
@@ -14,7 +21,10 @@ def open_board(uri: str, **options: Any) -> Board:
 
     Args:
         uri: "serial:/dev/ttyACM0", "text:/dev/ttyACM0?protocol=pairwise:8", "virtual:" or
-            "replay:DIRECTORY"; options of its own may follow, as in "virtual:?speed=max&seed=1".
+            "replay:DIRECTORY"; options of its own may follow, as in "virtual:?speed=max&seed=1". A
+            path of a port alone is serial:, and text: with protocol=. A package may offer further
+            kinds by the entry points `eitskin.boards`: its function gets the path, the URI and the
+            options as text, and gives a `Board`.
         options: the same options, for values that are not text.
 
     Raises:
@@ -22,20 +32,42 @@ def open_board(uri: str, **options: Any) -> Board:
         DeviceError: where the port is missing, in use, or no board answers as expected.
         DataError: for a recording that cannot be replayed.
     """
-    scheme, colon, rest = uri.partition(":")
-    if not colon or scheme not in _SCHEMES:
-        near = difflib.get_close_matches(scheme, _SCHEMES, n=1)
+    if _PORT.fullmatch(uri):
+        uri = f"{'text' if 'protocol=' in uri else 'serial'}:{uri}"
+    scheme, _, rest = uri.partition(":")
+    path, _, query = rest.partition("?")
+    if not is_board(uri):
+        known = {*_SCHEMES, *_installed()}
+        near = difflib.get_close_matches(scheme, known, n=1)
         hint = f"; did you mean '{near[0]}:'?" if near else ""
         raise ConfigurationError(
-            f"expected a board as serial:PORT, text:PORT, virtual: or replay:DIRECTORY, got "
-            f"{uri!r}{hint}"
+            f"expected a board as serial:PORT, text:PORT, virtual: or replay:DIRECTORY"
+            f"{''.join(f', {name}:' for name in _installed())}, got {uri!r}{hint}"
         )
-    path, _, query = rest.partition("?")
+    if scheme not in _SCHEMES:
+        board = _installed()[scheme].load()(path, uri, **dict(parse_qsl(query)), **options)
+        if not isinstance(board, Board):
+            raise ConfigurationError(
+                f"{scheme}: must give an eitskin.hardware.Board, got {type(board).__name__}"
+            )
+        return board
     readers = _SCHEMES[scheme]
     read = _read_options(scheme, query, readers)
     for name in options:
         _require_known(scheme, name, readers)
     return _open(scheme, path, uri, read | options)
+
+
+def is_board(text: str) -> bool:
+    """Whether a text names a board: a port, or a URI of a kind that is known or installed."""
+    scheme, colon, _ = text.partition(":")
+    known = bool(colon) and (scheme in _SCHEMES or scheme in _installed())
+    return known or bool(_PORT.fullmatch(text))
+
+
+def _installed() -> dict[str, importlib.metadata.EntryPoint]:
+    """Kinds of boards that installed packages offer."""
+    return {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
 
 
 def _open(scheme: str, path: str, uri: str, options: dict[str, Any]) -> Board:

@@ -18,6 +18,7 @@ from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.hardware.opening import is_board
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from eitskin.training.evaluation.drawing import Circle
 
 MAX_PICTURES = 24
-SCHEMES = ("serial:", "text:", "virtual:", "replay:")
 
 
 class PicturedFrames(NamedTuple):
@@ -72,7 +72,7 @@ class FrameOptions:
         self, source: str, resolution: "Resolution", seed: int, output: options.Output
     ) -> PicturedFrames:
         """Frames of a scene, a board, or a dataset."""
-        if source.startswith(SCHEMES):
+        if is_board(source):
             return self._from_board(source, seed, output)
         path = Path(source)
         if path.suffix == ".toml":
@@ -267,9 +267,9 @@ def command(
         return [training.Reconstructor(design, protocol, name, *common) for name in names]
 
     if page.page:
-        if not source.startswith(SCHEMES) or len(names) > 1:
+        if not is_board(source) or len(names) > 1:
             raise ConfigurationError(
-                f"--page is for one method on a board ({', '.join(SCHEMES)}), got {source!r} with "
+                f"--page is for one method on a board (serial:, text: ...), got {source!r} with "
                 f"{', '.join(names)}; write the pictures of other sources with --out"
             )
         _follow_live(source, wanted, makers, page, seed, output)

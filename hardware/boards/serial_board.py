@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.files import shortened
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
@@ -78,7 +79,7 @@ class SerialBoard(PortBoard[Message]):
         self.events: deque[Event] = deque(maxlen=20)
         self._decoder = Decoder()
         self._assembly = FrameAssembly(self._decoder.drops)
-        self._malformed = ""
+        self._malformed, self._latest = "", b""
         self._seq = 0
         self._expected: int | None = None
         self._restarted = self._resuming = False
@@ -305,7 +306,13 @@ class SerialBoard(PortBoard[Message]):
         """Hint, in parentheses, at data that came instead of a frame or an answer."""
         if complaint := self._complaint():
             return f" (its firmware says: {complaint})"
-        drops = self._decoder.drops
+        drops, lines = self._decoder.drops, self._latest.split(b"\n")
+        line = max(lines[-2:], key=len).strip()
+        if len(line) > 3 and line.isascii() and line.decode().isprintable():
+            return (
+                f" (it printed '{shortened(line.decode())}'; a board that prints lines is opened "
+                "by text:PORT?protocol=, such as protocol=adjacent:16)"
+            )
         if drops[PacketDrop.VERSION]:
             return " (it speaks another version of the protocol: update eitskin or the firmware)"
         if self._malformed:
@@ -319,7 +326,9 @@ class SerialBoard(PortBoard[Message]):
 
     def _receive(self) -> None:
         self._read_at = self._clock()
-        for packet in self._decoder.feed(self._port.read()):
+        data = self._port.read()
+        self._latest = (self._latest + data)[-256:]
+        for packet in self._decoder.feed(data):
             try:
                 message = unpack(packet)
             except MessageError as error:

@@ -2,12 +2,15 @@
 
 import contextlib
 import dataclasses
+import importlib.metadata
 import itertools
 import os
 import signal
 import subprocess
 import sys
 import termios
+import threading
+import tty
 import types
 
 import numpy as np
@@ -52,13 +55,29 @@ def served_by_the_firmware():
         yield board
 
 
-@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback"])
-def board(request, recording):
+class MeasuredBoard(ReplayBoard):
+    """Kind of board of an installed package, with an option of its own."""
+
+    def __init__(self, path, uri, gain="1"):
+        super().__init__(path, uri)
+        self.gain = float(gain)
+
+
+def offer(monkeypatch, kind):
+    """Have an installed package offer a kind of board, mine:."""
+    entry = types.SimpleNamespace(name="mine", load=lambda: kind)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_group: [entry])
+
+
+@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback", "installed"])
+def board(request, recording, monkeypatch):
+    offer(monkeypatch, MeasuredBoard)
     opened = {
         "virtual": virtual,
         "firmware in C": served_by_the_firmware,
         "replay": lambda: open_board(f"replay:{recording}"),
         "loopback": lambda: connected(firmware())[0],
+        "installed": lambda: open_board(f"mine:{recording}?gain=2"),
     }
     with opened[request.param]() as board:
         yield board
@@ -120,6 +139,41 @@ def test_a_port_in_use_is_refused_and_reopens_when_free():
     assert after[0].number > before[-1].number
     assert after[0].session == before[0].session
     assert (second.lost, second.counts.frames) == (0, 3)
+
+
+def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
+    offer(monkeypatch, MeasuredBoard)
+    with open_board(f"mine:{recording}?gain=2") as board:
+        assert (type(board), board.gain) == (MeasuredBoard, 2.0)
+    offer(monkeypatch, lambda *_: "no board")
+    with pytest.raises(ConfigurationError, match=r"must give an eitskin.hardware.Board, got str"):
+        open_board("mine:")
+    with pytest.raises(ConfigurationError, match="mine:"):
+        open_board("nime:")
+
+
+def test_a_path_alone_is_a_port_and_what_it_prints_is_quoted():
+    shown = virtual_terminal(speed="max", simulator=FakeSimulator())
+    with shown as terminal, open_board(terminal.path) as board:
+        assert len(take(board, 2)) == 2
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    stop = threading.Event()
+
+    def chatter():
+        while not stop.wait(0.02):
+            os.write(master, b"530.1, 529.8, 531.0\r\n")
+
+    thread = threading.Thread(target=chatter)
+    thread.start()
+    try:
+        with pytest.raises(DeviceError, match=r"printed '530.1, 529.8, 531.0'.*text:"):
+            open_board(os.ttyname(slave))
+    finally:
+        stop.set()
+        thread.join()
+        os.close(slave)
+        os.close(master)
 
 
 # ---- recordings ----
