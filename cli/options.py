@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.simulator import Simulator
 
+MAX_PICTURES = 24  # of one command
+
 Seed = Annotated[
     int, typer.Option(min=0, help="Seed of everything random; same seed, same result.")
 ]
@@ -334,6 +336,23 @@ class Output:
         """Progress bar, as a function that is told how many are done, and of how many."""
         with self.bars() as show:
             yield functools.partial(show, text)
+
+
+def frame_numbers(text: str, count: int) -> list[int]:
+    """Frame numbers of a text such as 0,5,10-12.
+
+    Raises ConfigurationError for other text, and numbers that are not among `count` frames.
+    """
+    try:
+        parts = [[int(end) for end in part.split("-")] for part in text.split(",")]
+        chosen = [k for part in parts for k in range(part[0], part[-1] + 1)]
+    except ValueError as error:
+        raise ConfigurationError(f"expected frames as 0,5,10-12, got '{text}'") from error
+    if not chosen or min(chosen) < 0 or max(chosen) >= count or len(chosen) > MAX_PICTURES:
+        raise ConfigurationError(
+            f"expected up to {MAX_PICTURES} frames from 0 to {count - 1}, got '{text}'"
+        )
+    return chosen
 
 
 def given_words(context: typer.Context, leave: Container[str]) -> list[str]:

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
 
+import numpy as np
 import typer
 from rich.table import Column
 
@@ -17,17 +18,17 @@ from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import table_of
+from eitskin.datasets.recordings.orders import Order, in_order, require_order
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.hardware.opening import is_board
+from eitskin.training.reconstruction.reconstructor import silent_channels
+from eitskin.training.reconstruction.regions import picture_regions
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.evaluation.drawing import Circle
-
-MAX_PICTURES = 24
 
 
 class PicturedFrames(NamedTuple):
@@ -63,6 +64,9 @@ class FrameOptions:
         str,
         typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number."),
     ] = "untouched"
+    order: Annotated[
+        str, typer.Option(help="Of readings: given, rotated (from the drive pair on) or reversed.")
+    ] = ""
     average: Annotated[
         int,
         typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
@@ -71,18 +75,24 @@ class FrameOptions:
     def read(
         self, source: str, resolution: "Resolution", seed: int, output: options.Output
     ) -> PicturedFrames:
-        """Frames of a scene, a board, or a dataset."""
-        if is_board(source):
-            return self._from_board(source, seed, output)
+        """Frames of a scene, a board, or a dataset, whose order is tested by reciprocity."""
+        if not source.endswith((".toml", ".eitmodel")):
+            found = (
+                self._from_board(source, seed, output)
+                if is_board(source)
+                else self._from_dataset(Path(source), output)
+            )
+            if not self.order:
+                require_order(found.protocol, np.abs(np.nan_to_num(found.reference)).mean(axis=0))
+            order = options.one_of("--order", self.order or "given", Order)
+            return found._replace(protocol=in_order(found.protocol, order))
         path = Path(source)
-        if path.suffix == ".toml":
-            return self._from_scene(path, resolution, output)
         if path.suffix == ".eitmodel":
             raise ConfigurationError(
                 "pictures are of the frames of a dataset, a scene (.toml) or a board, and need no "
                 f"trained pipeline of any kind, got the pipeline {source}"
             )
-        return self._from_dataset(path)
+        return self._from_scene(path, resolution, output)
 
     def require_protocol(
         self, design: "geometry.SensorDesign", known: "simulator.Protocol", whose: str
@@ -96,8 +106,6 @@ class FrameOptions:
         self, path: Path, resolution: "Resolution", output: options.Output
     ) -> PicturedFrames:
         """Frame of a scene, against it without its touches or against the flat sensor."""
-        import numpy as np
-
         if self.reference not in ("untouched", "flat"):
             raise ConfigurationError(
                 f"expected --reference untouched or flat for a scene, got '{self.reference}'"
@@ -117,10 +125,8 @@ class FrameOptions:
         now, then = (np.array([sim.measure(each).impedance]) for each in (scene, before))
         return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles])
 
-    def _from_dataset(self, path: Path) -> PicturedFrames:
+    def _from_dataset(self, path: Path, output: options.Output) -> PicturedFrames:
         """Chosen frames of a dataset; the first touched one where none is chosen."""
-        import numpy as np
-
         data = datasets.open_dataset(path)
         design = options.read_design(self.sensor) if self.sensor else data.design
         if design is None:
@@ -139,13 +145,26 @@ class FrameOptions:
                 "--protocol, such as adjacent"
             )
         touched = np.flatnonzero(data.touch_count > 0)
-        chosen = numbers(self.frames, len(data)) if self.frames else [*touched[:1].tolist()] or [0]
+        chosen = (
+            options.frame_numbers(self.frames, len(data))
+            if self.frames
+            else [*touched[:1].tolist()] or [0]
+        )
         if self.reference == "flat":
             before = data.reference[data.specimen[chosen]]
         elif self.reference == "untouched":
             before = data.untouched[chosen]
         else:
-            before = data.impedance[numbers(self.reference, len(data))[:1] * len(chosen)]
+            before = data.impedance[
+                options.frame_numbers(self.reference, len(data))[:1] * len(chosen)
+            ]
+        some = data.impedance[np.unique(np.linspace(0, len(data) - 1, 200).astype(int))]
+        silent = silent_channels(some)
+        if silent.any():
+            labels = [protocol.labels[k] for k in np.flatnonzero(silent)[:5]]
+            output.note(
+                f"left out: {silent.sum()} dead or stuck channels, such as {', '.join(labels)}"
+            )
         radius = 0.02 * min(design.outline.length, design.outline.width)  # where it is not known
         circles = np.stack([data.touch_x, data.touch_y, data.touch_radius], axis=2)[chosen]
         circles[..., 2] = np.where(np.isfinite(circles[..., 2]), circles[..., 2], radius)
@@ -153,20 +172,18 @@ class FrameOptions:
             design,
             protocol,
             [f"frame {k}" for k in chosen],
-            np.where(data.status[chosen] != 0, np.nan, data.impedance[chosen]),
+            np.where((data.status[chosen] != 0) | silent, np.nan, data.impedance[chosen]),
             before,
             [tuple(map(tuple, each[np.isfinite(each[:, 0])].tolist())) for each in circles],
         )
 
     def _from_board(self, uri: str, seed: int, output: options.Output) -> PicturedFrames:
         """Frames of a board after the frames of its reference."""
-        import numpy as np
-
         design, frames = options.read_design(self.sensor), self.frames
         count = int(frames) if frames and frames.isdigit() else 1
-        if frames and not 1 <= count <= MAX_PICTURES:
+        if frames and not 1 <= count <= options.MAX_PICTURES:
             raise ConfigurationError(
-                f"expected --frames of a board from 1 to {MAX_PICTURES}, got '{frames}'"
+                f"expected --frames of a board from 1 to {options.MAX_PICTURES}, got '{frames}'"
             )
 
         def good(frame: "simulator.Frame") -> "NDArray[np.complex128]":
@@ -194,23 +211,6 @@ class FrameOptions:
         )
 
 
-def numbers(text: str, count: int) -> list[int]:
-    """Frame numbers of a text such as 0,5,10-12.
-
-    Raises ConfigurationError for other text, and numbers that are not among `count` frames.
-    """
-    try:
-        parts = [[int(end) for end in part.split("-")] for part in text.split(",")]
-        chosen = [k for part in parts for k in range(part[0], part[-1] + 1)]
-    except ValueError as error:
-        raise ConfigurationError(f"expected frames as 0,5,10-12, got '{text}'") from error
-    if not chosen or min(chosen) < 0 or max(chosen) >= count or len(chosen) > MAX_PICTURES:
-        raise ConfigurationError(
-            f"expected up to {MAX_PICTURES} frames from 0 to {count - 1}, got '{text}'"
-        )
-    return chosen
-
-
 @options.with_output
 def command(
     source: Annotated[
@@ -236,6 +236,9 @@ def command(
             help="relative (channel by channel) or absolute; chosen by the protocol when omitted.",
         ),
     ] = None,
+    segment: Annotated[
+        bool, typer.Option("--segment", help="Regions of lower and of higher conductivity, too.")
+    ] = False,
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
     resolution: options.Detail = "fast",
     out: Annotated[
@@ -275,9 +278,15 @@ def command(
         _follow_live(source, wanted, makers, page, seed, output)
         return
     frames = wanted.read(source, detail, seed, output)
+    reconstructors = makers(frames.design, frames.protocol)
+    if (mirrored := reconstructors[0].mirrored) > 0.2:
+        output.note(
+            f"with {frames.protocol}, {mirrored:.0%} of the places of this sensor read as another "
+            "one: the picture may show a change on the other side, too; measure by adjacent pairs"
+        )
     images = [
         Image(maker, *each)
-        for maker in makers(frames.design, frames.protocol)
+        for maker in reconstructors
         for each in zip(
             frames.names,
             maker.images(maker.data(frames.impedance, frames.reference)),
@@ -285,7 +294,17 @@ def command(
             strict=True,
         )
     ]
+    beyond = [each for each in images if np.nanmin(each.values) < -1]
+    if beyond:
+        output.note(
+            f"no conductivity falls by more than 100 %, but {len(beyond)} pictures do, to "
+            f"{100 * min(np.nanmin(each.values) for each in beyond):.3g} %, which are cut there: "
+            "the frames and the sensor do not fit; check protocol, order and reference"
+        )
+        images = [each._replace(values=np.maximum(each.values, -1.0)) for each in images]
     rows = [each.as_dict() for each in images]
+    for row, each in zip(rows, images, strict=True) if segment else ():
+        row["regions"] = [r._asdict() for r in picture_regions(each.values, each.maker.grid)]
     data = {
         "source": source,
         "protocol": str(frames.protocol),
@@ -295,6 +314,13 @@ def command(
     headings = ("frame", Column("method", no_wrap=True), "lambda")
     ends = ("least, %", "at, mm", "largest, %", "at, mm")
     output.result(data, table_of((*headings, *ends), map(_cells, rows), pad_edge=False))
+    for row in rows if segment else ():
+        for region in row["regions"]:
+            x, y = (1e3 * each for each in region["centre"])
+            output.show(
+                f"{row['frame']}, {row['method']}: {100 * region['change']:+.3g} % over "
+                f"{1e6 * region['area']:.3g} mm2 at {x:.0f}, {y:.0f} mm"
+            )
     if out is not None:
         _write(out, images)
         output.note(f"written: {out}")

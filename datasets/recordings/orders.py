@@ -49,6 +49,6 @@ def require_order(protocol: Protocol, readings: ArrayLike) -> None:
     if given > _LEAST and misfits[best] < _RATIO * given:
         raise DataError(
             f"reciprocal readings differ by {given:.2%} (median) in the order of the protocol, by "
-            f"{misfits[best]:.2%} in the order '{best}': import with --order {best}, or with "
+            f"{misfits[best]:.2%} in the order '{best}': say --order {best}, or "
             "--order given where the protocol is right"
         )

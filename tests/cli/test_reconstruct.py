@@ -1,10 +1,17 @@
 """`eitskin reconstruct`: pictures of scenes, datasets and boards."""
 
+import json
+
 import numpy as np
 import pytest
 from command_line import printed_json, run
 
-from eitskin.datasets import save_dataset
+from eitskin.datasets import Dataset, save_dataset
+from eitskin.datasets.recordings.orders import in_order
+from eitskin.errors import DataError
+from eitskin.geometry import Disc, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import ForwardModel, Protocol
 
 import small_dataset
 
@@ -65,3 +72,22 @@ def test_reference_is_chosen(dataset):
     same = printed_json(*words, "2")["pictures"][0]
     assert same["least"] == same["largest"] == 0.0
     assert printed_json(*words, "flat") != printed_json(*words, "untouched")
+
+
+def test_order_is_tested_and_changes_that_cannot_be_are_cut(tmp_path):
+    """Frames in rotated order, named by hand as in given order; then frames that fit no sensor."""
+    design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))
+    design.to_toml(tmp_path / "disc.toml")
+    rotated = in_order(Protocol.adjacent(16), "rotated")
+    values = rotated.measure(ForwardModel(design, "coarse").impedance())
+    frames = np.stack([values, values * np.random.default_rng(0).uniform(0.1, 5.0, len(values))])
+    save_dataset(Dataset.from_arrays(frames, frames[:1]), tmp_path / "set")
+    words = ("reconstruct", tmp_path / "set", "--sensor", tmp_path / "disc.toml", *FEW)
+    words += ("--protocol", "adjacent", "--frames", "1", "--reference", "0", "--segment")
+    with pytest.raises(DataError, match="--order rotated"):
+        run(*words)
+    ran = run(*words, "--order", "rotated", "--lambda", "lambda:1e-4", "--json")
+    (one,) = json.loads(ran.stdout)["pictures"]
+    assert one["least"] == -1.0
+    assert "by more than 100 %" in ran.stderr
+    assert {region["sign"] for region in one["regions"]} <= {-1, 1}

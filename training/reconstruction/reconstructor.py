@@ -36,6 +36,8 @@ Array = NDArray[np.float64]
 Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit"]
 Difference = Literal["relative", "absolute"]
 
+CLEAR = 0.02  # of channels' root mean square, above which relative differences are the default
+MIRRORED = 0.995  # correlation of the readings of two changes that count as the same
 SMALLEST = 1e-3  # resistance of a channel, relative to the mean, that relative differences allow
 
 
@@ -80,8 +82,8 @@ class Reconstructor:
             regularisation: rule for lambda; a noise figure of 1 when omitted.
             pixels: about how many, in the outline's bounding box.
             difference: "relative": of each channel, whose gain cancels; "absolute": of all channels
-                on one scale, for protocols with channels near zero. When omitted, relative where
-                every drive pair senses itself, absolute otherwise.
+                on one scale, for protocols with channels near zero. When omitted, relative where no
+                channel of the model is below a fiftieth of their root mean square.
             resolution: of the forward model.
 
         Raises:
@@ -98,15 +100,14 @@ class Reconstructor:
                 f"expected a protocol of {electrodes} electrodes, those of the design, got one of "
                 f"{self.protocol.n_electrodes}; name a protocol of this sensor"
             )
-        paired = all(row[:2] == row[2:] for row in self.protocol.table)
         self.method = method
         self.regularisation = regularisation or Regularisation()
-        self.difference: Difference = difference or ("relative" if paired else "absolute")
+        self._difference = difference
         for name, value, kind in (
-            ("method", self.method, Method),
-            ("difference", self.difference, Difference),
+            ("method", method, Method),
+            ("difference", difference, Difference),
         ):
-            if value not in get_args(kind):
+            if value not in (*get_args(kind), *([None] if kind is Difference else [])):
                 raise ConfigurationError(
                     f"expected a {name} of {', '.join(get_args(kind))}, got {value!r}"
                 )
@@ -121,16 +122,44 @@ class Reconstructor:
         )
 
     @cached_property
+    def difference(self) -> Difference:
+        """Difference that is pictured: relative, or absolute."""
+        if self._difference or all(row[:2] == row[2:] for row in self.protocol.table):
+            return self._difference or "relative"
+        R = np.abs(np.real(self.model.impedance))[~self._shared]
+        return "relative" if R.min() > CLEAR * np.sqrt(np.mean(R**2)) else "absolute"
+
+    @cached_property
+    def _shared(self) -> NDArray[np.bool_]:
+        """Measurements with a driven electrode, whose contact says most, beside those without."""
+        shared = np.array(self.protocol.shares)
+        return shared & ~shared.all()
+
+    @cached_property
+    def mirrored(self) -> float:
+        """Share of the pixels whose change cannot be told from that of one far away, 0 to 1.
+
+        So it is where protocol and sensor look the same from both: where opposite electrodes drive
+        and opposite ones sense, a change at r reads as one at -r.
+        """
+        J, centres = self.jacobian[~self._shared], self.grid.centres
+        some = np.unique(np.linspace(0, len(self.grid) - 1, 600).astype(int))
+        columns = J[:, some] / np.maximum(np.linalg.norm(J[:, some], axis=0), 1e-300)
+        all_columns = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+        far = np.linalg.norm(centres[some, None] - centres, axis=2) > 0.25 * np.ptp(centres[:, 0])
+        return float(((columns.T @ all_columns > MIRRORED) & far).any(axis=1).mean())
+
+    @cached_property
     def jacobian(self) -> Array:
         """Jacobian J (measurements, P) of the data by the log conductivity of the pixels inside.
 
         Raises ConfigurationError for relative differences of channels near zero.
         """
         R = np.real(self.model.impedance)
-        scale = float(np.sqrt(np.mean(R**2)))
+        scale = float(np.sqrt(np.mean(R[~self._shared] ** 2)))
         if self.difference == "absolute":
             return self.grid.gathered(np.real(self.model.sensitivity)) / scale
-        small = np.abs(R) < SMALLEST * scale
+        small = (np.abs(R) < SMALLEST * scale) & ~self._shared
         if small.any():
             labels = [self.protocol.labels[k] for k in np.flatnonzero(small)[:3]]
             raise ConfigurationError(
@@ -156,6 +185,7 @@ class Reconstructor:
         V, before = np.asarray(impedance), np.asarray(reference)
         for values in (V, before):
             self._require_measurements(values)
+        before = np.where(self._shared, np.nan, before)
         if self.difference == "relative":
             with np.errstate(divide="ignore"):
                 change = relative_difference(V, before)
@@ -168,7 +198,8 @@ class Reconstructor:
         gain = gain / np.sum(np.where(known, R**2, 0.0), axis=-1, keepdims=True)
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.real((V - before) / np.conj(gain))
-        return np.where(np.isfinite(change), change, np.nan) / float(np.sqrt(np.mean(R**2)))
+        scale = float(np.sqrt(np.mean(R[~self._shared] ** 2)))
+        return np.where(np.isfinite(change), change, np.nan) / scale
 
     def image(self, frame: Frame, reference: Frame) -> Array:
         """Picture (rows, columns) of a frame against a reference frame; NaN outside the outline.
@@ -284,3 +315,11 @@ def back_projection(jacobian: Array) -> Array:
     """
     matrix = (jacobian / noser_weights(jacobian)).T
     return matrix / float(np.mean(matrix @ jacobian.sum(axis=1)))
+
+
+def silent_channels(impedance: NDArray[np.inexact]) -> NDArray[np.bool_]:
+    """Channels (C,) that are zero in all frames (n, C), or never change while most others do."""
+    still = np.ptp(np.abs(impedance), axis=0) == 0
+    dead = np.max(np.abs(impedance), axis=0) <= 1e-9 * np.max(np.abs(impedance))
+    stuck = still & (len(impedance) > 4) & (np.mean(still) < 0.5)
+    return np.asarray(dead | stuck)
