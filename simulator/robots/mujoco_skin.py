@@ -13,7 +13,7 @@ from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.robots.touch_table import TouchRules, TouchTable
+from eitskin.simulator.robots.touch_table import TouchRules, TouchTable, touches_of_face
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -82,7 +82,8 @@ class MujocoSkin:
         """Touches of the skin in the present state of a mujoco.MjData, strongest first."""
         axes = data.geom_xmat[self._geom].reshape(3, 3)
         centre = data.geom_xpos[self._geom]
-        bodies, points = data.contact.geom, []
+        bodies = data.contact.geom
+        contacts: dict[int, list[tuple[float, float, float]]] = {}
         for row in np.flatnonzero((bodies == self._geom).any(axis=1)):
             place = (data.contact.pos[row] - centre) @ axes
             normal = data.contact.frame[row][:3] @ axes
@@ -93,7 +94,10 @@ class MujocoSkin:
                 x = float(place[0]) + self._outline.length / 2
                 y = float(place[1]) + self._outline.width / 2
                 presser = bodies[row][0] if bodies[row][1] == self._geom else bodies[row][1]
-                points.append(Touch(x, y, force, self._indenter(int(presser))))
+                contacts.setdefault(int(presser), []).append((x, y, force))
+        points: list[Touch] = []
+        for presser, pressed in contacts.items():
+            points += touches_of_face(np.array(pressed), self._indenter(presser))
         return self.rules.applied(points, self._outline)
 
     def update(self, simulations: Sequence[Any]) -> list[Frame | None]:
@@ -175,15 +179,15 @@ class MujocoSkin:
         force = wrench[:3] @ data.contact.frame[row].reshape(3, 3)
         return np.asarray(force if data.contact.geom[row][1] == self._geom else -force)
 
-    def _indenter(self, geom: int) -> AnyIndenter:
-        """Indenter that stands for a geom."""
+    def _indenter(self, geom: int) -> AnyIndenter | None:
+        """Indenter that stands for a geom; None for the face between its contacts."""
         if self.rules.indenter is not None:
             return self.rules.indenter
         kinds, radius = self._mujoco.mjtGeom, float(self._model.geom_size[geom][0])
         kind = kinds(int(self._model.geom_type[geom]))
         if kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE):
             return Sphere(radius)
-        return Cylinder(radius) if kind == kinds.mjGEOM_CYLINDER else Cylinder()
+        return Cylinder(radius) if kind == kinds.mjGEOM_CYLINDER else None
 
     def _found(self, model: Any, name: str) -> int:
         """Number of the box geom of a name."""

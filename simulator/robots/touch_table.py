@@ -20,6 +20,9 @@ from eitskin.simulator.simulator import Simulator
 Array = NDArray[np.float64]
 SPACING = 0.0025  # m, at most, between places of the table
 FORCES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # over the strongest
+_APART, _SAME_PLACE = 1e-6, 1e-9  # spare between indenters, relative; of two places [m]
+# Longest side of a face that one cylinder stands for, over the short one, and least radius [m].
+_COMPACT, _LEAST_RADIUS = 1.5, 1e-3
 FEWEST = 4  # places along an axis, for cubic splines
 _VERSION = 1  # raise it whenever the table is solved in another way
 
@@ -32,7 +35,8 @@ class TouchRules:
 
     Attributes:
         indenter: of all touches; None for the shape of the body that presses: of a sphere or
-            capsule its `Sphere`, of a cylinder its flat end, of others the default `Cylinder`.
+            capsule its `Sphere`, of a cylinder its flat end, of others `Cylinder`s as wide as the
+            face between their contacts.
             Presses by other indenters than the default one are solved scene by scene, which takes
             half a minute each, unless the simulator has `touch_model="tabulated"`.
         least: weakest touch [N]; weaker ones are none.
@@ -93,6 +97,66 @@ def merged(touches: Iterable[Touch]) -> list[Touch]:
             y=one.y + share * (other.y - one.y),
             force=force,
         )
+
+
+def touches_of_face(contacts: Array, indenter: AnyIndenter | None) -> list[Touch]:
+    """Touches that stand for one rigid face, which rests on some points of its rim.
+
+    The face fills the least rectangle around its points. So many indenters as it holds side by side
+    fill that, with forces that vary linearly along both sides and have the moments of the contacts.
+
+    Args:
+        contacts: places and forces (x, y, force) of the points, (n, 3) [m, m, N].
+        indenter: of every touch; when None a cylinder as large as the face, or as wide as one that
+            is longer than wide.
+    """
+    places, forces = contacts[:, :2], contacts[:, 2]
+    pressed, total = forces @ places / forces.sum(), float(forces.sum())
+    (low, high), axes = _least_rectangle(places)
+    if indenter is None:
+        short, long = np.sort(high - low).tolist()
+        if short <= 2.0 * _LEAST_RADIUS:
+            indenter = Cylinder()
+        else:
+            compact = long <= _COMPACT * short
+            indenter = Cylinder(math.sqrt(short * long / math.pi) if compact else 0.5 * short)
+    wide = 2.0 * indenter.rims[1] * (1.0 + _APART)
+    counts = np.maximum(np.rint((high - low) / wide), 1.0).astype(int)
+    if counts.prod() == 1:
+        return [Touch(float(pressed[0]), float(pressed[1]), total, indenter)]
+    # A single row lies where its side's moment is, others about the middle.
+    middle = np.where(counts == 1, axes @ pressed, 0.5 * (low + high))
+    rows = [
+        np.linspace(-0.5, 0.5, n) * max(extent - wide, (n - 1) * wide) if n > 1 else np.zeros(1)
+        for n, extent in zip(counts, high - low, strict=True)
+    ]
+    own = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, 2)
+    spread = np.maximum((own**2).sum(axis=0), wide**2 * 1e-6)
+    shares = 1.0 / len(own) + own @ ((axes @ pressed - middle) / spread)
+    shares = np.maximum(shares, 0.0)
+    there = (own + middle) @ axes
+    return [
+        Touch(float(x), float(y), float(share * total / shares.sum()), indenter)
+        for (x, y), share in zip(there, shares, strict=True)
+        if share > 0.0
+    ]
+
+
+def _least_rectangle(places: Array) -> tuple[tuple[Array, Array], Array]:
+    """Least and greatest coordinates of points (n, 2) along both sides of their least rectangle.
+
+    Second the directions of its sides, (2, 2), the long one first.
+    """
+    steps = np.concatenate([np.array([[1.0, 0.0]]), *(places - place for place in places)])
+    steps = steps[np.hypot(*steps.T) > _SAME_PLACE]
+    along = steps / np.hypot(*steps.T)[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    extents = np.ptp(places @ along.T, axis=0), np.ptp(places @ across.T, axis=0)
+    # Around points in a row all rectangles are equally small: that with the longest first side.
+    best = np.lexsort((-extents[0], np.round(extents[0] * extents[1], 12)))[0]
+    axes = np.stack([along[best], across[best]])
+    found = places @ axes.T
+    return (found.min(axis=0), found.max(axis=0)), axes
 
 
 def _overlap(one: Touch, other: Touch) -> float:
