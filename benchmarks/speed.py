@@ -36,8 +36,8 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.stage import Script, Step
+from eitskin.simulator.electrical.batch import TOLERANCE
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.scene.scene import Scene, Touch
 from eitskin.simulator.simulator import Simulator

@@ -8,13 +8,13 @@ from eitskin.frame import (
 )
 from eitskin.protocol import Protocol as Protocol
 from eitskin.simulator.deformation.sensor_grid import SensorGrid as SensorGrid
-from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
-from eitskin.simulator.electrical.reanalysis import (
+from eitskin.simulator.electrical.batch import (
     EXACT as EXACT,
 )
-from eitskin.simulator.electrical.reanalysis import (
+from eitskin.simulator.electrical.batch import (
     Tolerance as Tolerance,
 )
+from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
 from eitskin.simulator.instrument.meter_fit import (

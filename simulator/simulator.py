@@ -39,8 +39,8 @@ from eitskin.simulator.deformation.touches import (
     require_model,
     resolve_touch_model,
 )
+from eitskin.simulator.electrical.batch import TOLERANCE
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
-from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
 from eitskin.simulator.instrument.instrument import Instrument
@@ -271,7 +271,7 @@ class Simulator:
         The solution of the last scene is cached. Raises ConfigurationError as `measure` does.
         """
         if self._last is None or self._last[0] != scene:
-            self._last = (scene, self._impedances.at(scene))
+            self._last = (scene, self._impedances.at([scene])[scene])
         return self._last[1]
 
     def measure_all(
@@ -289,8 +289,8 @@ class Simulator:
 
         Args:
             scenes: in any order; equal scenes are solved once.
-            tolerance: error of a scene's change from the flat sensor, relative; 0 for each scene
-                solved by itself, as by `measure`.
+            tolerance: error of a scene's change from the flat sensor, relative; for touches of
+                what they change. 0 for each scene solved by itself, as by `measure`.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
         solved = self.impedances(scenes, tolerance)
@@ -314,7 +314,7 @@ class Simulator:
             for start in range(0, len(ordered), _AT_ONCE):
                 some = ordered[start : start + _AT_ONCE]
                 self._layers = dict(zip(some, self.deformed_layers(some), strict=True))
-                found |= {scene: self._impedances.at(scene, tolerance) for scene in some}
+                found |= self._impedances.at(some, tolerance)
             self._layers = {}
         return np.array([found[scene] for scene in scenes])
 
@@ -327,7 +327,8 @@ class Simulator:
         contact impedances.
         """
         with kernels():
-            return np.array([self._impedances.contact_sensitivity(s, tolerance) for s in scenes])
+            found = self._impedances.contact_sensitivities(dict.fromkeys(scenes), tolerance)
+        return np.array([found[scene] for scene in scenes])
 
     @property
     def _is_body(self) -> bool:

@@ -19,11 +19,13 @@ condensation, Guyan 1965).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
@@ -82,6 +84,7 @@ class Assembly:
         unknowns: number of potential unknowns after static condensation.
         rows, columns: of each value in the lower triangle of A; values of equal position add up.
         contact_entries: number of values of electrode terms, which come last.
+        constant: coefficients of the constant function one, (functions,).
         contacts: contact surfaces of the electrodes.
         points: quadrature points of the cells, (cells, q, 3) [m].
         facet_points, facet_normals: of the pieces, (pieces, q, 3) [m], (pieces, 1, 3).
@@ -102,6 +105,7 @@ class Assembly:
         self.unknowns = self.space.unknowns
         self.points = self.space.rule.points
         outer = self.space.numbers.shape[1]
+        self.constant: Array = self.space.element.indicator(-np.inf, np.inf)[:outer]
         self._pairs = np.tril_indices(outer)
         self._whole = np.zeros((outer, outer), dtype=np.int64)  # entry of each pair in a triangle
         self._whole[self._pairs] = self._whole.T[self._pairs] = np.arange(len(self._pairs[0]))
@@ -189,8 +193,11 @@ class Assembly:
                 or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz, yz of a
                 tensor.
         """
-        reference = self._reference if conductivity.shape[1] > 1 else self._cell_reference
-        to_reference, count = self._to_reference, len(self._to_reference)
+        reference: Numbers = self._reference if conductivity.shape[1] > 1 else self._cell_reference
+        to_reference: Numbers = self._to_reference
+        count = len(to_reference)
+        if conductivity.dtype == np.float32:
+            to_reference, reference = self._single
         if conductivity.shape[2] == 1:
             unit = to_reference[:, :3].sum(axis=1)  # the unit tensor, pulled back
             if not unit[:, 3:].any():  # diagonal, as on boxes
@@ -201,6 +208,11 @@ class Assembly:
         found: Numbers = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
 
+    @cached_property
+    def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Maps to the reference element, and its matrices, in single precision."""
+        return self._to_reference.astype(np.float32), self._reference.astype(np.float32)
+
     def condensed_matrices(self, matrices: Numbers) -> Numbers:
         """Static condensation of element matrices (elements, entries).
 
@@ -208,6 +220,13 @@ class Assembly:
         """
         outer = self.space.numbers.shape[1]
         whole = np.empty((len(matrices), outer * outer), dtype=matrices.dtype)
+        kernels = compiled("eitskin.simulator.electrical.kernels")
+        if kernels is not None and matrices.dtype == np.float32:
+            inner = np.empty((len(matrices), self.space.element.inner, outer), np.float32)
+            kernels.eliminate(matrices, inner)
+            whole = np.ascontiguousarray(inner.swapaxes(1, 2)) @ inner
+            kernels.subtract_triangles(matrices, whole)
+            return whole
         for part, own, change, _ in self._condensations(matrices):
             np.take(own, self._whole.ravel(), axis=1, out=whole[part], mode="clip")
             whole[part] += change

@@ -20,11 +20,13 @@ and A stays regular for large z.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from eitskin.compiled import compiled
 from eitskin.simulator.electrical.assembly import Assembly, ElectrodeTerms
 
 Array = NDArray[np.float64]
@@ -50,35 +52,55 @@ class CemSystem:
 
 
 def impedance_matrix(D: Numbers, T: Numbers) -> Numbers:
-    """Impedance matrix Z [ohm] with zero row and column sums, from D and T = B^T A^-1 B.
+    """Impedance matrices Z [ohm] with zero row and column sums, from D and T = B^T A^-1 B.
 
-    U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1, the contact impedance of an insulated
-    electrode is separate from the body's share, which keeps its digits. Subtracting the means
-    restricts Z to currents that sum to zero.
+    All are (..., electrodes, electrodes). U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1,
+    the contact impedance of an insulated electrode is separate from the body's share, which keeps
+    its digits. Subtracting the means restricts Z to currents that sum to zero.
     """
-    T = 0.5 * (T + T.T)
+    T = 0.5 * (T + T.swapaxes(-1, -2))
     own = np.linalg.inv(D)
     Z = zero_sums(own) + zero_sums(own @ T @ np.linalg.inv(D - T))
-    symmetric: Numbers = 0.5 * (Z + Z.T)
+    symmetric: Numbers = 0.5 * (Z + Z.swapaxes(-1, -2))
     return symmetric
 
 
 class ElementProducts:
-    """Matrices that are sums of element matrices on one mesh."""
+    """Products of vectors with sums of element matrices on one mesh.
 
-    def __init__(self, numbers: Indices, unknowns: int) -> None:
-        """Prepare for elements with the unknowns `numbers`, (elements, functions)."""
-        self._numbers = numbers
-        ends = np.arange(numbers.size + 1)
-        ones = np.ones(numbers.size)
-        self._gathered = csr_array(
-            (ones, numbers.ravel(), ends), (numbers.size, unknowns)
-        ).T.tocsr()
+    A constant potential has no flux: where matrices are in single precision, the constant of each
+    element is subtracted from the vectors, and a row of its own takes what the others give, so that
+    small differences keep their digits.
+    """
+
+    def __init__(self, numbers: Indices, unknowns: int, one: Array) -> None:
+        """Prepare for elements with the unknowns `numbers`, (elements, functions).
+
+        `one` are the coefficients of the constant function, (functions,); empty for matrices that
+        are always in double precision.
+        """
+        self._numbers = np.ascontiguousarray(numbers, dtype=np.int32)
+        self._one, self._unknowns = one, unknowns
+
+    @cached_property
+    def _gathered(self) -> csr_array:
+        count = self._numbers.size
+        ends = np.arange(count + 1)
+        shape = count, self._unknowns
+        return csr_array((np.ones(count), self._numbers.ravel(), ends), shape).T.tocsr()
 
     def product(self, matrices: Numbers, vectors: Numbers) -> Numbers:
         """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
-        each = matrices @ vectors[self._numbers]
-        return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
+        kernels = compiled("eitskin.simulator.electrical.kernels")
+        if kernels is None or matrices.dtype != np.float32:
+            each = matrices @ vectors[self._numbers]
+            return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
+        place = self._numbers, self._one, int(np.argmax(self._one != 0.0))
+        parts = np.empty((*self._numbers.shape, vectors.shape[1]), dtype=np.float32)
+        kernels.gather(np.ascontiguousarray(vectors), *place, parts)
+        total = np.zeros(vectors.shape)
+        kernels.scatter(matrices @ parts, *place, total)
+        return total
 
 
 class SystemPattern:
@@ -103,7 +125,9 @@ class SystemPattern:
         self.lifting: Indices = np.flatnonzero(
             np.asarray(self._lift.any(axis=1))[numbers].any(axis=1)
         )
-        self._products = ElementProducts(numbers[self.lifting], assembly.unknowns)
+        self._products = ElementProducts(
+            numbers[self.lifting], assembly.unknowns, assembly.constant
+        )
 
     def system(self, stiffness: Numbers, contact: ElectrodeTerms) -> CemSystem:
         """System for stiffness values and electrode terms, each electrode in its own form.
@@ -148,9 +172,9 @@ class SystemPattern:
 
 
 def zero_sums(Z: Numbers) -> Numbers:
-    """Z with the means of its rows and columns subtracted."""
-    Z = Z - Z.mean(axis=0)
-    centred: Numbers = Z - Z.mean(axis=1)[:, None]
+    """Z with the means of its rows and columns subtracted, (..., rows, columns)."""
+    Z = Z - Z.mean(axis=-2, keepdims=True)
+    centred: Numbers = Z - Z.mean(axis=-1, keepdims=True)
     return centred
 
 
@@ -159,8 +183,7 @@ def _ground(assembly: Assembly) -> int:
     own = np.flatnonzero(assembly.facet_electrode == 0)
     loads = np.einsum("fiq,fq->fi", assembly.facet_shape[own], assembly.facet_weights[own])
     # Grounding a function whose coefficient in a constant potential is zero would fix nothing.
-    constant = assembly.space.element.indicator(-np.inf, np.inf)[: loads.shape[1]]
-    loads = np.where(constant != 0.0, loads, -np.inf)
+    loads = np.where(assembly.constant != 0.0, loads, -np.inf)
     piece, function = np.unravel_index(loads.argmax(), loads.shape)
     return int(assembly.facet_numbers[own][piece, function])
 

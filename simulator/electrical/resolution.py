@@ -38,7 +38,7 @@ class _Named(NamedTuple):
 # `eitskin bench accuracy` measures cost and error of each resolution.
 _COLUMNS = {
     "coarse": _Named((3, 3, 2), 0.32, 0.136, 5.0, 0.85),
-    "fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62),
+    "fast": _Named((4, 3, 2), 0.32, 0.136, 5.0, 0.85),
     "standard": _Named((4, 4, 3, 2), 0.04, 0.11, 3.0, 0.68),
     "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }

@@ -1,7 +1,7 @@
 """Impedances of one sensor's scenes, on meshes that suit the indenters, its own or shared ones."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 from weakref import WeakValueDictionary
@@ -13,9 +13,21 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
+from eitskin.simulator.deformation.deformed_layer import (
+    DeformedLayer,
+    LayerFields,
+    MeshPoints,
+    layer_fields,
+)
+from eitskin.simulator.electrical.batch import (
+    EXACT,
+    Base,
+    BatchSolver,
+    Tolerance,
+    is_possible,
+)
+from eitskin.simulator.electrical.cem_system import zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.electrical.reanalysis import Reanalysis, is_possible
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
@@ -29,6 +41,8 @@ from eitskin.simulator.scene.scene import Scene, Touch
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
+
+_BASE: Tolerance = 1e-5  # of the change from the nominal sensor to one that others begin with
 
 
 class ModelFamily:
@@ -51,7 +65,7 @@ class ModelFamily:
         self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
         self._suited: dict[frozenset[Indenter], ForwardModel] = {}
-        self._reanalyses: dict[ForwardModel, Reanalysis] = {}
+        self._solvers: dict[ForwardModel, BatchSolver] = {}
 
     def suited(self, touches: Iterable[Touch]) -> ForwardModel:
         """Forward model whose cells suit the smallest indenter of some touches.
@@ -70,12 +84,12 @@ class ModelFamily:
             self._suited[asked] = self._models[wanted]
         return self._suited[asked]
 
-    def reanalysis(self, model: ForwardModel) -> Reanalysis:
-        """Reanalysis with the factors of the flat sensor, for one of the models."""
-        if model not in self._reanalyses:
+    def solver(self, model: ForwardModel) -> BatchSolver:
+        """Solver with the factors of the flat sensor, for one of the models."""
+        if model not in self._solvers:
             flat = DeformedLayer(self._design, None, Piezoresistivity())
-            self._reanalyses[model] = Reanalysis(model, flat)
-        return self._reanalyses[model]
+            self._solvers[model] = BatchSolver(model, flat)
+        return self._solvers[model]
 
 
 _families: WeakValueDictionary[Any, ModelFamily] = WeakValueDictionary()
@@ -104,10 +118,10 @@ def nominal_family(design: SensorDesign, resolution: Resolution | Discretisation
 
 
 class SensorImpedances:
-    """Impedances of the scenes of one sensor, exactly or by reanalysis.
+    """Impedances of the scenes of one sensor, exactly or by the factors of the flat one.
 
     Sensors that differ from a nominal one in electrode positions, thickness, conductivity and
-    contacts share its meshes and factors in reanalysis: nothing is meshed or factorised for them.
+    contacts share its meshes and factors: nothing is meshed or factorised for them.
     """
 
     def __init__(
@@ -134,83 +148,141 @@ class SensorImpedances:
             if nominal is None or self._shift is None
             else nominal_family(nominal, resolution)
         )
-        self._untouched: dict[tuple[ForwardModel, float], tuple[Scene, Numbers]] = {}
-        self._reanalyses: dict[ForwardModel, Reanalysis | None] = {}
+        self._last: dict[tuple[ForwardModel, Tolerance], tuple[Scene, Numbers]] = {}
+        self._bases: dict[ForwardModel, Base | None] = {}
 
     @cached_property
     def own(self) -> ModelFamily:
         """Forward models on meshes of the sensor itself."""
         return model_family(self._design, self._resolution, self._breaks)
 
-    def at(self, scene: Scene, tolerance: float = 0.0) -> Numbers:
-        """Impedance [ohm] on the base mesh, by reanalysis where a tolerance allows.
+    def at(self, scenes: Iterable[Scene], tolerance: Tolerance = EXACT) -> dict[Scene, Numbers]:
+        """Impedance [ohm] of each scene on the base mesh.
 
         The change that touches of small indenters make on a finer mesh is added to the impedance
         without touches on the base mesh, so that errors of the two meshes do not enter it.
         """
-        family = self._shared if tolerance else self.own
-        if not scene.touches:
-            return self._without_touches(family.base, scene, tolerance)
-        model = family.suited(scene.touches)
-        Z = self._solved(model, scene, tolerance)
-        if model is family.base:
-            return Z
-        coarse, fine = (
-            self._without_touches(each, untouched(scene), tolerance)
-            for each in (family.base, model)
-        )
-        moved: Numbers = coarse + (Z - fine)
-        return moved
+        family = self.own if tolerance == EXACT else self._shared
+        suited = {scene: family.suited(scene.touches) for scene in scenes}
+        wanted: dict[ForwardModel, dict[Scene, None]] = {}
+        for scene, model in suited.items():
+            wanted.setdefault(model, {})[scene] = None
+            if model is not family.base:
+                for each in (model, family.base):
+                    wanted.setdefault(each, {})[untouched(scene)] = None
+        solved = {model: self._solved(model, asked, tolerance) for model, asked in wanted.items()}
+        found = {}
+        for scene, model in suited.items():
+            found[scene] = solved[model][scene]
+            if model is not family.base:
+                bare = untouched(scene)
+                found[scene] = solved[family.base][bare] + (found[scene] - solved[model][bare])
+        return found
 
-    def contact_sensitivity(self, scene: Scene, tolerance: float) -> Array:
+    def contact_sensitivities(
+        self, scenes: Iterable[Scene], tolerance: Tolerance
+    ) -> dict[Scene, Array]:
         """Derivatives of the impedance [ohm] by each contact impedance [1/m2], the contact last.
 
-        Shape (electrodes, electrodes, electrodes), on the mesh that suits the scene's indenters.
-        Raises ConfigurationError for complex contact impedances.
+        Shapes (electrodes, electrodes, electrodes), on the meshes that suit the scenes' indenters,
+        by the adjoint method. Raises ConfigurationError for complex contact impedances.
         """
-        model = self._shared.suited(scene.touches)
-        solved = self.reanalysis(model)
-        if solved is None:
-            raise ConfigurationError(
-                "derivatives by contact impedances need real ones, and a sensor near its nominal "
-                f"one; got {self._design.contact_impedance}"
-            )
-        layer = dataclasses.replace(self._layer_of(scene), shift=self._shift)
-        return solved.contact_sensitivity(layer, tolerance)
+        suited: dict[ForwardModel, list[Scene]] = {}
+        for scene in scenes:
+            suited.setdefault(self._shared.suited(scene.touches), []).append(scene)
+        found: dict[Scene, Array] = {}
+        z = self._design.contact_impedance
+        for model, some in suited.items():
+            base, assembly = self._base(model), model.assembly
+            if base is None:
+                raise ConfigurationError(
+                    "derivatives by contact impedances need real ones, and a sensor near its "
+                    f"nominal one; got {z}"
+                )
+            solver = self._shared.solver(model)
+            layers = [self._layer(scene) for scene in some]
+            fields = self._fields(layers, model)
+            solutions = solver.solve(fields, z, base, tolerance, potentials=True)
+            for scene, layer, solution in zip(some, layers, solutions, strict=True):
+                if solution is None:
+                    gram = model.contact_gram(layer.conductivity, layer.area_ratio, z)
+                else:
+                    U = np.linalg.solve(solution.admittance, zero_sums(np.eye(len(z))))
+                    w = solution.potentials[solver.rank]
+                    ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+                    drops = model.contact_drops(w @ U, U, solver.lift)
+                    gram = assembly.contact_gram(drops, z, ratio)
+                found[scene] = np.real(gram)
+        return found
 
-    def _without_touches(self, model: ForwardModel, scene: Scene, tolerance: float) -> Numbers:
-        """Impedance [ohm] of a scene without touches; that of the last one is cached."""
-        last = self._untouched.get((model, tolerance))
-        if last is None or last[0] != scene:
-            last = scene, self._solved(model, scene, tolerance)
-            self._untouched[model, tolerance] = last
-        return last[1]
+    def _solved(
+        self, model: ForwardModel, scenes: Iterable[Scene], tolerance: Tolerance
+    ) -> dict[Scene, Numbers]:
+        """Impedances [ohm] of scenes on one of the meshes."""
+        base = None if tolerance == EXACT else self._base(model)
+        if base is None:
+            return {scene: self._alone(model, scene, tolerance) for scene in scenes}
+        found: dict[Scene, Numbers] = {}
+        deformed: list[Scene] = []
 
-    def _solved(self, model: ForwardModel, scene: Scene, tolerance: float) -> Numbers:
-        layer = self._layer_of(scene)
-        if tolerance:
-            layer = dataclasses.replace(layer, shift=self._shift)
-            solved = self.reanalysis(model)
-            if solved is not None:
-                flat = layer.deformation is None
-                return solved.base if flat else solved.impedance(layer, tolerance)
+        def layers() -> Iterator[DeformedLayer]:
+            for scene in scenes:
+                layer = self._layer(scene)
+                if layer.deformation is None:
+                    found[scene] = base.impedance
+                else:
+                    deformed.append(scene)
+                    yield layer
+
+        fields, z = self._fields(layers(), model), self._design.contact_impedance
+        solutions = self._shared.solver(model).solve(fields, z, base, tolerance)
+        for scene, solution in zip(deformed, solutions, strict=True):
+            given = None if solution is None else solution.impedance
+            found[scene] = self._alone(model, scene, tolerance) if given is None else given
+        return found
+
+    def _alone(self, model: ForwardModel, scene: Scene, tolerance: Tolerance) -> Numbers:
+        """Impedance [ohm] of a scene solved by itself; that of the last untouched one is cached."""
+        last = self._last.get((model, tolerance))
+        if last is not None and last[0] == scene:
+            return last[1]
+        layer = self._layer_of(scene) if tolerance == EXACT else self._layer(scene)
         if layer.is_flat:
             return model.flat_impedance
         z = None if layer.shift is None else layer.contact_impedance
-        return model.impedance(layer.conductivity, layer.area_ratio, z)
+        Z = model.impedance(layer.conductivity, layer.area_ratio, z)
+        if not scene.touches:
+            self._last[model, tolerance] = scene, Z
+        return Z
 
-    def reanalysis(self, model: ForwardModel) -> Reanalysis | None:
-        """Reanalysis based on the flat sensor.
+    def _layer(self, scene: Scene) -> DeformedLayer:
+        """Deformed layer on the points of the shared meshes."""
+        return dataclasses.replace(self._layer_of(scene), shift=self._shift)
+
+    def _fields(
+        self, layers: Iterable[DeformedLayer], model: ForwardModel
+    ) -> Iterator[LayerFields]:
+        assembly = model.assembly
+        points = MeshPoints(assembly.points, assembly.facet_points, assembly.facet_normals)
+        return layer_fields(layers, points)
+
+    def _base(self, model: ForwardModel) -> Base | None:
+        """The flat sensor as solved on a shared mesh.
 
         None for complex contact impedances, and where the nominal sensor differs too much.
         """
-        if model not in self._reanalyses:
-            found = self._shared.reanalysis(model) if is_possible(model) else None
-            if found is not None and self._shift is not None:
-                flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
-                found = found.specimen(flat)
-            self._reanalyses[model] = found
-        return self._reanalyses[model]
+        if model not in self._bases:
+            found = None
+            if is_possible(model):
+                solver = self._shared.solver(model)
+                found = solver.base
+                if self._shift is not None:
+                    flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
+                    z = self._design.contact_impedance
+                    (own,) = solver.solve(self._fields([flat], model), z, found, _BASE, True)
+                    found = None if own is None else Base(own.impedance, own.potentials)
+            self._bases[model] = found
+        return self._bases[model]
 
 
 def _shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:

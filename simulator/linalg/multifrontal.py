@@ -176,11 +176,14 @@ class SingleFactors:
 
     The blocks S and J of L on and below the diagonal are kept as S^-1 above -J S^-1, so that each
     front takes one matrix product a sweep.
+
+    Attributes:
+        order: unknowns in the order of elimination.
     """
 
     def __init__(self, order: Indices, fronts: Sequence[Front], factors: Sequence[_Factor]) -> None:
         """Invert the diagonal block of L of each front, and round to single precision."""
-        self._order = order
+        self.order = order
         self._fronts: list[tuple[slice, Places, Numbers]] = []
         for front, (_, lower, _, below) in zip(fronts, factors, strict=True):
             start, stop = front.own.start, front.own.stop
@@ -201,19 +204,14 @@ class SingleFactors:
                     block = np.concatenate([inverse, -beside @ inverse]).astype(np.float32)
                     self._fronts.append((own, border, block))
 
-    def solve(self, B: Numbers) -> Numbers:
-        """A^-1 B, (n, k), to single precision."""
-        scale = np.abs(B).max(initial=np.finfo(np.float32).tiny)
-        x = (B[self._order] / scale).astype(np.float32)
+    def solve(self, x: NDArray[np.float32]) -> None:
+        """Replace x (n, k), with rows in the order of elimination, by A^-1 x."""
         for own, border, block in self._fronts:
             found, size = block @ x[own], own.stop - own.start
             x[own] = found[:size]
             x[border] += found[size:]
         for own, border, block in reversed(self._fronts):
             x[own] = block.T @ np.concatenate([x[own], x[border]])
-        solution = np.empty_like(B)
-        solution[self._order] = scale * x
-        return solution
 
 
 def factorised(matrix: csc_array, blocks: Sequence[Block]) -> Factors:

@@ -49,6 +49,16 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
     assert np.abs(found - plain).max() < 1e-8 * np.abs(plain - flat).max()
 
 
+def test_scenes_in_single_precision_are_those_of_plain_numpy(monkeypatch) -> None:
+    sim = Simulator(SensorDesign.reference(), "coarse")
+    scenes = [Scene(Bend(20.0), PRESSED), Scene(touches=PRESSED[:1]), Scene(Bend(-10.0))]
+    found = sim.impedances(scenes, 1e-5)
+    monkeypatch.setattr(compiled, "loaded", lambda _: None)
+    plain = sim.impedances(scenes, 1e-5)
+    assert not np.array_equal(found, plain)
+    assert np.abs(found - plain).max() < 1e-6 * np.abs(plain).max()
+
+
 def test_kernels_can_be_left_out(monkeypatch) -> None:
     assert compiled.compiled(KERNELS) is None
     assert with_kernels(compiled.compiled, KERNELS) is not None

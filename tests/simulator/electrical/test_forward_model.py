@@ -58,7 +58,7 @@ def test_conductivity_per_cell_equals_the_same_field(model) -> None:
     by_cell = model.impedance(tensors)
     assert model.impedance(tensors[:, 0, 0]) == pytest.approx(by_cell, rel=1e-12, abs=1e-9)
     smooth = model.impedance(lambda x: 1 + 5 * x[..., 0])
-    assert by_cell == pytest.approx(smooth, rel=2e-3, abs=0.5)
+    assert by_cell == pytest.approx(smooth, rel=3e-3, abs=0.7)
 
 
 def skewed(x):

@@ -65,11 +65,11 @@ def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch)
     assert factors.solve(B) == pytest.approx(wanted, rel=1e-9)
     assert solver.congruence(values, B) == pytest.approx(B.T @ wanted, rel=1e-9)
     if kind == "real":
-        for size in (1.0, 1e-60, 1e60):  # neither overflows nor vanishes in single precision
-            given = size * B
-            error = factors.rounded().solve(given) - size * wanted
-            assert 1e-10 < np.linalg.norm(error) / np.linalg.norm(size * wanted) < 1e-4
-            assert np.array_equal(given, size * B)
+        single = factors.rounded()
+        x = B[single.order].astype(np.float32)
+        single.solve(x)
+        error = np.linalg.norm(x - wanted[single.order]) / np.linalg.norm(wanted)
+        assert 1e-10 < error < 1e-4
 
 
 def indefinite(rng):

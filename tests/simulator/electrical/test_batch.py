@@ -1,16 +1,21 @@
-"""Reanalysis: scenes by Galerkin projection on another scene's factors, against whole solutions."""
+"""Scenes by Galerkin projection on the flat sensor's factors, against whole solutions."""
 
 import dataclasses
-from itertools import islice, pairwise
+import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from eitskin import compiled
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import EXACT, ForwardModel, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.electrical.reanalysis import Reanalysis
+from eitskin.simulator.deformation.deformed_layer import MeshPoints, layer_fields
+from eitskin.simulator.electrical.batch import TOLERANCE, BatchSolver
+from eitskin.simulator.electrical.sensor_impedances import SensorImpedances
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
 from contacts import with_contacts
@@ -82,29 +87,38 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
     assert signal_errors(sim, near, tolerance=1e-8).max() < 1e-6
 
 
+def solved(solver, layer, tolerance=TOLERANCE):
+    """Impedances [ohm] of one layer, begun with the factorised one."""
+    assembly = solver.model.assembly
+    points = MeshPoints(assembly.points, assembly.facet_points, assembly.facet_normals)
+    fields = layer_fields([layer], points)
+    return solver.solve(fields, layer.contact_impedance, solver.base, tolerance)[0].impedance
+
+
 @pytest.mark.parametrize(
     ("cells", "solver"), [("prisms", "block Cholesky"), ("hexahedra", "nested dissection")]
 )
 def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
     model = ForwardModel(small.design, COARSE, cells=cells, solver=solver)
-    flat = small.deformed_layer(Scene())
-    solved = Reanalysis(model, flat)
-    assert solved.base == pytest.approx(model.impedance(), rel=1e-10, abs=1e-9)
+    batch = BatchSolver(model, small.deformed_layer(Scene()))
+    flat = batch.base.impedance
+    assert flat == pytest.approx(model.impedance(), rel=1e-10, abs=1e-9)
     for scene in (Scene(touches=touches(2)), Scene(Bend(30.0), touches(1))):
         layer = small.deformed_layer(scene)
         plain = model.impedance(layer.conductivity, layer.area_ratio)
-        change = np.linalg.norm(plain - solved.base)
-        assert np.linalg.norm(solved.impedance(layer) - plain) < 3e-4 * change
-        assert np.linalg.norm(solved.impedance(layer, 1e-8) - plain) < 1e-7 * change
+        change = np.linalg.norm(plain - flat)
+        assert np.linalg.norm(solved(batch, layer) - plain) < 3e-4 * change
+        assert np.linalg.norm(solved(batch, layer, 1e-8) - plain) < 1e-7 * change
 
 
+@dataclasses.dataclass(frozen=True)
 class Layer:
     """Layer of a conductivity `sigma` (n, 3) -> (n,) and flat electrodes."""
 
+    sigma: Callable
+    shift: None = None
+    deformation = is_flat = False
     contact_impedance = SensorDesign.reference().contact_impedance
-
-    def __init__(self, sigma):
-        self.sigma = sigma
 
     def entries(self, x):
         return self.sigma(x)[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -118,24 +132,32 @@ class Layer:
 
 
 def test_each_correction_takes_away_most_of_the_error(small) -> None:
-    solved = Reanalysis(small.model, Layer(lambda x: np.ones(x.shape[:-1])))
+    """By the square of the part that the conductivity changes by, which is a half at most."""
+    batch = BatchSolver(small.model, Layer(lambda x: np.ones(x.shape[:-1])))
     changed = Layer(lambda x: 1.0 + 0.5 * np.sin(60.0 * x[..., 0]) * np.cos(90.0 * x[..., 1]))
     plain = small.model.impedance(changed.conductivity, changed.area_ratio)
-    found = islice(solved.approximations(changed), 4)
-    errors = [np.linalg.norm(each.impedance - plain) for each in found]
-    # By the square of the part that the conductivity changes by, which is a half at most.
-    assert all(after < 0.25 * before for before, after in pairwise(errors))
+    change = np.linalg.norm(plain - batch.base.impedance)
+    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-8):
+        before = batch.solutions
+        error = np.linalg.norm(solved(batch, changed, tolerance) - plain)
+        assert error < tolerance * change
+        assert batch.solutions - before <= 2.0 - math.log(tolerance) / math.log(4.0)
 
 
 def test_a_scene_that_differs_too_much_is_solved_by_itself(small) -> None:
     strange = Layer(lambda x: np.where(np.sin(200.0 * x[..., 0] + 130.0 * x[..., 1]) > 0, 1.0, 1e6))
     plain = small.model.impedance(strange.conductivity, strange.area_ratio)
-    solved = Reanalysis(small.model, small.deformed_layer(Scene()))
-    before = small.model.factorisations, solved.solutions
-    found = solved.impedance(strange)
-    assert found == pytest.approx(plain, rel=1e-7, abs=1e-9 * np.abs(plain).max())
+    gentle, wild = Scene(Bend(20.0)), Scene(Bend(10.0))
+    layers = {gentle: small.deformed_layer(gentle), wild: strange}
+    sensor = SensorImpedances(small.design, COARSE, (), None, layers.__getitem__)
+    batch = sensor.own.solver(small.model)
+    before = small.model.factorisations, batch.solutions
+    with compiled.kernels():
+        found = sensor.at([wild, gentle], TOLERANCE)
+    assert found[wild] == pytest.approx(plain, rel=1e-7, abs=1e-9 * np.abs(plain).max())
+    assert np.array_equal(found[gentle], small.impedances([gentle])[0])
     assert small.model.factorisations == before[0] + 1
-    assert solved.solutions > before[1] + 3
+    assert batch.solutions > before[1] + 5
 
 
 # Work
@@ -157,27 +179,37 @@ def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
     assert alone.model.factorisations == 1 + len(some)
 
 
-def test_one_or_two_touches_take_two_or_three_solutions_with_the_factors(small) -> None:
-    solved = Reanalysis(small.model, small.deformed_layer(Scene()))
-    assert solved.solutions == 1
+def test_few_touches_take_two_or_three_solutions_with_the_factors(small) -> None:
+    batch = BatchSolver(small.model, small.deformed_layer(Scene()))
+    assert batch.solutions == 1
     for scene in scenes()[::2]:
-        before = solved.solutions
-        solved.impedance(small.deformed_layer(scene))
-        most = 3 if len(scene.touches) < 3 else 5
-        assert 2 <= solved.solutions - before <= most
-    before = solved.solutions
-    flat = solved.impedance(small.deformed_layer(Scene()))
-    assert flat == pytest.approx(solved.base, abs=1e-10 * np.abs(solved.base).max())
-    assert solved.solutions == before + 1
+        before = batch.solutions
+        solved(batch, small.deformed_layer(scene))
+        assert 2 <= batch.solutions - before <= (3 if len(scene.touches) < 3 else 5)
+    before = batch.solutions
+    flat = solved(batch, small.deformed_layer(Scene()))
+    assert flat == pytest.approx(batch.base.impedance, abs=1e-10 * np.abs(flat).max())
+    assert batch.solutions == before + 1
 
 
-def test_a_scene_does_not_depend_on_the_others(small) -> None:
-    some = [*scenes()[::5], Scene(Bend(25.0)), Scene()]
-    together = small.measure_all(some)
-    backwards = Simulator(small.design, COARSE).measure_all(some[::-1])[::-1]
-    alone = [Simulator(small.design, COARSE).measure_all([scene])[0] for scene in some[::2]]
-    assert together.tobytes() == np.ascontiguousarray(backwards).tobytes()
-    assert together[::2].tobytes() == np.array(alone).tobytes()
+@pytest.mark.parametrize(
+    ("electrodes", "plain"),
+    [(8, False), (8, True), (5, False), pytest.param(70, False, marks=pytest.mark.slow)],
+)
+def test_bytes_do_not_depend_on_neighbours(monkeypatch, electrodes, plain) -> None:
+    """Scenes in any order and number, beside quick and slow ones, in any place of a batch."""
+    if plain:
+        monkeypatch.setattr(compiled, "loaded", lambda _: None)
+    ring = uniform(SensorDesign.reference().outline, electrodes, min(0.005, 0.2 / electrodes))
+    design = dataclasses.replace(SensorDesign.reference(), electrodes=ring)
+    sim = Simulator(design, ((2, 2, 1), Grading(2e-3, 8e-3, 3.0)))
+    some = [*scenes()[1::2], Scene(Bend(25.0)), Scene(Bend(-3.0)), Scene()]
+    together = dict(zip(some, sim.impedances(some), strict=True))
+    rng = np.random.default_rng(0)
+    for count in (1, 2, len(some)):
+        chosen = [some[k] for k in rng.permutation(len(some))[:count]]
+        again = sim.impedances(chosen)
+        assert [each.tobytes() for each in again] == [together[s].tobytes() for s in chosen]
 
 
 # Refusals
@@ -186,7 +218,7 @@ def test_a_scene_does_not_depend_on_the_others(small) -> None:
 def test_complex_contacts_are_refused_but_simulated() -> None:
     sim = Simulator(with_contacts(1e-3 - 2e-4j), COARSE)
     with pytest.raises(ConfigurationError, match="real contact impedances"):
-        Reanalysis(sim.model, sim.deformed_layer(Scene()))
+        BatchSolver(sim.model, sim.deformed_layer(Scene()))
     some = scenes()[:2]
     assert sim.measure_all(some) == pytest.approx(plainly(sim, some), rel=1e-12)
 

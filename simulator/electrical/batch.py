@@ -1,0 +1,290 @@
+"""Many scenes solved with the factors of one, by Galerkin projection, some side by side.
+
+Touches and bends change the conductivity by a part of itself, so that the factors of the flat
+sensor's matrix A_0 nearly invert the matrix A of any scene. The potentials w of a scene are sought
+in the space of the base potentials w_0 and of corrections A_0^-1 r for the residuals r of all
+electrodes (combined approximations, Kirsch 2008). In that space the Galerkin solution w is
+optimal, and T = B^T w, from which the impedances follow, has the square of its error. Each
+correction takes one solution with given factors and one product with element matrices, where an
+elimination would take as many operations as the assembled blocks have, cubed.
+
+Several scenes are corrected at once, with their residuals side by side in one array of fixed width,
+so that the factors are read once for all; the next scene takes the place of each that is solved.
+The numbers of a scene are the same in any place and beside any others. Element matrices of kernels
+are in single precision; for small tolerances, and in plain code, they are in double.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.compiled import compiled
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer, LayerFields
+from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix
+from eitskin.simulator.electrical.forward_model import ForwardModel
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
+
+Tolerance: TypeAlias = float
+"""Error of a scene's change from the flat sensor, over the norm of that change. Where the first
+correction changes less, over the norm of what it does: touches change little beside bends."""
+TOLERANCE: Tolerance = 1e-4
+"""Default tolerance of many scenes."""
+EXACT: Tolerance = 0.0
+"""Tolerance of scenes that are each solved by itself, without the factors of another."""
+_COLUMNS = 64  # right sides that are solved at once: as fast as more
+_FULL = 16  # columns that products of matrices take alike, wherever they are
+_MOST = 8  # corrections, before a scene is solved by itself
+_FALLS = 0.25  # ratio of two changes of the impedances in turn, of corrections that converge
+_SINGLE = 1e-5  # tolerance from which element matrices are in single precision
+_ROUNDING = {np.float32: 1e-9, np.float64: 1e-13}  # change, over the impedances, that is none
+# Energy of a vector beyond those before it, over its own, up to which that is rounding alone; in
+# single precision vectors of rounding would be taken for corrections.
+_DEPENDENT = {np.float32: 1e-4, np.float64: 1e-12}
+
+
+class Base(NamedTuple):
+    """Solved scene in which others begin.
+
+    Attributes:
+        impedance: (electrodes, electrodes) [ohm].
+        potentials: w, (unknowns in the order of elimination, electrodes), per electrode potential.
+    """
+
+    impedance: Array
+    potentials: Array
+
+
+class Solution(NamedTuple):
+    """Solution of one scene.
+
+    Attributes:
+        impedance: Z, (electrodes, electrodes) [ohm].
+        potentials: in the order of elimination; empty unless asked for.
+        admittance: D - T, the inverse of Z but for a common potential [S].
+    """
+
+    impedance: Array
+    potentials: Array
+    admittance: Array
+
+
+class BatchSolver:
+    """Forward model with the factors of one scene, for the impedances of others.
+
+    Attributes:
+        model: the forward model.
+        base: the factorised scene.
+        width: number of scenes that are corrected at once.
+        solutions: number of solutions with the factors so far.
+    """
+
+    def __init__(self, model: ForwardModel, layer: DeformedLayer) -> None:
+        """Factorise the matrix of `model` for the deformed `layer`.
+
+        Raises ConfigurationError for models with complex contact impedances.
+        """
+        if not is_possible(model):
+            raise ConfigurationError(
+                f"expected real contact impedances, got {model.contact_impedance.dtype} ones; use "
+                "ForwardModel.impedance"
+            )
+        assembly, pattern = model.assembly, model.pattern
+        self.model = model
+        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+        contact = assembly.electrode_terms(layer.contact_impedance, ratio)
+        stiffness = assembly.stiffness(layer.entries(assembly.points))
+        system = pattern.system(stiffness.values, contact)
+        self.lift, self.grounded = system.lift, float(np.real(system.values[-1]))
+        factors = model.solver.factorise(system.values)
+        w = np.real(factors.solve(system.coupling))
+        model.factorisations += 1
+        self._factors = factors.rounded()
+        self.order = self._factors.order
+        self.rank = np.argsort(self.order)
+        self.ground = int(self.rank[pattern.ground])
+        size = assembly.unknowns
+        self.elements, self.facets = (
+            ElementProducts(self.rank[numbers], size, one)
+            for numbers, one in (
+                (assembly.space.numbers, assembly.constant),
+                (assembly.facet_numbers, np.zeros(0)),
+            )
+        )
+        self._columns = max(_COLUMNS, -(-len(system.admittance) // _FULL) * _FULL)
+        self.width = self._columns // len(system.admittance)
+        self.solutions = 1
+        Z = np.real(impedance_matrix(system.admittance, system.coupling.T @ w))
+        self.base = Base(Z, np.ascontiguousarray(w[self.order], dtype=np.float64))
+
+    def solve(
+        self,
+        scenes: Iterable[LayerFields],
+        contact_impedance: Numbers,
+        base: Base,
+        tolerance: Tolerance = TOLERANCE,
+        potentials: bool = False,
+    ) -> list[Solution | None]:
+        """Solutions of scenes; None for each that differs too much from the factorised one.
+
+        Args:
+            scenes: of one sensor, taken one by one as places become free.
+            contact_impedance: of the sensor's electrodes, (electrodes,) [ohm m2].
+            base: flat sensor, where the corrections begin.
+            tolerance: of the change of each from the flat sensor.
+            potentials: whether they are wanted, too.
+        """
+        waiting = enumerate(scenes)
+        electrodes = len(self.base.impedance)
+        places = [slice(k * electrodes, (k + 1) * electrodes) for k in range(self.width)]
+        x = np.zeros((len(self.order), self._columns), dtype=np.float32)
+        solved: dict[int, Solution | None] = {}
+        active: dict[int, _Projection] = {}
+        while True:
+            free = [place for place in range(self.width) if place not in active]
+            fresh = {
+                place: _Projection(self, number, fields, contact_impedance, base, tolerance)
+                for place, (number, fields) in zip(free, waiting, strict=False)
+            }
+            _advance(fresh.values())
+            active |= fresh
+            if not active:
+                return [solved[number] for number in range(len(solved))]
+            for place, columns in enumerate(places):
+                x[:, columns] = active[place].residual() if place in active else 0.0
+            self._factors.solve(x)
+            self.solutions += len(active)
+            for place, scene in active.items():
+                scene.extend(x[:, places[place]].astype(np.float64))
+            _advance(active.values())
+            for place, scene in list(active.items()):
+                if scene.ended:
+                    solved[scene.number] = scene.solution(potentials)
+                    del active[place]
+
+
+class _Projection:
+    """Galerkin projection of one scene.
+
+    Attributes:
+        number: of the scene.
+        ended: whether it is solved, or cannot be solved.
+    """
+
+    def __init__(
+        self,
+        solver: BatchSolver,
+        number: int,
+        fields: LayerFields,
+        contact_impedance: Numbers,
+        base: Base,
+        tolerance: Tolerance,
+    ) -> None:
+        self.number, self._solver = number, solver
+        self._flat, self._tolerance = base.impedance, tolerance
+        kernels = compiled("eitskin.simulator.electrical.kernels")
+        self._kind = np.float32 if kernels and tolerance >= _SINGLE else np.float64
+        assembly, pattern = solver.model.assembly, solver.model.pattern
+        tensors: Numbers = fields.tensors.astype(self._kind, copy=False)
+        self._matrices = assembly.condensed_matrices(assembly.matrices(tensors))
+        contact = assembly.electrode_terms(contact_impedance, fields.area_ratio)
+        self._pieces = np.real(contact.matrices)
+        lifted = np.asarray(solver.lift.any(axis=0))
+        near = self._matrices[pattern.lifting]
+        B, D, _ = pattern.forms(near, solver.grounded, contact, lifted)
+        self._B, self.D = np.real(B)[solver.order], np.real(D)
+        self._scale = 1.0 / np.abs(self._B).max()
+        electrodes = len(self.D)
+        self._blocks: list[tuple[Array, Array]] = []
+        self._gram, self._loads = np.zeros((0, 0)), np.zeros((0, electrodes))
+        self._impedances: list[Array] = []
+        self._changes = [np.inf]
+        self._converged = self.ended = False
+        self.extend(base.potentials)
+
+    def extend(self, V: Array) -> None:
+        """Add vectors (unknowns, k) to the space, and find the solution in it."""
+        solver = self._solver
+        AV = np.real(solver.elements.product(self._matrices, V))
+        AV += np.real(solver.facets.product(self._pieces, V))
+        AV[solver.ground] += solver.grounded * V[solver.ground]
+        self._blocks.append((V, AV))
+        own, size = len(self._gram), len(self._gram) + V.shape[1]
+        gram = np.empty((size, size))
+        gram[:own, :own] = self._gram
+        column = np.concatenate([each.T @ AV for each, _ in self._blocks])
+        gram[:, own:], gram[own:] = column, column.T
+        self._gram = gram
+        self._loads = np.concatenate([self._loads, V.T @ self._B])
+        self._found, self.T = projected(gram, self._loads, _DEPENDENT[self._kind])
+
+    def residual(self) -> Array:
+        """B - A w, (unknowns, electrodes), over the largest number of B."""
+        parts = np.split(self._found, len(self._blocks))
+        residual = self._B - sum(AV @ own for (_, AV), own in zip(self._blocks, parts, strict=True))
+        residual *= self._scale
+        return residual
+
+    def advance(self, Z: Array) -> None:
+        """Judge the impedances [ohm] of the present space."""
+        changes, last = self._changes, self._impedances
+        if last:
+            changes.append(float(np.linalg.norm(Z - last[-1])))
+            # Changes that fall geometrically leave errors that do; others tell nothing.
+            falls = changes[-1] / changes[-2] if changes[-2] else 0.0
+            wanted = self._tolerance * min(float(np.linalg.norm(Z - self._flat)), changes[1])
+            none = changes[-1] <= _ROUNDING[self._kind] * np.linalg.norm(Z)
+            good = 0.0 < falls < _FALLS and falls * changes[-1] <= wanted
+            self._converged = bool(none or good)
+        last.append(Z)
+        self.ended = self._converged or len(last) > _MOST or not np.isfinite(Z).all()
+
+    def solution(self, potentials: bool) -> Solution | None:
+        """Last solution; None where the corrections have not converged."""
+        if not self._converged:
+            return None
+        w = np.zeros((0, len(self.D)))
+        if potentials:
+            parts = np.split(self._found, len(self._blocks))
+            w = np.sum([V @ own for (V, _), own in zip(self._blocks, parts, strict=True)], axis=0)
+        return Solution(self._impedances[-1], w, self.D - 0.5 * (self.T + self.T.T))
+
+
+def _advance(scenes: Iterable[_Projection]) -> None:
+    """Let scenes judge their impedances."""
+    some = list(scenes)
+    if some:
+        Z = impedance_matrix(np.array([each.D for each in some]), np.array([s.T for s in some]))
+        for each, own in zip(some, Z, strict=True):
+            each.advance(own)
+
+
+def projected(gram: Array, loads: Array, dependent: float) -> tuple[Array, Array]:
+    """Coefficients of the vectors in the Galerkin solution x, (vectors, k), and B^T x, (k, k).
+
+    Args:
+        gram: of the vectors, which may be linearly dependent: potentials of all electrodes add up
+            to a constant; (vectors, vectors).
+        loads: products of the vectors with B, (vectors, k).
+        dependent: share of its energy up to which a vector counts as dependent.
+    """
+    kernels = compiled("eitskin.simulator.electrical.kernels")
+    if kernels is not None:
+        found, product = np.empty(loads.shape), np.empty((loads.shape[1], loads.shape[1]))
+        kernels.project(gram, loads, dependent, found, product)
+        return found, product
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(0.5 * (gram + gram.T) * np.outer(scale, scale))
+    kept = values > dependent * values[-1]
+    basis = scale[:, None] * vectors[:, kept]
+    found = basis @ ((basis.T @ loads) / values[kept, None])
+    return found, loads.T @ found
+
+
+def is_possible(model: ForwardModel) -> bool:
+    """Whether scenes can share factors: real contact impedances."""
+    return bool(np.isrealobj(model.contact_impedance))
