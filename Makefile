@@ -10,7 +10,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test quick coverage mutations lint docs reference narrow firmware gallery bench \
-	bench-long figures clean
+	bench-long pages clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -22,7 +22,7 @@ test: $(VENV)/installed
 quick: $(VENV)/installed
 	$(BIN)/python -m pytest $(WORKERS) -m "not slow" $(ARGS)
 
-# By lines; physics, datasets and codecs must have 95 %, each by itself. docs/testing.md has the table.
+# By lines; physics, datasets and codecs must have 95 %, each by itself. CONTRIBUTING.md has the rest.
 CODEC := hardware/protocol/packets.py,hardware/protocol/messages.py,hardware/boards/text_*.py
 coverage: $(VENV)/installed
 	rm -rf build/coverage && mkdir -p build/coverage
@@ -70,14 +70,16 @@ gallery: $(VENV)/installed
 		$(BIN)/python $$script docs/gallery || exit 1; done
 
 # Everything that README and docs quote, measured again into build/bench, for an hour or two.
-# Results of the same version and seed are kept; see docs/benchmarks.md.
+# Results of the same version and seed are kept; see CONTRIBUTING.md.
 # bench-long also runs the benchmarks that take more than ten minutes each.
 bench bench-long: $(VENV)/installed
 	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS)
 
-# Figures of README and docs, from benchmarks/published; RESULTS=build/bench puts new ones above.
-figures: $(VENV)/installed
-	$(BIN)/python -m eitskin.benchmarks.page_figures $(RESULTS)
+# Pages that are generated: docs/results from benchmarks/published, commands and file keys from the
+# code; RESULTS=build/bench puts new results above.
+pages: $(VENV)/installed
+	$(BIN)/python -m eitskin.benchmarks.result_pages $(RESULTS)
+	$(BIN)/python docs/site/reference.py
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -20,12 +20,32 @@ from eitskin.files import atomic_file, read_bytes
 from eitskin.provenance import Provenance
 
 _MOST_BYTES = 1 << 24
-_TABLE = re.compile(r"^<!-- leaderboard (\w+) -->\n((?:\|.*\n)*)", re.MULTILINE)
 NAME, VERSION = "skinbench", 2
 _DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
 RECORDING_SHA256 = "4bd805972f635f3e38884d42385b8b5a020c27abfc8f90550fdee9166d80c3a6"
 """Of `ohmc8.mat` (DSHardman/HydrogelEIT), the frames of the track `real`."""
+_PAGE = f"""# {NAME}, version {VERSION}
+
+A benchmark set for methods of electrical-impedance skin: frozen recipes, fixed scores, one file of
+entries, [leaderboard.json](leaderboard.json). This page is generated from it. One command makes the
+frames, trains [your method](../how-to/own-method.md) and enters its scores:
+
+    eitskin bench paper --seeds 1 --paper-seeds 0 --method my.py:Net --leaderboard leaderboard.json
+
+To use its frames in your own code, export them, for example those of the track `common`:
+
+    eitskin generate benchmarks/skinbench/recipes/common/frames.toml --out common
+    eitskin export parquet common --out skinbench
+
+**Frozen.** Seed 0; all recipes are in `benchmarks/skinbench/recipes`. Frames follow from recipes
+and from the physics of a version of eitskin, so compare entries within one version. Quick runs and
+other seeds are refused.
+
+**Scores.** A touch is detected within 15 mm of a true one, assigned one to one. Errors are means
+over detected touches, false positives are counted per true touch, angles are RMS errors. An empty
+cell is a quantity that a method does not estimate. The first score ranks.
+"""
 _WORLDS = "|".join(map(re.escape, WORLDS))
 
 
@@ -67,11 +87,13 @@ class Track:
     Attributes:
         name: of the track.
         results: name of the benchmark whose results it is made of.
+        about: question of the track, for its page.
         scores: the first ranks.
     """
 
     name: str
     results: str
+    about: str
     scores: tuple[Score, ...]
 
     def rows(self, figures: Mapping[str, float]) -> Iterator[tuple[str, dict[str, float]]]:
@@ -113,21 +135,30 @@ TRACKS = (
     Track(
         "unseen",
         "paper",
+        "States, angle and one to four touches on unseen sensors. Your methods learn from one "
+        "sensor, as the paper did. By `eitskin bench paper --method my.py:Net --leaderboard FILE`.",
         tuple(Score(text, unit, f"NAME, unseen: {key}") for text, (unit, key) in _UNSEEN.items()),
     ),
     Track(
         "common",
         "methods",
+        "The same for methods that learn from the same frames of 32 sensors and are tested on 8 "
+        "others. By `eitskin bench methods --method my.py:Net --leaderboard FILE`.",
         tuple(Score(text, unit, f"NAME / {key}") for text, (unit, key) in _COMMON.items()),
     ),
     Track(
         "transfer",
         "transfer",
+        "Sensors with other clamps, stiffness, electrodes and boards: the worst of five test "
+        "conditions, as it is, and adapted by 5 angles and 15 touches. By `eitskin bench transfer "
+        "my.eitmodel --leaderboard FILE`.",
         (*_adapted("0 angles", "as it is"), *_adapted("5 angles, 15 presses", "adapted by 20")),
     ),
     Track(
         "real",
         "recordings",
+        "Positions on a real round skin, learned from k of its first 400 touches and tested on its "
+        "last 100. By `eitskin bench recordings DATA --leaderboard FILE`.",
         tuple(Score(f"{k} presses", "mm", f"{k} / NAME") for k in (400, 200, 50, 20, 5)),
     ),
 )
@@ -290,15 +321,9 @@ def _ranked(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
     return tuple(sorted(entries, key=rank))
 
 
-def page_with(text: str, board: Leaderboard) -> str:
-    """Page with the tables of the leaderboard; raises ConfigurationError for other tracks."""
-    tracks = {track.name: track for track in TRACKS}
-
-    def table(match: re.Match[str]) -> str:
-        if match[1] not in tracks:
-            raise ConfigurationError(
-                f"expected a track of {', '.join(tracks)} in {match[0].splitlines()[0]}"
-            )
-        return f"<!-- leaderboard {match[1]} -->\n{board.table(tracks[match[1]])}"
-
-    return _TABLE.sub(table, text)
+def leaderboard_page(board: Leaderboard) -> str:
+    """Markdown page of the leaderboard: what it asks, and the table of each track."""
+    parts = [_PAGE]
+    for track in TRACKS:
+        parts.append(f"## Track `{track.name}`\n\n{track.about}\n\n{board.table(track)}")
+    return "\n".join(parts)

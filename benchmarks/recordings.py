@@ -43,7 +43,7 @@ Method = Callable[[LabelledPresses, Rows, Rows], tuple[Array, Array]]
 
 PRESSES, BOARD_FRAME = "ohmc8.mat", "openeit_background_8.txt"
 TANK = ("ktc2023_ref.mat", "ktc2023_mesh_sparse.mat")
-DESCRIPTIONS = Path(__file__).parents[1] / "docs" / "guides" / "recordings"
+DESCRIPTIONS = Path(__file__).parents[1] / "docs" / "how-to" / "recordings"
 COUNTS, QUICK_COUNTS = (5, 20, 50, 200, 400), (5, 50)
 DRAWS, TESTED = 7, 100
 # The first as fine as the mesh that the challenge gives, the second the same with quadratics.

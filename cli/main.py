@@ -4,7 +4,6 @@ import sys
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from eitskin import __version__
 from eitskin.cli.commands import (
@@ -24,17 +23,48 @@ from eitskin.cli.commands import (
 from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, setup
 from eitskin.cli.demo import command as demo
+from eitskin.cli.help import Command, Commands, with_new_spelling
 from eitskin.cli.options import ended_by_signals
 from eitskin.errors import EitskinError
 from eitskin.files import printable
 
 EXIT_USAGE = 2
+PANELS: dict[str, dict[str, Any]] = {
+    "Start here": {"demo": demo.command, "live": live.command, "simulate": simulate.command},
+    "Data": {
+        "generate": generate.command,
+        "import": import_recording.command,
+        "dataset": dataset.app,
+        "export": export.app,
+    },
+    "Learn": {
+        "train": train.command,
+        "evaluate": train.evaluate,
+        "adapt": adapt.command,
+        "calibrate": adapt.calibrate,
+    },
+    "Hardware": {
+        "ports": check.ports,
+        "check": check.command,
+        "tare": tare.command,
+        "setup": setup.command,
+        "virtual-board": board.command,
+    },
+    "Images": {"reconstruct": reconstruct.command, "mesh": simulate.mesh},
+    "Expert": {"bench": bench.app, "fit": fits.app},
+}
+"""Commands by the panel that help lists them in."""
 
 
-class Commands(TyperGroup):
-    """Command group with a message for Ctrl-C and SIGTERM, of which Typer makes exit code 130."""
+class Program(Commands):
+    """All commands; Ctrl-C and SIGTERM end them with a message, and old spellings still work."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Words of the command line, in today's spelling."""
+        return super().parse_args(ctx, with_new_spelling(args))
 
     def invoke(self, ctx: Any) -> Any:
+        """Run a command; Typer makes exit code 130 of a KeyboardInterrupt."""
         try:
             with ended_by_signals():
                 return super().invoke(ctx)
@@ -45,9 +75,11 @@ class Commands(TyperGroup):
 
 app = typer.Typer(
     name="eitskin",
-    cls=Commands,
+    cls=Program,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
@@ -62,33 +94,23 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+            "--version",
+            "-V",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the version and exit.",
         ),
     ] = False,
 ) -> None:
-    """Simulate electrical-impedance robot skin, make training sets, train on them, go live."""
+    """Soft robot skin that senses touch and bending: simulate it, train on it, run it live."""
 
 
-app.command("simulate")(simulate.command)
-app.command("mesh")(simulate.mesh)
-app.command("reconstruct")(reconstruct.command)
-app.command("generate")(generate.command)
-app.command("import")(import_recording.command)
-app.command("train")(train.command)
-app.command("evaluate")(train.evaluate)
-app.command("adapt")(adapt.command)
-app.command("tare")(tare.command)
-app.command("setup")(setup.command)
-app.command("calibrate")(adapt.calibrate)
-app.command("check")(check.command)
-app.command("board")(board.command)
-app.command("live")(live.command)
-app.command("demo")(demo.command)
-app.add_typer(dataset.app, name="dataset")
-app.add_typer(bench.app, name="bench")
-app.add_typer(export.app, name="export")
-app.add_typer(fits.instrument_app, name="instrument")
-app.add_typer(fits.twin_app, name="twin")
+for _panel, _commands in PANELS.items():
+    for _name, _command in _commands.items():
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name, cls=Commands, rich_help_panel=_panel)
+        else:
+            app.command(_name, cls=Command, rich_help_panel=_panel)(_command)
 
 
 def run() -> None:

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from rich.console import Console, RenderableType
@@ -34,43 +34,49 @@ if TYPE_CHECKING:
 
 MAX_PICTURES = 24  # of one command
 
+_COMMON = "Common"
 Seed = Annotated[
-    int, typer.Option(min=0, help="Seed of everything random; same seed, same result.")
+    int,
+    typer.Option(
+        min=0,
+        metavar="N",
+        rich_help_panel=_COMMON,
+        help="Seed of everything random; same seed, same result.",
+    ),
 ]
+_UnusedSeed = Annotated[int, typer.Option("--seed", hidden=True)]
 
-BoardOption = Annotated[
-    str | None,
-    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
-]
-BoardUri = Annotated[
-    str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
-]
+
+_BOARD = typer.Option(
+    "--board",
+    metavar="URI",
+    help="serial: (the only USB port), serial:PORT, text:PORT?protocol=..., virtual: (simulated) "
+    "or replay:DIRECTORY. `eitskin ports` lists the ports.",
+)
+BoardOption = Annotated[str | None, _BOARD]
 Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
-Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="Trained pipeline, NAME.eitmodel.")]
 Replace = Annotated[
-    bool, typer.Option("--replace", help="Replace what stands under the name of --out.")
+    bool, typer.Option("--replace", help="Replace what exists under the name of --out.")
 ]
 MethodCode = Annotated[
     str | None,
     typer.Option(
         "--method",
         metavar="CODE",
-        help="Method of your own, whose code is run: FILE.py:CLASS, or the name of an installed "
-        "one.",
+        help="Your own method, whose code is run: FILE.py:CLASS, or the name of an installed one.",
     ),
 ]
-FramesPath = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
+FramesPath = Annotated[Path, typer.Argument(help="Folder of the dataset, or one shard.")]
 SceneFile = Annotated[
     Path,
-    typer.Argument(
-        help="Scene file: bends and touches of the sensor; docs/scenes.md has the keys."
-    ),
+    typer.Argument(metavar="SCENE.toml", help="Scene file: bends and touches of the sensor."),
 ]
 SensorFile = Annotated[
-    Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
+    Path | None, typer.Option(help="Sensor design file; the reference sensor if omitted.")
 ]
 MechanicsFile = Annotated[
-    Path | None, typer.Option(help="Materials file; gel in Ecoflex when omitted.")
+    Path | None, typer.Option(help="Materials file; gel in Ecoflex if omitted.")
 ]
 FixtureFile = Annotated[
     Path | None, typer.Option(help="Fixture file: the clamp, hinge or arc that bends the sensor.")
@@ -84,7 +90,10 @@ MeasuredPairs = Annotated[
         "file; a name with its number of electrodes, as in adjacent:16.",
     ),
 ]
-Detail = Annotated[str, typer.Option(help="coarse, fast, standard or fine.")]
+Detail = Annotated[
+    Literal["coarse", "fast", "standard", "fine"],
+    typer.Option(help="Resolution of the electrical model."),
+]
 
 VIRTUAL = "virtual:"
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
@@ -116,8 +125,11 @@ def with_output(function: Callable[..., None]) -> Callable[..., None]:
         groups[each.name] = each.annotation, [member.name for member in members]
         for m in members:
             parameters[m.name] = _keyword(m.name, m.default, m.type)
-    if "seed" not in signature.parameters:  # every command takes it
-        parameters["seed"] = _keyword("seed", 0, Seed)
+    if "seed" not in signature.parameters:  # every command takes it, as in version 0.2
+        parameters["seed"] = _keyword("seed", 0, _UnusedSeed)
+    for each in parameters.values():
+        if get_origin(each.annotation) is Annotated:
+            _name_value(each)
 
     @functools.wraps(function)
     def command(*arguments: Any, **options: Any) -> None:
@@ -133,6 +145,29 @@ def with_output(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+_VALUES = {int: "N", float: "X", Path: "PATH"}
+_STREAMS = "Recording and streams"
+_PANELS = {
+    "page": "Page",
+    "picture": "Page",
+    "ros2": "ROS 2",
+    **dict.fromkeys(("record", "mcap", "udp", "websocket", "every"), _STREAMS),
+}
+"""Panels of options by the first word of their names."""
+
+
+def _name_value(parameter: inspect.Parameter) -> None:
+    """Name the value of an option in its help by what it is, and the panel it belongs to."""
+    kind, info = get_args(parameter.annotation)
+    info.rich_help_panel = info.rich_help_panel or _PANELS.get(parameter.name.partition("_")[0])
+    plain = next((each for each in (get_args(kind) or (kind,)) if each is not type(None)), kind)
+    flag = plain is bool or get_origin(kind) is Literal or get_origin(plain) is Literal
+    if info.metavar is None and not flag and not isinstance(plain, str):
+        named = parameter.name.rpartition("_")[2].upper()
+        argument = isinstance(info, typer.models.ArgumentInfo)
+        info.metavar = named if argument else _VALUES.get(plain, named)
+
+
 def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
     kind = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, kind, default=default, annotation=annotation)
@@ -146,8 +181,9 @@ class SensorOptions:
     mechanics: MechanicsFile = None
     fixture: FixtureFile = None
     touch_model: Annotated[
-        str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")
-    ] = ""
+        Literal["tabulated", "solved"] | None,
+        typer.Option(help="Model of touches; tabulated where tables exist, if omitted."),
+    ] = None
     protocol: Pairs = "pairwise"
 
     def simulator(
@@ -161,14 +197,12 @@ class SensorOptions:
         """
         from eitskin.protocol import Protocol
         from eitskin.simulator.deformation.sensor_grid import read_fixed
-        from eitskin.simulator.deformation.touches import TouchModel
         from eitskin.simulator.simulator import Simulator
 
         design = design or read_design(self.sensor)
         fixture, mechanics, grid = read_fixed(self.fixture, self.mechanics)
         pairs = Protocol.named(self.protocol, len(design.electrodes))
-        model = one_of("--touch-model", self.touch_model, TouchModel) if self.touch_model else None
-        return Simulator(design, resolution, fixture, pairs, mechanics, model, grid=grid)
+        return Simulator(design, resolution, fixture, pairs, mechanics, self.touch_model, grid=grid)
 
 
 def read_design(sensor: Path | None) -> "geometry.SensorDesign":
@@ -196,23 +230,17 @@ def electrode_pair(drive: str, electrodes: int) -> tuple[int, int]:
     return pair
 
 
-def one_of(option: str, text: str, kind: Any) -> Any:
-    """The text, a value of the Literal `kind`; else a ConfigurationError of the option."""
-    if text not in get_args(kind):
-        raise ConfigurationError(
-            f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
-        )
-    return text
-
-
-def named_board(uri: str | None, output: "Output") -> str:
-    """URI of the board that is named, or of a virtual one, with a note that nothing is measured."""
+def named_board(uri: str | None) -> str:
+    """URI of the board that is named; raises ConfigurationError with the choices where none is."""
     if uri is None:
-        output.note(
-            f"no --board is named: this is the simulated sensor of {VIRTUAL}; the ports of this "
-            "machine: eitskin check --list"
+        from eitskin.hardware.boards.port import serial_ports
+
+        ports = [port.uri for port in serial_ports()]
+        raise ConfigurationError(
+            "no board is named\nexpected --board with a serial port of this machine "
+            f"({', '.join(ports) or 'none found'}), or --board {VIRTUAL} for a simulated sensor"
         )
-    return uri or VIRTUAL
+    return uri
 
 
 def opened_board(uri: str, seed: int) -> "hardware.Board":
@@ -265,14 +293,16 @@ class Output:
     """Output of a command: the result on stdout, everything else on stderr."""
 
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as one JSON object.")
+        bool, typer.Option("--json", rich_help_panel=_COMMON, help="Print the result as JSON.")
     ] = False
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")] = (
-        False
-    )
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")] = (
-        False
-    )
+    quiet: Annotated[
+        bool,
+        typer.Option("--quiet", "-q", rich_help_panel=_COMMON, help="Print only the result."),
+    ] = False
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", rich_help_panel=_COMMON, help="Print more about the work."),
+    ] = False
     console: Console = field(default_factory=Terminal)
     notes: Console = field(default_factory=lambda: Terminal(stderr=True))
 

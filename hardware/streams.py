@@ -36,7 +36,7 @@ VERSION = 1
 def reading_record(reading: Reading, counts: Counts) -> dict[str, Any]:
     """Record of one reading; null stands for what is unknown or not estimated.
 
-    docs/robot.md lists the keys with their units.
+    docs/reference/live.md lists the keys with their units.
 
     Args:
         reading: from the live loop.

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from eitskin.cli import options
+from eitskin.cli.help import Command
 from eitskin.cli.terminal import FigureTable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
@@ -34,7 +35,7 @@ Methods = Annotated[
     typer.Option(
         "--method",
         metavar="CODE",
-        help="A method of your own, whose code is run: FILE.py:CLASS, or the name of an installed "
+        help="Your own method, whose code is run: FILE.py:CLASS, or the name of an installed "
         "one; may be given several times.",
     ),
 ]
@@ -47,10 +48,10 @@ _COLOURS = {"measured": "green", "failed": "bold red"}
 
 
 _SEEDED = {
-    "accuracy": "Measure error and run time of the forward model, beside pyEIT.",
+    "accuracy": "Measure error and run time of the forward model and of pyEIT.",
     "stability": "Run stiff and extreme cases; exit code 1 where one gives a wrong result.",
     "world": "Compare every model of presses and bends with reference solutions in 3D.",
-    "speed": "Measure scenes per second beside their error, pyEIT, datasets, and the pipeline.",
+    "speed": "Measure scenes, dataset frames and pipeline frames per second.",
 }
 """Benchmarks that take a seed alone: `run(seed, quick, watch)` of their module."""
 
@@ -73,10 +74,10 @@ def _seeded(name: str) -> Callable[..., None]:
 
 
 for _name, _help in _SEEDED.items():
-    app.command(_name, help=_help)(options.with_output(_seeded(_name)))
+    app.command(_name, cls=Command, help=_help)(options.with_output(_seeded(_name)))
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def recordings(
     data: Annotated[Path, typer.Argument(help="Folder of the real recordings.")],
@@ -94,12 +95,12 @@ def recordings(
     _present(output, run(data, quick, options.watched(output)), out, leaderboard)
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def transfer(
     pipelines: Annotated[
         list[Path] | None,
-        typer.Argument(help="Pipelines, NAME.eitmodel; that which comes with eitskin if omitted."),
+        typer.Argument(help="Pipelines, NAME.eitmodel; the pretrained one if omitted."),
     ] = None,
     out: Out = _OUT,
     *,
@@ -126,12 +127,12 @@ def transfer(
     _present(output, found, out, leaderboard)
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def life(
     pipeline: Annotated[
         Path | None,
-        typer.Argument(help="Pipeline, NAME.eitmodel; the one that comes with eitskin if omitted."),
+        typer.Argument(help="Pipeline, NAME.eitmodel; the pretrained one if omitted."),
     ] = None,
     out: Out = _OUT,
     *,
@@ -156,7 +157,7 @@ def life(
     _present(output, found, out)
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def methods(
     out: Out = _OUT,
@@ -169,7 +170,7 @@ def methods(
     leaderboard: LeaderboardFile = None,
     output: options.Output,
 ) -> None:
-    """Train methods on the same frames, and judge them on the same unseen sensors.
+    """Train methods on the same frames, and test them on the same unseen sensors.
 
     The baselines where none is named. Frames are kept.
     """
@@ -185,14 +186,14 @@ def methods(
     _present(output, found, out, leaderboard, codes)
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def paper(
     out: Out = _OUT,
     *,
     pipeline: Annotated[
         Path | None,
-        typer.Option(help="Pipeline, NAME.eitmodel; the one that comes with eitskin if omitted."),
+        typer.Option(help="Pipeline, NAME.eitmodel; the pretrained one if omitted."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Number of seeds; the first is 0.")] = 3,
     workers: Workers = 2,
@@ -236,7 +237,7 @@ def paper(
     _present(output, found, out, leaderboard, codes)
 
 
-@app.command()
+@app.command(cls=Command)
 @options.with_output
 def layouts(
     out: Out = _OUT,
@@ -270,7 +271,7 @@ def layouts(
     _present(output, found, out)
 
 
-@app.command("all")
+@app.command("all", cls=Command)
 @options.with_output
 def run_all(
     out: Out = _OUT,

@@ -1,9 +1,9 @@
-"""`eitskin board`: a virtual board on a pseudo-terminal, for any program that talks to boards."""
+"""`eitskin virtual-board`: a virtual board on a pseudo-terminal, for other programs."""
 
 import time
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -27,11 +27,10 @@ def command(
     protocol: options.Pairs = "pairwise",
     fixture: options.FixtureFile = None,
     mechanics: options.MechanicsFile = None,
-    resolution: Annotated[
-        str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
-    ] = "fast",
+    resolution: options.Detail = "fast",
     speed: Annotated[
-        str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")
+        Literal["real", "max"],
+        typer.Option(help="Pace of the AD5940, or a frame whenever one is read."),
     ] = "real",
     instrument: Annotated[
         str | None,

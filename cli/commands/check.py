@@ -33,12 +33,23 @@ SHIPPED = Path("reference.eitmodel")
 
 
 @options.with_output
+def ports(*, output: options.Output) -> None:
+    """List the serial ports of this machine, and how to name each of them."""
+    from eitskin.hardware.boards.port import serial_ports
+
+    found = serial_ports()
+    lines = [f"{port.uri}  {port}" for port in found]  # whole, to be copied
+    listed = [{**dataclasses.asdict(port), "uri": port.uri} for port in found]
+    output.result({"ports": listed}, "\n".join(lines) or "no serial port was found here")
+
+
+@options.with_output
 def command(
     model: Annotated[
         Path | None,
         typer.Argument(
-            help="The trained pipeline, which has the expected impedances; reference.eitmodel, "
-            "where the board measures by its protocol, when omitted."
+            help="Trained pipeline with the expected impedances; reference.eitmodel if omitted and "
+            "the board has its protocol."
         ),
     ] = None,
     *,
@@ -52,26 +63,16 @@ def command(
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
     ] = False,
-    list_ports: Annotated[
-        bool, typer.Option("--list", help="Only list the serial ports of this machine.")
-    ] = False,
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Diagnose the flat, untouched sensor on a board, or any recording; exit code 4 for findings.
+    """Find faults of a flat, untouched sensor on a board, or of any recording.
 
-    Tells a sensor that is bent, and with its stored reference one that is pressed. Finds open,
-    loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
-    dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
+    Names open, loose, shorted and swapped electrodes, bad contacts, faulty channels and boards, and
+    a sensor that is bent. In recordings: dead, stuck and clipped channels, and boards that are not
+    ideal meters. Exit code 4 if something is found.
     """
-    if list_ports:
-        from eitskin.hardware.boards.port import serial_ports
-
-        ports = serial_ports()
-        lines = [f"{port.uri}  {port}" for port in ports]  # whole, to be copied
-        listed = [{**dataclasses.asdict(port), "uri": port.uri} for port in ports]
-        output.result({"ports": listed}, "\n".join(lines) or "no serial port was found here")
-    elif recording is not None:
+    if recording is not None:
         if model is not None:
             raise ConfigurationError(
                 f"a recording is checked without a model, got {model}; leave MODEL or --recording "
@@ -86,7 +87,7 @@ def command(
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
         pipeline = training.open_pipeline(model or SHIPPED, options.own_method(method))
-        spec, uri = pipeline.layout, options.named_board(board, output)
+        spec, uri = pipeline.layout, options.named_board(board)
         with options.opened_board(uri, seed) as opened:
             suits = model is not None or opened.protocol == spec.known_protocol
             if suits:

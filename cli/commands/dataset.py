@@ -1,4 +1,4 @@
-"""`eitskin dataset`: contents, verification, compaction, combination and export of datasets."""
+"""`eitskin dataset`: contents, verification, compaction and combination of datasets."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,20 +10,21 @@ from rich.filesize import decimal
 from rich.markup import escape
 from rich.table import Table
 
+from eitskin.cli.help import Command
 from eitskin.cli.options import FramesPath, Output, with_output
 from eitskin.errors import DataError
 
 if TYPE_CHECKING:
     from eitskin.datasets.generation.verification import DamagedFile
 
-app = typer.Typer(help="Show, verify, compact, combine or export datasets.", no_args_is_help=True)
+app = typer.Typer(help="Show, verify, compact or combine datasets.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that read the shards.")]
 EXIT_DAMAGED = DataError.exit_code
 
 
-@app.command("info")
+@app.command("info", cls=Command)
 @with_output
 def info(
     dataset: FramesPath,
@@ -56,7 +57,7 @@ def info(
     output.result(found, table)
 
 
-@app.command("verify")
+@app.command("verify", cls=Command)
 @with_output
 def check(
     dataset: Folder,
@@ -86,7 +87,7 @@ def check(
         raise typer.Exit(EXIT_DAMAGED)
 
 
-@app.command("compact")
+@app.command("compact", cls=Command)
 @with_output
 def compaction(
     dataset: Folder,
@@ -98,7 +99,7 @@ def compaction(
     workers: Workers = 2,
     output: Output,
 ) -> None:
-    """Write a dataset anew in few large files, in the newest version of the format."""
+    """Write a dataset again in few large files, in the newest version of the format."""
     from eitskin.datasets.store.rewriting import compact
 
     with output.counting("shards") as show:
@@ -117,7 +118,7 @@ def compaction(
     )
 
 
-@app.command("combine")
+@app.command("combine", cls=Command)
 @with_output
 def combination(
     datasets: Annotated[list[Path], typer.Argument(help="Folders of two or more datasets.")],
@@ -139,37 +140,6 @@ def combination(
     output.result(
         {"out": str(out), "frames": manifest.frames, "source": manifest.source},
         f"{manifest.frames} frames of {len(datasets)} datasets in {out}",
-    )
-
-
-@app.command("export")
-@with_output
-def export(
-    dataset: Folder,
-    *,
-    out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
-    form: Annotated[
-        str, typer.Option("--format", help="parquet, huggingface or lerobot.")
-    ] = "parquet",
-    license_name: Annotated[
-        str, typer.Option("--license", help="Licence of the frames, such as cc-by-4.0.")
-    ] = "unknown",
-    output: Output,
-) -> None:
-    """Write a dataset for pandas, torch, Hugging Face or LeRobot, split by specimen.
-
-    docs/interoperability.md has the columns, and how they are read.
-    """
-    from eitskin.datasets.export.export import export_dataset
-
-    with output.counting("shards") as show:
-        done = export_dataset(dataset, out, form, license_name, show)
-    found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
-    splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
-    output.result(
-        found | {"megabytes": round(done.size / 1e6, 3)},
-        f"{sum(done.frames.values())} frames ({splits}) in {done.files} files in {out}, "
-        f"{decimal(done.size)}",
     )
 
 

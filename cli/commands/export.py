@@ -1,25 +1,68 @@
-"""`eitskin export`: recordings and scenes in file formats of other programs."""
+"""`eitskin export`: datasets, recordings and scenes in file formats of other programs."""
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich import box
+from rich.filesize import decimal
 from rich.table import Table
 
 from eitskin import hardware, simulator, training
 from eitskin.cli import options
 from eitskin.cli.commands.simulate import announce_unsolved
+from eitskin.cli.help import Command
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 
-app = typer.Typer(help="Write recordings as MCAP, scenes as VTK files.", no_args_is_help=True)
+app = typer.Typer(
+    help="Write datasets, recordings and scenes in formats of other programs.",
+    no_args_is_help=True,
+)
+License = Annotated[
+    str, typer.Option("--license", help="Licence of the frames, such as cc-by-4.0.")
+]
 
 
-@app.command("mcap")
+def _exporting(form: str) -> Callable[..., None]:
+    """Command that writes a dataset in a format."""
+
+    def export(
+        dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
+        *,
+        out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
+        license_name: License = "unknown",
+        output: options.Output,
+    ) -> None:
+        from eitskin.datasets.export.export import export_dataset
+
+        with output.counting("shards") as show:
+            done = export_dataset(dataset, out, form, license_name, show)
+        found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
+        splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
+        output.result(
+            found | {"megabytes": round(done.size / 1e6, 3)},
+            f"{sum(done.frames.values())} frames ({splits}) in {done.files} files in {out}, "
+            f"{decimal(done.size)}",
+        )
+
+    export.__doc__ = f"Write a dataset for {_FORMATS[form]}, split by specimen."
+    return export
+
+
+_FORMATS = {
+    "parquet": "pandas and PyTorch (Parquet)",
+    "huggingface": "Hugging Face `datasets`",
+    "lerobot": "LeRobot, from episodes",
+}
+for _form in _FORMATS:
+    app.command(_form, cls=Command)(options.with_output(_exporting(_form)))
+
+
+@app.command("mcap", cls=Command)
 @options.with_output
 def export_mcap(
     recording: options.FramesPath,
@@ -31,9 +74,9 @@ def export_mcap(
     method: options.MethodCode = None,
     output: options.Output,
 ) -> None:
-    """Write the frames of a recording, and a pipeline's estimates, as standard ROS 2 messages.
+    """Write the frames of a recording, and a pipeline's estimates, as ROS 2 messages (MCAP).
 
-    docs/interoperability.md has the topics and their units.
+    docs/reference/live.md has the topics and their units.
     """
     from eitskin.hardware.ros2.mcap import McapWriter, require_new
 
@@ -74,7 +117,7 @@ def export_onnx(_words: Annotated[list[str] | None, typer.Argument()] = None) ->
     )
 
 
-@app.command("vtu")
+@app.command("vtu", cls=Command)
 @options.with_output
 def export_vtu(
     scene: options.SceneFile,
@@ -82,8 +125,10 @@ def export_vtu(
     out: Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")],
     sensor: options.SensorOptions,
     drive: Annotated[
-        tuple[int, int] | None,
-        typer.Option(help="Only the current from A to B; all of the protocol when omitted."),
+        str | None,
+        typer.Option(
+            metavar="A-B", help="Only the current from A to B; all of the protocol when omitted."
+        ),
     ] = None,
     cell: Annotated[
         float | None, typer.Option(help="Largest cell [m]; a sixtieth of the length when omitted.")
@@ -100,7 +145,8 @@ def export_vtu(
     sim = sensor.simulator(field_resolution(design, cell), design)
     announce_unsolved(sim, what, output)
     start = time.perf_counter()
-    grids = scene_grids(sim, what, None if drive is None else [drive])
+    pair = None if drive is None else [options.electrode_pair(drive, len(design.electrodes))]
+    grids = scene_grids(sim, what, pair)
     make_folder(out)
     write_grids(grids, out)
     fields = {name: grid.array_names for name, grid in grids.items()}

@@ -1,10 +1,10 @@
-"""`eitskin instrument fit`, `eitskin twin fit`: physical numbers of a real board or sensor."""
+"""`eitskin fit`: physical numbers of a real board or sensor."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Group
@@ -20,6 +20,7 @@ from eitskin.cli.commands.recorded_frames import (
     read_recorded,
     required_protocol,
 )
+from eitskin.cli.help import Command
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError, DataError
 
@@ -28,15 +29,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-instrument_app = typer.Typer(no_args_is_help=True, help="Fit instruments to frames of real boards.")
-twin_app = typer.Typer(no_args_is_help=True, help="Fit the physical numbers behind one sensor.")
-
-Resolution = Annotated[
-    str, typer.Option(help="Resolution of the sensor: coarse, fast, standard ...")
-]
+app = typer.Typer(
+    no_args_is_help=True, help="Fit the physical parameters of a real board or sensor."
+)
 
 
-@instrument_app.command("fit")
+@app.command("instrument", cls=Command)
 @options.with_output
 def fit_instrument(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor.")],
@@ -50,39 +48,37 @@ def fit_instrument(
     terms: Annotated[
         str | None,
         typer.Option(
-            help="Terms to fit beside the scale, with commas: source, sink, sense_plus, "
-            "sense_minus, idle, common_mode, offset, leaks, leads; the first six when omitted."
+            help="Terms to fit besides the scale, separated by commas: source, sink, sense_plus, "
+            "sense_minus, idle, common_mode, offset, leaks, leads; the first six if omitted."
         ),
     ] = None,
     keep_all: Annotated[
         bool,
-        typer.Option("--keep-all", help="Keep also the terms that the frames do not call for."),
+        typer.Option("--keep-all", help="Keep terms that the frames do not need, too."),
     ] = False,
     first: Annotated[
         int | None,
-        typer.Option(min=1, help="Fit to the first so many flat frames, and judge on the others."),
+        typer.Option(min=1, help="Fit to the first N flat frames and test on the others."),
     ] = None,
     reads: Annotated[
-        str | None,
-        typer.Option(help="complex, signed or magnitude; as the values look when omitted."),
+        Literal["complex", "signed", "magnitude"] | None,
+        typer.Option(help="What the board reads; as the values look if omitted."),
     ] = None,
-    resolution: Resolution = "coarse",
+    resolution: options.Detail = "coarse",
     seed: int = 0,
     output: options.Output,
 ) -> None:
     """Fit a four-terminal meter with loads and leaks to frames of the flat, untouched sensor.
 
-    Flat frames of a dataset are its references before touches, or else its idle frames, or else,
-    where nothing says what the frames show, all of them. See docs/instrument.md.
+    Flat frames of a dataset are its references before touches, else its idle frames, else all
+    frames. docs/how-to/train-and-adapt.md explains the result.
     """
-    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.fit_parameters import USUAL
     from eitskin.simulator.instrument.instrument import snr_db
     from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import agreement
 
-    detail = options.one_of("--resolution", resolution, Resolution)
-    quantity: Quantity | None = options.one_of("--reads", reads, Quantity) if reads else None
+    quantity: Quantity | None = reads
     sensor = geometry.SensorDesign.from_toml(design)
     options.require_parent(out)
     data = read_recorded(recording, values, protocol)
@@ -95,7 +91,7 @@ def fit_instrument(
     flat, which = _flat_frames(data)
     _require_others(first, len(flat), "flat frames")
     output.note(f"{len(flat)} flat frames ({which}); solving the sensor at {resolution}")
-    Z = simulator.ForwardModel(sensor, resolution=detail).impedance()
+    Z = simulator.ForwardModel(sensor, resolution=resolution).impedance()
     chosen = tuple(terms.split(",")) if terms is not None else USUAL
     quantity = quantity or ("magnitude" if data.quantity == "magnitude" else None)
     fit = simulator.fit_meter if keep_all else simulator.select_meter
@@ -206,10 +202,10 @@ def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterato
         )
 
 
-@twin_app.command("fit")
+@app.command("twin", cls=Command)
 @options.with_output
 def fit_twin(
-    design: Annotated[Path, typer.Argument(help="Design file of the sensor as it was meant.")],
+    design: Annotated[Path, typer.Argument(help="Design file of the sensor as designed.")],
     recording: Recorded,
     *,
     out: Annotated[Path, typer.Option(help="Folder for the twin's files; new or empty.")],
@@ -220,7 +216,7 @@ def fit_twin(
     terms: Annotated[
         str | None,
         typer.Option(
-            help="Terms of the board's meter to fit beside its gain, with commas: source, sink, "
+            help="Terms of the board's meter to fit besides its gain, with commas: source, sink, "
             "sense_plus, sense_minus, idle, common_mode, offset, leaks, leads."
         ),
     ] = None,
@@ -229,23 +225,22 @@ def fit_twin(
     ] = None,
     specimen: OneSpecimen = None,
     first: Annotated[
-        int | None, typer.Option(min=1, help="Fit to the first so many frames, judge on the rest.")
+        int | None, typer.Option(min=1, help="Fit to the first N frames and test on the others.")
     ] = None,
-    resolution: Resolution = "coarse",
+    resolution: options.Detail = "coarse",
     seed: int = 0,
     output: options.Output,
 ) -> None:
     """Fit a twin to flat frames, known angles and known touches of one sensor.
 
-    Numbers that no frame shows stay at their prior. See docs/twin.md.
+    Parameters that the frames do not constrain keep their prior value.
+    docs/how-to/train-and-adapt.md explains the result.
     """
     from eitskin.config import read_toml
     from eitskin.datasets.store.folder import new_folder
     from eitskin.simulator.deformation.sensor_grid import read_fixed
-    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.twin.files import as_plain, write_twin
 
-    detail = options.one_of("--resolution", resolution, Resolution)
     new_folder(out)
     sensor = geometry.SensorDesign.from_toml(design)
     widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()
@@ -260,7 +255,7 @@ def fit_twin(
         mechanics=materials,
         terms=tuple(terms.split(",")) if terms else (),
         prior=widths,
-        resolution=detail,
+        resolution=resolution,
         seed=seed,
         progress=lambda step: output.detail(f"Gauss-Newton step {step}"),
     )

@@ -12,6 +12,7 @@ from rich.filesize import decimal
 
 from eitskin import datasets
 from eitskin.cli.options import Output, with_output
+from eitskin.cli.terminal import table_of
 from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
@@ -22,10 +23,16 @@ if TYPE_CHECKING:
 @with_output
 def command(
     recipe: Annotated[
-        str, typer.Argument(help=f"Recipe: a .toml file, or one of {', '.join(shipped_names())}.")
-    ],
+        str | None,
+        typer.Argument(help=f"Recipe: a .toml file, or one of {', '.join(shipped_names())}."),
+    ] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for the dataset; new or empty.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the dataset; new or empty. Required.")
+    ] = None,
+    list_recipes: Annotated[
+        bool, typer.Option("--list", help="List the shipped recipes, and exit.")
+    ] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
     scheduler: Annotated[
         str | None,
@@ -50,6 +57,17 @@ def command(
     from eitskin.datasets.generation.preparation import estimate_cost
     from eitskin.datasets.recipe.recipe import with_seed
 
+    if list_recipes:
+        shipped = {name: datasets.Recipe.shipped(name) for name in shipped_names()}
+        known = {name: (each.frames, each.description) for name, each in shipped.items()}
+        rows = [(name, f"{frames:,}", about) for name, (frames, about) in known.items()]
+        output.result(known, table_of(("recipe", "frames", "content"), rows, box=None))
+        return
+    if recipe is None or out is None:
+        raise ConfigurationError(
+            "no recipe or no --out is named\nexpected eitskin generate RECIPE --out DIR; "
+            "eitskin generate --list has the shipped recipes"
+        )
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
         _solve_missing(chosen, workers, output, shard)
@@ -192,6 +210,9 @@ def _duration(seconds: float) -> str:
 
 def _read(recipe: str) -> "datasets.Recipe":
     """Recipe from a file, or the shipped recipe of that name."""
+    name = recipe.removesuffix(".toml")
+    if recipe != name and name in shipped_names() and not Path(recipe).exists():
+        raise ConfigurationError(f"there is no file {recipe}; did you mean the recipe '{name}'?")
     if recipe.endswith(".toml") or Path(recipe).is_file():
         return datasets.Recipe.from_toml(recipe)
     if "/" in recipe:

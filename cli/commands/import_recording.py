@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -48,11 +48,11 @@ def command(
         str | None, typer.Option(help="The same for frames just before a touch.")
     ] = None,
     rows: Annotated[
-        str,
-        typer.Option(help="frames; or before-during, during-before: rows of a press alternate."),
+        Literal["frames", "before-during", "during-before"],
+        typer.Option(help="Order of rows: frames, or readings before and during each touch."),
     ] = "frames",
     keep_before: Annotated[
-        bool, typer.Option("--keep-before", help="Keep readings before a press as frames, too.")
+        bool, typer.Option("--keep-before", help="Keep readings before a touch as idle frames.")
     ] = False,
     positions: Annotated[str | None, typer.Option(help="Variable with x, y of each touch.")] = None,
     column: Annotated[
@@ -64,34 +64,40 @@ def command(
         ),
     ] = None,
     length_unit: Annotated[
-        str, typer.Option(help="Of x, y, depth and radius in the file: m, cm, mm or um.")
+        Literal["m", "cm", "mm", "um"],
+        typer.Option(help="Unit of x, y, depth and radius in the file."),
     ] = "m",
     origin: Annotated[
-        str, typer.Option(help="Of x and y on the sensor: corner, centre, or X,Y in metres.")
+        str, typer.Option(help="Where x and y count from: corner, centre, or X,Y in metres.")
     ] = "corner",
     quantity: Annotated[
-        str, typer.Option(help="Kind of the values: impedance, magnitude or voltage.")
-    ] = "",
+        Literal["impedance", "magnitude", "voltage"] | None,
+        typer.Option(help="Kind of the values."),
+    ] = None,
     scale: Annotated[
-        float, typer.Option(help="Factor that makes ohm of the values; 1/current for voltages.")
+        float, typer.Option(help="Multiply values by this to get ohms (for voltages: 1/current).")
     ] = 1.0,
     frequency: Annotated[float, typer.Option(help="Frequency of the excitation, in hertz.")] = 40e3,
     bad_values: Annotated[
-        str, typer.Option(help="Empty or not finite values: refuse, mark, or drop the frame.")
+        Literal["refuse", "mark", "drop"],
+        typer.Option(help="What to do with empty or non-finite values; drop leaves out frames."),
     ] = "refuse",
     phase_unit: Annotated[
-        str, typer.Option(help="Of phases beside magnitudes: deg or rad; found where it can be.")
-    ] = "",
+        Literal["deg", "rad"] | None,
+        typer.Option(help="Unit of phases next to magnitudes; detected if omitted."),
+    ] = None,
     time_unit: Annotated[
-        str, typer.Option(help="Of t as numbers: s, ms, us or ns; asked where it is hardly s.")
-    ] = "",
+        Literal["s", "ms", "us", "ns"] | None,
+        typer.Option(help="Unit of t; asked for if seconds are unlikely."),
+    ] = None,
     differences: Annotated[
         bool,
         typer.Option("--differences", help="Values are differences from --touch-reference."),
     ] = False,
     order: Annotated[
-        str, typer.Option(help="Of readings: given, rotated (from the drive pair on) or reversed.")
-    ] = "",
+        Literal["given", "rotated", "reversed"] | None,
+        typer.Option(help="Order of readings; rotated starts behind each drive pair."),
+    ] = None,
     transpose: Annotated[
         bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
     ] = False,
@@ -105,7 +111,7 @@ def command(
     ] = None,
     output: Output,
 ) -> None:
-    """Import measured voltages and labels, as a dataset for training and evaluation."""
+    """Import a recording (CSV, Excel, MATLAB, HDF5, Parquet) as a dataset."""
     from eitskin.datasets.store.folder import save_parts
     from eitskin.datasets.store.summary import DatasetSummary
 
@@ -129,17 +135,17 @@ def command(
         frequency,
         design,
         datasets.RecordingForm(
-            rows,  # type: ignore[arg-type]
+            rows,
             keep_before,
             transpose,
-            length_unit,  # type: ignore[arg-type]
+            length_unit,
             origin,
-            quantity,  # type: ignore[arg-type]
+            quantity or "",
             scale,
-            bad_values,  # type: ignore[arg-type]
-            phase_unit,  # type: ignore[arg-type]
-            time_unit,  # type: ignore[arg-type]
-            order,  # type: ignore[arg-type]
+            bad_values,
+            phase_unit or "",
+            time_unit or "",
+            order or "",
             bool(protocol and protocol.endswith("+driven")),
             differences,
         ),

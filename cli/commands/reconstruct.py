@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import typer
@@ -18,7 +18,7 @@ from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import table_of
-from eitskin.datasets.recordings.orders import Order, in_order, require_order
+from eitskin.datasets.recordings.orders import in_order, require_order
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.hardware.opening import is_board
 from eitskin.training.reconstruction.reconstructor import silent_channels
@@ -65,8 +65,9 @@ class FrameOptions:
         typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number."),
     ] = "untouched"
     order: Annotated[
-        str, typer.Option(help="Of readings: given, rotated (from the drive pair on) or reversed.")
-    ] = ""
+        Literal["given", "rotated", "reversed"] | None,
+        typer.Option(help="Order of readings; tested by reciprocity if omitted."),
+    ] = None
     average: Annotated[
         int,
         typer.Option(min=1, help="First frames of a board, untouched, that make its reference."),
@@ -84,8 +85,7 @@ class FrameOptions:
             )
             if not self.order:
                 require_order(found.protocol, np.abs(np.nan_to_num(found.reference)).mean(axis=0))
-            order = options.one_of("--order", self.order or "given", Order)
-            return found._replace(protocol=in_order(found.protocol, order))
+            return found._replace(protocol=in_order(found.protocol, self.order or "given"))
         path = Path(source)
         if path.suffix == ".eitmodel":
             raise ConfigurationError(
@@ -220,26 +220,26 @@ def command(
     *,
     wanted: FrameOptions,
     method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            help="back-projection, tikhonov, noser, laplace, total-variation, greit, or all.",
-        ),
+        Literal[
+            "back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit", "all"
+        ],
+        typer.Option("--method", help="Method of reconstruction."),
     ] = "greit",
     rule: Annotated[
         str, typer.Option("--lambda", help="noise-figure:1, snr:100, gcv, or lambda:0.01.")
     ] = "noise-figure:1",
     difference: Annotated[
-        str | None,
+        Literal["relative", "absolute"] | None,
         typer.Option(
             "--difference",
-            help="relative (channel by channel) or absolute; chosen by the protocol when omitted.",
+            help="Divide each channel by its reference, or subtract; by the protocol if omitted.",
         ),
     ] = None,
     segment: Annotated[
-        bool, typer.Option("--segment", help="Regions of lower and of higher conductivity, too.")
+        bool,
+        typer.Option("--segment", help="Also find regions of lower and of higher conductivity."),
     ] = False,
-    pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
+    pixels: Annotated[int, typer.Option(help="Approximate number of pixels.")] = 2250,
     resolution: options.Detail = "fast",
     out: Annotated[
         Path | None,
@@ -249,24 +249,17 @@ def command(
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Picture where the conductivity of any sensor has changed, without a trained pipeline."""
-    from eitskin.simulator.electrical.resolution import Resolution
-    from eitskin.training.reconstruction.reconstructor import Difference, Method
+    """Reconstruct a conductivity image (EIT); no training needed."""
+    from eitskin.training.reconstruction.reconstructor import Method
 
-    names: list[Method] = (
-        [options.one_of("--method", method, Method)] if method != "all" else [*get_args(Method)]
-    )
+    names: list[Method] = [method] if method != "all" else [*get_args(Method)]
     chosen_rule = training.Regularisation.named(rule)
-    compared = (
-        None if difference is None else options.one_of("--difference", difference, Difference)
-    )
-    detail = options.one_of("--resolution", resolution, Resolution)
     _require_out(out)
 
     def makers(
         design: "geometry.SensorDesign", protocol: "simulator.Protocol"
     ) -> list[training.Reconstructor]:
-        common = chosen_rule, pixels, compared, detail
+        common = chosen_rule, pixels, difference, resolution
         return [training.Reconstructor(design, protocol, name, *common) for name in names]
 
     if page.page:
@@ -277,7 +270,7 @@ def command(
             )
         _follow_live(source, wanted, makers, page, seed, output)
         return
-    frames = wanted.read(source, detail, seed, output)
+    frames = wanted.read(source, resolution, seed, output)
     reconstructors = makers(frames.design, frames.protocol)
     if (mirrored := reconstructors[0].mirrored) > 0.2:
         output.note(

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Group, RenderableType
@@ -17,9 +17,7 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.geometry.meshing.mesh_design import CellKind
-    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.scene.scene import PressedTouch
-    from eitskin.simulator.view.scene_pictures import Colour
 
 
 @options.with_output
@@ -40,29 +38,30 @@ def command(
         typer.Option(help="rigid, plates or free, instead of the scene's or the sensor's."),
     ] = None,
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
-    colour: Annotated[
-        str | None, typer.Option(help="Colour of the picture: conductance, strain or current.")
+    color: Annotated[
+        Literal["conductance", "strain", "current"] | None,
+        typer.Option(help="Quantity that colours the picture."),
     ] = None,
     drive: Annotated[
         str | None,
         typer.Option(
-            help="Current from A to B, as A-B; the pair with the largest change when omitted."
+            metavar="A-B",
+            help="Current from A to B; the pair with the largest change if omitted.",
         ),
     ] = None,
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Simulate one scene: impedances, their change from the flat sensor, depth of touches."""
+    """Simulate one scene: impedances, and depth and pressure of its touches."""
     import numpy as np
 
-    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.view.scene_pictures import draw_scenes
 
     what = on_support(simulator.Scene.from_toml(scene), support)
     board = _instrument(noise, instrument)
     design = options.read_design(sensor.sensor)
-    colours, pair = _colours(view, colour, drive, len(design.electrodes))
-    sim = sensor.simulator(options.one_of("--resolution", resolution, Resolution), design)
+    pair = _drive(view, color, drive, len(design.electrodes))
+    sim = sensor.simulator(resolution, design)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(simulator.Scene(), _noise_free(board), np.random.default_rng(seed))
     announce_unsolved(sim, what, output)
@@ -75,7 +74,7 @@ def command(
     shown = Group(_as_table(data), *_touch_tables(touches))
     output.result(data | {"touches": touches}, shown)
     if view is not None:
-        draw_scenes(sim, [(_title(scene.stem, what), what)], view, colours, pair)
+        draw_scenes(sim, [(_title(scene.stem, what), what)], view, color or "conductance", pair)
         output.note(f"picture: {view}")
 
 
@@ -94,24 +93,22 @@ def _noise_free(board: "simulator.Instrument | None") -> "simulator.Instrument |
     return simulator.Instrument(snr_db=0.0, meter=board.meter)
 
 
-def _colours(
-    view: Path | None, colour: str | None, drive: str | None, electrodes: int
-) -> "tuple[Colour, tuple[int, int] | None]":
-    """Colour scale and drive of the picture, checked with its file before any computation."""
+def _drive(
+    view: Path | None, color: str | None, drive: str | None, electrodes: int
+) -> tuple[int, int] | None:
+    """Drive pair of the picture, checked with its file before any computation."""
     from eitskin.simulator.view.render import require_picture
-    from eitskin.simulator.view.scene_pictures import Colour
 
     if view is not None:
         require_picture(view)
-    for option, given in (("--colour", colour), ("--drive", drive)):
+    for option, given in (("--color", color), ("--drive", drive)):
         if given is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
-    what = options.one_of("--colour", colour or "conductance", Colour)
     if drive is None:
-        return what, None
-    if what != "current":
-        raise ConfigurationError(f"--drive is for --colour current, got --colour {what}")
-    return what, options.electrode_pair(drive, electrodes)
+        return None
+    if color != "current":
+        raise ConfigurationError(f"--drive is for --color current, got --color {color}")
+    return options.electrode_pair(drive, electrodes)
 
 
 def _title(name: str, scene: "simulator.Scene") -> str:
@@ -258,31 +255,30 @@ def mesh(
     sensor: options.SensorFile = None,
     resolution: options.Detail = "standard",
     cells: Annotated[
-        str | None,
-        typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),
+        Literal["hexahedra", "prisms", "tetrahedra"] | None,
+        typer.Option(help="Kind of cells; what suits the outline if omitted."),
     ] = None,
     view: Annotated[Path | None, typer.Option(help="Draw the mesh into this PNG file.")] = None,
     drive: Annotated[
-        str | None, typer.Option(help="With --view: draw what a current from A to B does, as A,B.")
+        str | None,
+        typer.Option(metavar="A-B", help="With --view: draw the current from A to B."),
     ] = None,
     output: options.Output,
 ) -> None:
-    """Mesh a sensor: number of cells, their quality, and a picture."""
-    from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
+    """Mesh a sensor: number and quality of its cells, and a picture."""
+    from eitskin.geometry.meshing.mesh_design import mesh_design
     from eitskin.simulator.electrical.resolution import discretisation, suited_cells
     from eitskin.simulator.view.render import require_picture
 
     design = options.read_design(sensor)
-    named = cast("Resolution", resolution)
-    suited = suited_cells(named, design)
-    kind = options.one_of("--cells", cells, CellKind) if cells else suited
+    kind = cells or suited_cells(resolution, design)
     pair = None if drive is None else options.electrode_pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
     if view is not None:
         require_picture(view)
     start = time.perf_counter()
-    _, grading = discretisation(named, design, kind)
+    _, grading = discretisation(resolution, design, kind)
     made = mesh_design(design, grading, kind)
     data = _mesh_data(design, made, kind, time.perf_counter() - start)
     output.result(

@@ -21,27 +21,29 @@ def command(
     board: options.BoardOption = None,
     dataset: Annotated[
         Path | None,
-        typer.Option("--dataset", help="Instead of a board: the reference of a specimen."),
+        typer.Option(
+            "--dataset",
+            help="Take the reference of a specimen of this dataset, instead of a board.",
+        ),
     ] = None,
     specimen: options.Specimen = 0,
-    frames: Annotated[
-        int, typer.Option(min=1, help="Number of frames that are averaged.")
-    ] = FRAMES,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames to average.")] = FRAMES,
     mounted: Annotated[
         bool,
         typer.Option(
             "--mounted",
-            help="The sensor is curved by what it is mounted on: its shape now is the zero.",
+            help="The sensor is mounted on a curved body: its present shape is the reference.",
         ),
     ] = False,
     method: options.MethodCode = None,
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Store the still, untouched sensor as the zero of later sessions (live, check, calibrate).
+    """Store the still, untouched sensor as the reference of later sessions.
 
-    The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
-    replay:DIRECTORY gives its first frames.
+    Lay the sensor flat, or, with --mounted, leave it as it is mounted. For the first frames of a
+    recording use --board replay:DIRECTORY. Give the file to live, check or calibrate by
+    --reference.
     """
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")

@@ -5,14 +5,22 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Group
 from rich.table import Table
 
 from eitskin import datasets, training
-from eitskin.cli.options import TRAINING, MethodCode, Output, Replace, own_method, with_output
+from eitskin.cli.options import (
+    TRAINING,
+    MethodCode,
+    Model,
+    Output,
+    Replace,
+    own_method,
+    with_output,
+)
 from eitskin.cli.terminal import table_of
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
@@ -33,11 +41,11 @@ def command(
         int | None, typer.Option(min=1, help="Passes over the frames, instead of the preset's.")
     ] = None,
     preset: Annotated[
-        str | None,
+        Literal["auto", "joint", "paper", "quick", "ridge", "mlp", "extra-trees", "greit"] | None,
         typer.Option(
-            help="auto, the default: joint or quick, whichever errs less on held-out specimens; "
-            "joint: a learned model fitted to each frame; paper: the paper's stages, trained as "
-            "published; quick: the same, trained faster; ridge, mlp, extra-trees, greit: baselines."
+            help="Method: auto (recommended, the default) compares joint and quick on held-out "
+            "specimens; joint fits a learned model to each frame; paper is the paper's method, "
+            "quick the same with faster settings; the others are baselines."
         ),
     ] = None,
     method: MethodCode = None,
@@ -46,18 +54,18 @@ def command(
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Hyper-parameter of the method; may be given several times.",
+            help="Hyper-parameter of the method. Repeatable.",
         ),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+        typer.Option(help="Folder for a report with figures; an earlier report is replaced."),
     ] = None,
     replace: Replace = False,
     seed: int = 0,
     output: Output,
 ) -> None:
-    """Train on a part of a dataset and evaluate on specimens that were held out.
+    """Train a pipeline on a dataset and test it on held-out specimens.
 
     A quantity without labels in the dataset is not estimated. From positions of touches alone, and
     where the sensor's geometry is not known, only positions are learned, from the first 80 % in
@@ -76,7 +84,7 @@ def command(
     choice = choose(preset, method, settings, epochs, seed)
     if alone and choice.method:
         raise ConfigurationError(
-            f"{alone}: touch positions are learned as docs/pipeline.md says; leave out --method"
+            f"{alone}: touch positions are learned by a method of their own; leave out --method"
         )
     start = time.perf_counter()
     evaluation: Evaluation | None = None
@@ -271,24 +279,24 @@ def train_positions(
 
 @with_output
 def evaluate(
-    pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
+    model: Model,
     dataset: Annotated[Path, typer.Argument(help="Dataset to evaluate the pipeline on.")],
     *,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+        typer.Option(help="Folder for a report with figures; an earlier report is replaced."),
     ] = None,
     method: MethodCode = None,
     output: Output,
 ) -> None:
-    """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
+    """Evaluate a pipeline on a dataset (on its training dataset, on the held-out part)."""
     from eitskin.datasets.store.summary import specimens_in_words
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report import require_report_folder
     from eitskin.training.method.settings import POSITIONS
 
     data = datasets.open_dataset(dataset)
-    trained = training.open_pipeline(pipeline, own_method(method))
+    trained = training.open_pipeline(model, own_method(method))
     if out is not None:
         require_report_folder(out)
     if trained.settings.method == POSITIONS:

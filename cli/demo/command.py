@@ -41,7 +41,7 @@ def command(
     seed: int = 0,
     output: Output,
 ) -> None:
-    """Draw the sensor, make training sets, train, compare with the paper, run live, report.
+    """Run the whole chain (simulate, train, evaluate, go live) and write an HTML report.
 
     Datasets and the trained pipeline are kept in --out, so a demo that was interrupted goes on from
     there. The report is one file, report.html, that needs nothing else.

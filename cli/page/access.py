@@ -185,9 +185,7 @@ class PageOptions:
     ] = LOOPBACK
     page_token_file: Annotated[
         Path | None,
-        typer.Option(
-            help="File of the page's two tokens, made where it is not there; asks for them."
-        ),
+        typer.Option(help="Require access tokens; read them from FILE (created if missing)."),
     ] = None
 
     @property

@@ -66,7 +66,7 @@ def export_dataset(
     progress: Progress | None = None,
     file_bytes: int = FILE_BYTES,
 ) -> Exported:
-    """Write a dataset in a format of other programs; docs/interoperability.md has the formats.
+    """Write a dataset in a format of other programs; docs/how-to/generate-data.md has the formats.
 
     The dataset is read a shard at a time, and each of its files is verified. The new folder appears
     when it is complete: after an error or Ctrl-C nothing is left. Equal datasets give equal bytes,

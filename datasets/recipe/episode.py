@@ -92,10 +92,10 @@ class Keyframe:
     """Keyframe of a scripted episode.
 
     Attributes:
-        time: since the episode's start [s].
-        angle_deg: of the bend; linear to the next keyframe's.
-        touches: that begin now and are held until the next keyframe, or longer where the next
-            keyframe lists the same touch.
+        time: time since the episode's start [s].
+        angle_deg: angle of the bend; linear to the next keyframe's.
+        touches: touches that begin now and are held until the next keyframe, or longer where that
+            lists the same touch.
     """
 
     time: float
@@ -111,7 +111,7 @@ class ScriptedEpisode:
         keyframes: rising in time from 0.
         repeats: number of passes through the keyframes within an episode.
         count: number of such episodes, which differ in specimen and noise.
-        period: from one frame to the next [s].
+        period: time from one frame to the next [s].
         relaxation: whether touches creep while held and recover slowly after release.
     """
 
@@ -192,7 +192,7 @@ class RandomEpisodes:
 
     Attributes:
         count: number of episodes.
-        frames: in each episode.
+        frames: number of frames in each episode.
         angle_deg: range of the bend angle.
         speed_deg_s: range of the bend's speed while moving [deg/s].
         rest_s: range of the time between two moves [s].
@@ -200,8 +200,8 @@ class RandomEpisodes:
         hold_s: range of the time that touches are held [s].
         touches: range of the number of simultaneous touches, 1 to 4.
         force: range of the force of each touch [N].
-        margin, spacing: of the touches, as in `SceneGroup` [m].
-        period: from one frame to the next [s].
+        margin, spacing: distances of the touches, as in `SceneGroup` [m].
+        period: time from one frame to the next [s].
         relaxation: whether touches creep while held and recover slowly after release.
     """
 

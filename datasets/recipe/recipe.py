@@ -45,16 +45,16 @@ class Recipe:
         name: short name.
         scenes: groups of scenes, interleaved; each frame is a snapshot without before and after.
         episodes: time series, after the scenes, one entry after the other.
-        seed: of everything random.
-        description: in a sentence, for readers.
-        resolution: of the simulator, "coarse", "fast", "standard" or "fine".
+        seed: seed of everything random.
+        description: one sentence for readers.
+        resolution: resolution of the simulator, "coarse", "fast", "standard" or "fine".
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
         protocol: drive and sense electrodes of each measurement; all pairs of electrodes when
             omitted. In TOML also a text for `Protocol.named`, as "adjacent" or "table.csv".
-        fixture: that bends the sensor; the default clamp when omitted. In TOML also as the table
-            `hinge` of version 0.1, which is the kinematic hinge.
+        fixture: device that bends the sensor; the default clamp when omitted. In TOML also the
+            table `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
         grid: nominal values about which the presses and bends of all specimens are solved; those of
             sensor, fixture and mechanics where omitted.

@@ -37,10 +37,10 @@ class SceneGroup:
         positions: (x, y) [m] of single touches in turn, instead of random positions.
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
-        support: of the sensor in these scenes; the design's when omitted.
+        support: support of the sensor in these scenes; the design's when omitted.
         roll_deg: range of the roll across the width, about the other axis than the bend; none when
             omitted.
-        indenter: of all touches, a cylinder, ball or profile; the default one when omitted.
+        indenter: shape that makes all touches: cylinder, ball or profile; the default when omitted.
     """
 
     state: Literal["idle", "bend", "touch"]

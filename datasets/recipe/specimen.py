@@ -67,16 +67,16 @@ class Specimens:
 
     Attributes:
         count: number of specimens, which follow each other in the dataset.
-        conductivity: of the layer.
-        thickness: of layer and encapsulation by one factor.
+        conductivity: conductivity of the gel.
+        thickness: thickness of gel and encapsulation by one factor.
         gel_modulus: shear modulus of the layer.
         encapsulation_modulus: shear modulus of the encapsulation.
-        contact_impedance: of each electrode independently.
+        contact_impedance: contact impedance of each electrode, independently.
         electrode_place: position along the rim, of each side electrode independently [m].
         hinge_span: free length of the fixture or length of its arc, and between the plates of a
             support [m].
         hinge_offset: position of the fixture's axis across the layer, where it has one [m].
-        board_loads: of the load of each role on the instrument's meter, and of its common mode,
+        board_loads: load of each role on the instrument's meter, and its common mode,
             independently.
     """
 
@@ -136,7 +136,7 @@ class Mounts:
         span: range of the free length between the plates [m].
         offset: range of the axis below the mid-plane of the layer [m].
         stiffness: range of the factor on the modulus of the encapsulation, even in its logarithm.
-        faces: held by the plates, in turn.
+        faces: faces held by the plates, in turn.
     """
 
     count: int = 0

@@ -1,6 +1,9 @@
 """The site: the project's own Markdown, the gallery's scripts and the reference; `make docs`."""
 
+import importlib
+import inspect
 import re
+import shutil
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -8,6 +11,7 @@ from sphinx.application import Sphinx
 import eitskin
 
 ROOT = Path(__file__).resolve().parents[2]
+API = ROOT / "docs" / "site" / "api"
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware")
 
 project = "eitskin"
@@ -21,7 +25,7 @@ include_patterns = [
     "*.md",
     "docs/*.md",
     "docs/**/*.md",
-    "docs/site/*.rst",
+    "docs/site/api/*.rst",
     "hardware/firmware/README.md",
 ]
 exclude_patterns = [
@@ -46,6 +50,7 @@ html_theme_options = {"navigation_with_keys": True}
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 88
+autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True}
 napoleon_use_ivar = True
@@ -55,19 +60,43 @@ _SECTION = re.compile(r"^(Args|Attributes|Raises|Returns|Yields|Examples?|Notes?
 _LITERAL = re.compile(r"(`[^`]*`)")
 
 
-def navigation(text: str) -> str:
-    """Hidden tables of contents, one for each section of the map of all pages; each page once."""
-    parts, known = [], set()
-    for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+def write_api() -> None:
+    """Write the pages of the Python API: a table for each package, a page for each public name."""
+    shutil.rmtree(API, ignore_errors=True)
+    API.mkdir()
+    for room in ROOMS:
+        module = importlib.import_module(f"eitskin.{room}")
+        rows = []
+        for name in sorted(module.__all__):
+            thing = getattr(module, name)
+            kind = "class" if inspect.isclass(thing) else "function"
+            if kind == "function" and not inspect.isfunction(thing):
+                kind = "data"
+            first = (inspect.getdoc(thing) or "").partition("\n")[0] if kind != "data" else ""
+            rows.append(f"   * - :doc:`{name} <{room}.{name}>`\n     - {_plain(first)}\n")
+            title = f"eitskin.{room}.{name}"
+            directive = f".. auto{kind}:: {title}\n"
+            (API / f"{room}.{name}.rst").write_text(
+                f":orphan:\n\n{title}\n{'=' * len(title)}\n\n{directive}", encoding="utf-8"
+            )
+        title = f"eitskin.{room}"
+        table = ".. list-table::\n   :widths: 30 70\n\n" + "".join(rows)
+        (API / f"{room}.rst").write_text(
+            f"{title}\n{'=' * len(title)}\n\n{table}", encoding="utf-8"
+        )
+
+
+def navigation() -> str:
+    """Hidden tables of contents: the sections of the pages, each in the order of the map."""
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    parts = []
+    for section in re.split(r"^## ", index, flags=re.MULTILINE)[1:]:
         caption, _, body = section.partition("\n")
-        linked = re.findall(r"\]\(([^)#\s]+)\.md(?:#[^)]*)?\)", body)
-        paths = [((ROOT / "docs" / each).resolve().relative_to(ROOT)) for each in linked]
-        pages = [str(path) for path in dict.fromkeys(paths) if str(path) not in known]
-        pages = [page for page in pages if page not in (root_doc, "CONTRIBUTING")]
-        known |= set(pages)
-        if pages:
-            parts.append(_contents(caption, pages))
-    parts.append(_contents("Reference", [f"docs/site/{room}" for room in ROOMS]))
+        pages = [f"docs/{each}" for each in re.findall(r"\]\(((?!\.\.)[^)#\s]+)\.md\)", body)]
+        parts.append(_contents(caption, list(dict.fromkeys(pages))))
+    results = sorted(path.stem for path in (ROOT / "docs" / "results").glob("*.md"))
+    parts.append(_contents("Measured", [f"docs/results/{name}" for name in results]))
+    parts.append(_contents("Python API", [f"docs/site/api/{room}" for room in ROOMS]))
     return "\n".join(parts)
 
 
@@ -92,9 +121,8 @@ def with_scripts(text: str) -> str:
 def read_page(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG001
     """Add the navigation to the first page, and the scripts to the gallery."""
     if page == root_doc:
-        index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-        source[0] += _contents("Begin", ["docs/index"]) + navigation(index)
-        source[0] += _contents("The project", ["CONTRIBUTING", "SECURITY"])
+        source[0] += _contents("Begin", ["docs/index"]) + navigation()
+        source[0] += _contents("The project", ["CHANGELOG", "CONTRIBUTING", "SECURITY"])
     if page == "docs/gallery/README":
         source[0] = with_scripts(source[0])
 
@@ -134,6 +162,7 @@ def _plain(line: str) -> str:
 
 
 def setup(app: Sphinx) -> None:
-    """Connect what is read."""
+    """Write the pages of the API, and connect what is read."""
+    write_api()
     app.connect("source-read", read_page)
     app.connect("autodoc-process-docstring", read_docstring, priority=400)  # before napoleon

@@ -21,7 +21,7 @@ class Bend:
     """Bend of the sensor about y.
 
     Attributes:
-        angle_deg: between the two ends; positive is convex on the touched side.
+        angle_deg: angle between the two ends; positive is convex on the touched side.
     """
 
     angle_deg: float
@@ -38,14 +38,14 @@ class Clamp:
 
     The plates hold the faces of the encapsulation wherever x is at least half the span from the
     middle, without slip, over the full width; each turns by half the angle. `Simulator` bends the
-    sensor as a 3D solution at finite strain has it; see docs/deformation.md. Only rectangular
+    sensor by a 3D solution at finite strain; see docs/explanation/physics.md. Only rectangular
     sensors can be clamped.
 
     Attributes:
         span: free length between the plates, centred on the sensor [m].
-        offset: of the axis below the mid-plane of the conductive layer [m].
-        compliance: of the bond between plate and face, gap per traction [m/Pa]; 0 for a rigid bond.
-        faces: held by the plates, "both" or only the "bottom".
+        offset: depth of the axis below the mid-plane of the conductive layer [m].
+        compliance: gap per traction of the bond between plate and face [m/Pa]; 0 for a rigid bond.
+        faces: faces held by the plates, "both" or only the "bottom".
     """
 
     span: float = 0.040
@@ -141,11 +141,11 @@ class Hinge(_Kinematic):
 
     Attributes:
         span: free length between the clamps, centred on the sensor [m].
-        offset: d, of the hinge axis below the mid-plane of the conductive layer [m].
+        offset: depth d of the hinge axis below the mid-plane of the conductive layer [m].
         give: length by which the bend reaches into each clamp; soft layers give between stiff
             plates [m].
         transition: flat length over which the curvature rises, at each end of the bend [m].
-        contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
+        contraction: contraction of the width, 0 as a plate to 1 as a beam; see Flexure.
 
     A closed form, which nothing but an explicit choice selects: the default is a plate between
     rigid ends, whose bend signal is off by 87 % from the 3D solution; `give=0.002,
@@ -246,7 +246,7 @@ class Twist:
     """Twist: rotation of one end against the other about the sensor's long axis.
 
     Attributes:
-        angle_deg: of the end at large x against the end at x = 0, right-handed about x.
+        angle_deg: angle of the end at large x against the end at x = 0, right-handed about x.
     """
 
     angle_deg: float
@@ -293,7 +293,7 @@ class Roll:
     """Roll: pure bending of the whole width into an arc about x.
 
     Attributes:
-        angle_deg: between the two long edges; positive is convex on the touched side.
+        angle_deg: angle between the two long edges; positive is convex on the touched side.
     """
 
     angle_deg: float

@@ -25,12 +25,12 @@ def uniform(
     """Electrodes at equal distances of arc length around the side, counter-clockwise.
 
     Args:
-        outline: of the layer.
-        count: how many, at least two.
-        width: of each along the outline [m].
+        outline: outline of the layer.
+        count: number of electrodes, at least two.
+        width: width of each electrode along the outline [m].
         start: arc length of the first one's centre; half the pitch when omitted [m].
-        contact_impedance: of each [ohm m2].
-        height: of each, the full thickness when omitted [m].
+        contact_impedance: contact impedance of each electrode [ohm m2].
+        height: height of each electrode, the full thickness when omitted [m].
         z: height of their centres, the middle when omitted [m].
 
     Raises ConfigurationError for fewer than two electrodes, a surface, and invalid sizes.
@@ -63,14 +63,14 @@ def grid(
     the corners of a disc's box, are left out.
 
     Args:
-        outline: of the layer.
+        outline: outline of the layer.
         rows: how many along y.
         columns: how many along x.
-        size: of each along x and y [m].
+        size: extent of each pad along x and y [m].
         on: the face that carries them, or inside.
-        contact_impedance: of each [ohm m2].
+        contact_impedance: contact impedance of each electrode [ohm m2].
         z: height of the sheets, for those inside [m].
-        shape: of each.
+        shape: shape of each pad.
 
     Raises ConfigurationError where pads overlap or none fits, and for a surface.
     """

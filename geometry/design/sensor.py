@@ -66,8 +66,8 @@ class Substrate:
     """Soft layer on rigid ground, bonded to the ground and to the whole bottom face.
 
     Attributes:
-        thickness: of the substrate [m].
-        shear_modulus: of the substrate, neo-Hookean and as little compressible as the sensor [Pa].
+        thickness: thickness of the substrate [m].
+        shear_modulus: modulus of the substrate, neo-Hookean, compressible as the sensor is [Pa].
     """
 
     thickness: float
@@ -119,15 +119,15 @@ class SensorDesign:
     """Conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
 
     Attributes:
-        outline: of the body. The bounding box of a plane outline starts at the origin, and the
+        outline: shape of the body. The bounding box of a plane outline starts at the origin; the
             body extends from z = 0 to `thickness`; a surface keeps the coordinates of its file.
-        thickness: of the conductive body, along z [m].
-        electrodes: in the order of their numbers.
-        conductivity: of the body [S/m].
+        thickness: thickness of the conductive body, along z [m].
+        electrodes: list of electrodes, in the order of their numbers.
+        conductivity: conductivity of the body [S/m].
         layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
             up to `thickness`.
-        encapsulated_thickness: of body and encapsulation together, body centred [m].
-        support: of the bottom face of the encapsulation.
+        encapsulated_thickness: thickness of body and encapsulation together, body centred [m].
+        support: what the bottom face of the encapsulation rests on.
     """
 
     outline: Outline

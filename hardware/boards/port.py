@@ -149,10 +149,10 @@ def only_usb_port(scheme: str) -> str:
     """Path of the only USB serial port; raises ConfigurationError for none or several."""
     found = [port for port in serial_ports() if port.vid is not None]
     if len(found) != 1:
-        count = f"there are {len(found)}" if found else "there is none"
         raise ConfigurationError(
-            f"{scheme}: needs a port, such as {scheme}:/dev/ttyACM0 or {scheme}:?usb=SERIAL, but "
-            f"where one alone is of USB, and {count}. {ports_here()}"
+            f"{len(found) or 'no'} USB serial ports were found, expected one\n"
+            f"plug in the board, or name its port, such as --board {scheme}:/dev/ttyACM0 or "
+            f"{scheme}:?usb=SERIAL. {ports_here()}"
         )
     return found[0].device
 

@@ -388,5 +388,5 @@ def _law_text(
         return f"{seen}: check the paths of {names}"
     return (
         f"{seen}: {cause}, or the order of the channels is not that of the protocol; compare the "
-        "table, or fit the board with 'eitskin instrument fit'"
+        "table, or fit the board with 'eitskin fit instrument'"
     )

@@ -1,4 +1,4 @@
-/* Packets on the wire: docs/wire-protocol.md, versions 1 and 2.
+/* Packets on the wire: docs/reference/wire-protocol.md, versions 1 and 2.
  *
  * packet = 00 | COBS(version u8, type u8, seq u16, payload, crc32 u32) | 00
  *

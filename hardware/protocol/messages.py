@@ -1,6 +1,6 @@
 """Messages between host and board, and their little-endian byte form.
 
-`docs/wire-protocol.md` is the written form of this module.
+`docs/reference/wire-protocol.md` is the written form of this module.
 """
 
 import math

@@ -58,7 +58,7 @@ class FaultKind:
     """Kind of fault: one row of the table of faults.
 
     Attributes:
-        meaning: one sentence, for `eitskin board --list-faults`.
+        meaning: one sentence, for `eitskin virtual-board --list-faults`.
         effects: effect at each hook, from the fault's first frame on.
         unit: of the index; empty where the index has no effect.
         default: amount that index 0 stands for.

@@ -49,7 +49,7 @@ class Instrument:
 
     The terms are the errors that remain after a calibration against the reference resistor RCAL.
     In TOML, `board = "ad5940"` sets every term to its value in `Instrument.ad5940`, and
-    `board = "FILE.toml"` to its value in the instrument file, except for terms given beside it.
+    `board = "FILE.toml"` to its value in the instrument file, except for terms in the same table.
     "sd" is a standard deviation.
 
     Attributes:
@@ -79,9 +79,9 @@ class Instrument:
         rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's. With 200
             ohm the full 3 mA are 0.6 V; a sensor of higher impedance, with smaller currents, uses
             more of the range with a larger resistor.
-        stray_capacitance: lowest and highest [F]; each drive pair draws its own, uniform, per
+        stray_capacitance: range [F]; each drive pair draws its own, uniform, per
             session. Cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
-        measurement_time: from one measurement of a frame to the next [s]; 10.6 ms computed.
+        measurement_time: time from one measurement of a frame to the next [s]; 10.6 ms computed.
         meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
             ideal one.
     """

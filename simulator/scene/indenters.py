@@ -54,7 +54,7 @@ class Cylinder(Indenter):
     """Flat-ended cylinder.
 
     Attributes:
-        radius: of the cylinder [m].
+        radius: radius of the cylinder [m].
         edge: radius of the rounded rim over the radius of the cylinder. No rim is perfectly sharp,
             and squeezed-out material slides around the rim.
     """
@@ -85,7 +85,7 @@ class Sphere(Indenter):
     """Ball, or rod with a hemispherical end.
 
     Attributes:
-        radius: of the ball [m].
+        radius: radius of the ball [m].
         shape: distinguishes a sphere from a cylinder in files.
     """
 
@@ -112,8 +112,8 @@ class Profile(Indenter):
     cuts corners by a quarter of a segment; past the last radius there is a wall.
 
     Attributes:
-        radii: rising from 0 [m].
-        heights: over the lowest point, from 0, with rising slope [m].
+        radii: radii, rising from 0 [m].
+        heights: heights over the lowest point, from 0, with rising slope [m].
     """
 
     radii: tuple[float, ...]

@@ -26,7 +26,7 @@ class Touch:
         x, y: centre of the indenter [m].
         force: normal force [N]; not used where a depth is given.
         indenter: shape of the indenter.
-        depth: of the indenter's lowest point under the undeformed surface, instead of a force [m].
+        depth: depth of the indenter's tip below the undeformed top, instead of a force [m].
         held: duration of the press until now or until its release [s]. When omitted the press is in
             its first moment, and nothing relaxes.
         released: time since the indenter was taken off [s]; only a fading dent is left.
@@ -75,7 +75,7 @@ class PressedTouch:
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances (docs/deformation.md); None at smaller distances or larger
+            found at such distances (docs/results/world.md); None at smaller distances or larger
             depths than any comparison, beside re-entrant corners, on other outlines than
             rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
             pressed.
@@ -116,11 +116,11 @@ class Scene:
     """Scene of one moment; `Scene()` is the flat, untouched sensor.
 
     Attributes:
-        bend: of the sensor by its fixture; zero degrees when omitted.
-        touches: presses on the top side, in coordinates of the flat sensor.
-        roll: of the sensor across its width, before the bend; flat when omitted.
-        twist: about the long axis, after roll and bend; none when omitted.
-        support: of the sensor's bottom face, instead of the design's; the design's when omitted.
+        bend: bend of the sensor by its fixture; flat when omitted.
+        touches: touches on the top side, in coordinates of the flat sensor.
+        roll: curl of the sensor across its width, before the bend; flat when omitted.
+        twist: torsion about the long axis, after roll and bend; none when omitted.
+        support: what the sensor rests on; the design's support when omitted.
     """
 
     bend: Bend = field(default_factory=lambda: Bend(0.0))

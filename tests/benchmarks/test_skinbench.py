@@ -19,13 +19,12 @@ from eitskin.benchmarks.leaderboard import (
     Leaderboard,
     enter,
     frames_digest,
-    page_with,
     read_leaderboard,
     write_leaderboard,
 )
 from eitskin.benchmarks.methods import FRAMES, SPECIMENS, small_recipe
-from eitskin.benchmarks.page_figures import PUBLISHED
 from eitskin.benchmarks.paper import sets as paper_sets
+from eitskin.benchmarks.result_pages import PUBLISHED
 from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
 from eitskin.benchmarks.transfer import WORLDS
 from eitskin.datasets import Recipe
@@ -137,22 +136,10 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_page_and_the_file_are_those_of_the_published_results():
-    board = read_leaderboard(ROOT / "docs" / "leaderboard.json")
+def test_the_file_is_that_of_the_published_results():
+    board = read_leaderboard(ROOT / "docs" / "results" / "leaderboard.json")
     files = [PUBLISHED / track.results / "results.json" for track in TRACKS]
     for path in files:
         assert board.with_results(read_results(path)) == board
-    page = (ROOT / "docs" / "leaderboard.md").read_text()
-    assert page_with(page, board) == page
     published = {read_results(path).command for path in files}
     assert published <= {entry.command for entry in board.entries}
-
-
-def test_a_page_has_the_table_of_each_track_below_its_comment():
-    board = Leaderboard().with_results(results({"50 / maps": 3.0}))
-    text = page_with("# A page\n\n<!-- leaderboard real -->\n| old |\n\nend\n", board)
-    assert board.table(TRACK["recordings"]) in text
-    assert "| old |" not in text
-    assert text.endswith("|\n\nend\n")
-    with pytest.raises(ConfigurationError):
-        page_with("<!-- leaderboard other -->\n", Leaderboard())

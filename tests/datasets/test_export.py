@@ -59,13 +59,6 @@ def huggingface(saved, tmp_path_factory):
     return out
 
 
-def page_code(heading, name="interoperability.md"):
-    """Python on a page, by default that of other programs, from a heading to the next like it."""
-    page = (Path(__file__).parents[2] / "docs" / name).read_text()
-    section = page.split(f"\n{heading}\n")[1].split("\n## ")[0]
-    return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-
-
 def in_order(frames):
     return frames.sort_values("number").reset_index(drop=True)
 
@@ -112,29 +105,15 @@ class TestParquet:
         assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
         assert about["protocol"][0] == [0, 1, 0, 1]
 
-    def test_the_lines_of_the_page_read_it_with_pandas_and_with_torch(self, saved, parquet):
-        data = open_dataset(saved)
-        pandas_lines, torch_lines = page_code("## Parquet")
+    def test_the_lines_of_the_guide_read_it_with_pandas(self, saved, parquet):
+        page = Path(__file__).parents[2] / "docs" / "how-to" / "generate-data.md"
+        (lines,) = re.findall(r"```python\n(import numpy.*?)```", page.read_text(), re.DOTALL)
         names = {}
-        exec(pandas_lines.replace("DIR", str(parquet)), names)  # noqa: S102
-        train = names["frames"]["number"].to_numpy()
-        assert 0 < len(train) < len(data)
-        np.testing.assert_array_equal(names["resistance"], data.impedance.real[train])
-        pytest.importorskip("torch")
-        exec(torch_lines.replace("DIR", str(parquet)), names)  # noqa: S102
-        np.testing.assert_array_equal(names["resistance"].numpy(), data.impedance.real)
-
-    def test_the_lines_of_the_page_on_skinbench_load_it(self, saved, parquet):
-        pandas_lines, torch_lines, _ = (
-            each.replace("skinbench/", f"{parquet}/")
-            for each in page_code("## Its frames in your own code", "leaderboard.md")
-        )
-        impedance, names = open_dataset(saved).impedance.real, {}
-        exec(pandas_lines, names)  # noqa: S102
-        train = names["frames"]["number"].to_numpy()
-        pytest.importorskip("torch")
-        exec(torch_lines, names)  # noqa: S102
-        np.testing.assert_array_equal(names["resistance"].numpy(), impedance[train])
+        exec(lines, names)  # noqa: S102
+        data = open_dataset(saved)
+        resistance, _ = names["training_rows"](parquet)
+        assert 0 < len(resistance) < len(data)
+        assert {*resistance[:, 0]} < {*data.impedance.real[:, 0]}
 
     def test_small_files_hold_the_same_rows_as_one(self, saved, parquet, tmp_path):
         export_dataset(saved, tmp_path / "out", "parquet", file_bytes=20_000)

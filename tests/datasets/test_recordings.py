@@ -167,7 +167,7 @@ def documented(command):
     return open_dataset("set")
 
 
-GUIDES = Path(__file__).parents[2] / "docs" / "guides"
+GUIDES = Path(__file__).parents[2] / "docs" / "how-to"
 COMMANDS = re.findall(
     r"^    (eitskin import [ok].*\n(?: {8}.*\n)*)",
     (GUIDES / "own-recordings.md").read_text().split("## Three public recordings")[1],

@@ -259,8 +259,12 @@ def test_every_fault_of_the_list_has_a_name_and_is_read_back():
 
 
 def test_the_page_of_boards_names_every_fault():
-    page = Path(__file__).parents[2] / "docs" / "boards.md"
-    table = page.read_text(encoding="utf-8").partition("\n### Faults\n")[2].partition("\n## ")[0]
+    page = Path(__file__).parents[2] / "docs" / "reference" / "live.md"
+    table = (
+        page.read_text(encoding="utf-8")
+        .partition("\n## Faults of virtual boards\n")[2]
+        .partition("\n## ")[0]
+    )
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
     assert sorted(re.findall(r"\w+", " ".join(rows))) == sorted(FAULTS)
 

@@ -80,7 +80,7 @@ def test_every_frame_comes_with_its_estimate_latency_and_rate():
 # ---- live readings ----
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "robot.md"
 
 
 class Cable:

@@ -165,7 +165,7 @@ def test_what_is_not_estimated_has_no_topic(changes, problem, status, topics, tm
 
 
 def test_the_page_names_every_topic_type_and_field() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "live.md").read_text()
     for topic, kind in RosMessages().types.items():
         assert f"| `{topic}` | `{kind.replace('/msg', '')}` |" in page
     for name in TOUCH_FIELDS:

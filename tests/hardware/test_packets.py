@@ -93,7 +93,7 @@ def test_hello_has_the_bytes_given_in_the_specification():
 
 
 def test_a_frame_and_info_have_the_bytes_of_the_specification():
-    """Little-endian, one field after the other; see docs/wire-protocol.md."""
+    """Little-endian, one field after the other; see docs/reference/wire-protocol.md."""
     values = np.array([1 - 2j], np.complex64)
     frame = FrameData(0x01020304, 1.5, 0.25, values, np.array([5], np.uint8))
     assert pack(frame, 0).payload.hex(" ") == (
@@ -259,7 +259,7 @@ def test_small_frames_are_those_of_version_1_to_the_byte():
 
 
 def test_a_part_has_the_bytes_of_the_specification():
-    """See docs/wire-protocol.md."""
+    """See docs/reference/wire-protocol.md."""
     first, second = frame_packets(sent_frame(1, 110), 7)
     assert (first.version, first.seq, second.seq) == (2, 7, 8)
     assert first.payload[16:28].hex(" ") == "00 6d 00 00 6e 00 00 00 00 00 00 00"

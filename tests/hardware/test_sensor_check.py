@@ -4,14 +4,16 @@ import dataclasses
 import json
 from functools import lru_cache
 
+import command_line
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.cli.options import Output, named_board
+from eitskin.cli.options import named_board
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo
@@ -292,11 +294,10 @@ def run(*arguments):
     return CliRunner().invoke(app, ["check", *arguments])
 
 
-def test_it_is_told_where_no_board_is_named_that_the_sensor_is_simulated(capsys):
-    assert named_board("serial:", Output()) == "serial:"
-    assert not capsys.readouterr().err
-    assert named_board(None, Output()) == "virtual:"
-    assert "simulated sensor" in " ".join(capsys.readouterr().err.split())
+def test_a_board_has_to_be_named():
+    assert named_board("serial:") == "serial:"
+    with pytest.raises(ConfigurationError, match="virtual:"):
+        named_board(None)
 
 
 def test_the_command_finds_nothing_on_a_healthy_board():
@@ -330,12 +331,12 @@ def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monke
 def test_the_command_lists_ports(monkeypatch):
     ports = (PortInfo("/dev/ttyS0"), PortInfo("/dev/ttyACM0", "EIT board", "ST", 1155, 1, "20 5A"))
     monkeypatch.setattr(port, "serial_ports", lambda: ports)
-    listed = json.loads(run("--list", "--json").stdout)["ports"]
+    listed = json.loads(command_line.run("ports", "--json").stdout)["ports"]
     assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
     last = "serial:?usb=20%205A  /dev/ttyACM0 (EIT board, ST, 0483:0001, 20 5A)"
-    assert run("--list").stdout.splitlines()[-1] == last
+    assert run("--list").stdout.splitlines()[-1] == last  # as in version 0.2
     monkeypatch.setattr(port, "serial_ports", lambda: ())
-    assert "no serial port" in run("--list").stdout
+    assert "no serial port" in command_line.run("ports").stdout
 
 
 def test_small_readings_between_neighbours_are_no_fault():

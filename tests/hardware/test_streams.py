@@ -34,7 +34,7 @@ from eitskin.training.method.predictions import FoundTouches
 from live_fakes import Estimate, FakeBoard, frame
 
 CLIENTS = Path(__file__).parents[2] / "docs" / "clients"
-PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def reading(number=0, **changes):
@@ -77,8 +77,8 @@ def test_a_record_has_forces_and_standard_errors():
 
 
 def test_the_page_lists_every_key_in_its_order():
-    text = PAGE.read_text()
-    section = text[text.index("## Records") : text.index("## Clients")]
+    text = (DOCS / "reference" / "live.md").read_text()
+    section = text[text.index("## JSON records") : text.index("## ROS 2 topics")]
     rows = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
     record = reading_record(reading(), FakeBoard.counts)
     (touch,) = record["touches"]
@@ -255,7 +255,9 @@ def test_the_clients_of_the_page_read_every_record(language, request):
 
 
 def test_the_lines_of_the_page_read_the_websocket(served, capsys):
-    (lines,) = re.findall(r"```python\n(import json\n.*?)```", PAGE.read_text(), re.DOTALL)
+    (lines,) = re.findall(
+        r"```python\n(import json\n.*?)```", (DOCS / "how-to" / "robot.md").read_text(), re.DOTALL
+    )
     for number in range(2):
         served.send(json.dumps({"kind": "reading", "state": "idle", "number": number}))
     lines = lines.replace("ws://127.0.0.1:8941/", served.url)

@@ -1,4 +1,4 @@
-"""Architecture and glossary against the code."""
+"""Architecture against the code."""
 
 import ast
 import re
@@ -76,11 +76,3 @@ def test_the_picture_shows_every_folder_of_every_room() -> None:
 def test_every_place_for_a_change_is_there() -> None:
     for place in re.findall(r"`((?:\w+/)+(?:\w+\.py)?)`", PAGE):
         assert (ROOT / place).exists(), place
-
-
-def test_the_glossary_has_every_public_name() -> None:
-    glossary = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    names = {name.partition(".")[2] for name in EXPORTED}
-    missing = {name for name in names if f"`{name}`" not in glossary}
-    assert len(names) > 70
-    assert not missing

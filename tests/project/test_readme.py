@@ -75,10 +75,11 @@ def test_the_example_in_the_readme_finds_the_touch_that_it_simulates(capsys) -> 
     (example,) = re.findall(r"```python\n(.*?)```\n", page, re.DOTALL)
     scope: dict[str, object] = {}
     exec(compile(example, str(README), "exec"), scope)  # noqa: S102
-    felt, (touch,) = scope["felt"], scope["pressed"].touches
-    assert felt.state is State.TOUCH
-    assert felt.bend_angle_deg == pytest.approx(scope["pressed"].bend.angle_deg, abs=1.0)
-    (found,) = felt.touches
+    estimate, scene = scope["estimate"], scope["scene"]
+    (touch,) = scene.touches
+    assert estimate.state is State.TOUCH
+    assert estimate.bend_angle_deg == pytest.approx(scene.bend.angle_deg, abs=1.0)
+    (found,) = estimate.touches
     assert found[:2] == pytest.approx((touch.x, touch.y), abs=3e-3)
     shown = "".join(f"    {line}\n" for line in capsys.readouterr().out.splitlines())
     assert f"```\n\n{shown}\n" in page, "the page shows what the example prints"

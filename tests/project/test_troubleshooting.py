@@ -1,4 +1,4 @@
-"""Every message of docs/troubleshooting.md occurs, with the exit code that it stands under."""
+"""Every message of docs/how-to/troubleshooting.md occurs, with the exit code of its section."""
 
 import errno
 import hashlib
@@ -40,8 +40,8 @@ from eitskin.training.method.interface import Calibration
 from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline, require_writable
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "troubleshooting.md"
-SECTIONS = re.split(r"^## Exit code (\d+).*$", PAGE.read_text(), flags=re.MULTILINE)[1:]
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "troubleshooting.md"
+SECTIONS = re.split(r"^## .*exit code (\d+)$", PAGE.read_text(), flags=re.MULTILINE)[1:]
 ROWS = [
     (int(code), message)
     for code, text in zip(SECTIONS[::2], SECTIONS[1::2], strict=True)

@@ -32,7 +32,7 @@ _STENCILS = (
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Steps of the finite differences; docs/results/cramer-rao.md gives their errors.
+    """Steps of the finite differences; docs/results/studies.md has bounds.
 
     Attributes:
         place: step of a touch's x and y [m].

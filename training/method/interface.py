@@ -167,7 +167,7 @@ class Method(ABC):
     """Base of perception methods, which keep no state between frames.
 
     A method of your own defines `fit`, `predict`, `targets`, `arrays` and `from_arrays`; the rest
-    is optional. docs/own-method.md shows one.
+    is optional. docs/how-to/own-method.md shows one.
     """
 
     KIND: ClassVar[str]

@@ -109,7 +109,7 @@ def named_method(name: str) -> type[Method]:
         )
     if inspect.isabstract(found):
         missing = ", ".join(sorted(found.__abstractmethods__))
-        raise MethodCodeError(f"{name} lacks {missing}; docs/own-method.md has an example")
+        raise MethodCodeError(f"{name} lacks {missing}; docs/how-to/own-method.md has an example")
     return found
 
 

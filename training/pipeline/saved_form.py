@@ -267,7 +267,10 @@ def _checked_files(path: Path) -> dict[str, bytes]:
     if path.is_file():
         raise DataError(f"{path} is a file, a pipeline is a folder; unpack it if it was packed")
     if not path.is_dir():
-        raise DataError(f"there is no pipeline {path}; make one with eitskin train")
+        near = path.with_name(f"{path.name}{SUFFIX}")
+        meant = near.is_dir() or near.name == SHIPPED.name
+        hint = f"did you mean {near}?" if meant else "make one with eitskin train"
+        raise DataError(f"there is no pipeline {path}; {hint}")
     try:
         lines = read_text(path / SUMS, failure=DataError).splitlines()
         sums = {line[66:]: line[:64] for line in lines}

@@ -51,17 +51,17 @@ class TwinPrior:
     the design's. The defaults are as wide as what people build.
 
     Attributes:
-        conductivity: of the layer.
-        thickness: of layer and encapsulation by one factor.
-        contact_impedance: of each electrode.
-        electrode_place: of each side electrode along the rim [m].
+        conductivity: conductivity of the gel.
+        thickness: thickness of gel and encapsulation by one factor.
+        contact_impedance: contact impedance of each electrode.
+        electrode_place: position of each side electrode along the rim [m].
         span: free length of the fixture, or length of its arc.
-        offset: of the fixture's axis [m].
+        offset: depth of the fixture's axis [m].
         gel_modulus, encapsulation_modulus: shear moduli.
-        gain: of a board that reads ohms.
-        load: of the meter's loads, leaks and leads, as the share Y Z / (1 + Y Z) of an admittance Y
+        gain: gain of a board that reads ohms.
+        load: loads, leaks and leads of the meter, as the share Y Z / (1 + Y Z) of an admittance Y
             and the sensor's impedance Z; about none.
-        common_mode: of the meter, and its offset over the sensor's impedance; about none.
+        common_mode: common mode of the meter, and offset over the sensor's impedance; about none.
     """
 
     conductivity: float = 3.0

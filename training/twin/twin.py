@@ -191,7 +191,7 @@ class PressedTwin:
 
     @classmethod
     def read(cls, folder: str | Path, protocol: Protocol) -> "PressedTwin":
-        """Presses on the twin in a folder of `eitskin twin fit`, in measurements of a protocol.
+        """Presses on the twin in a folder of `eitskin fit twin`, in measurements of a protocol.
 
         Raises ConfigurationError where a file of it is missing or damaged, or where the twin has
         another number of electrodes than the protocol.

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,6 +18,7 @@ from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
     from eitskin.cli.page.plan import Region
+    from eitskin.training.reconstruction.reconstructor import Method
 
 
 MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
@@ -29,7 +30,7 @@ def command(
     *,
     board: options.BoardOption = None,
     frames: Annotated[
-        int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
+        int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C if omitted.")
     ] = None,
     record: Annotated[
         Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
@@ -46,7 +47,7 @@ def command(
     ] = False,
     page: PageOptions,
     page_folder: Annotated[
-        Path, typer.Option(help="Folder of recordings and pipelines that are made from the page.")
+        Path, typer.Option(help="Folder for recordings and pipelines made from the page.")
     ] = Path("page-files"),
     udp: Annotated[
         str | None,
@@ -63,8 +64,8 @@ def command(
     reference: ReferenceFile = None,
     method: options.MethodCode = None,
     picture: Annotated[
-        str | None,
-        typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
+        Literal["back-projection", "tikhonov", "noser", "laplace", "greit"] | None,
+        typer.Option(help="Also reconstruct an image of every frame, for the page."),
     ] = None,
     ros2: Annotated[
         bool, typer.Option("--ros2", help="Also publish frames and estimates as ROS 2 topics.")
@@ -73,20 +74,20 @@ def command(
         int, typer.Option(envvar="ROS_DOMAIN_ID", help="Number of the DDS domain, 0 to 232.")
     ] = 0,
     ros2_namespace: Annotated[
-        str, typer.Option(help="Name of this skin, which its topics and its frame have.")
+        str, typer.Option(help="Name of this skin in its topics and frames.")
     ] = "eitskin",
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
+    """Run a pipeline live on a board: state, angle and touches of its sensor.
 
     The sensor must be flat and untouched when a session begins: at the start, and whenever the
-    board has started anew; with its stored reference it may be bent and touched. A board that goes
-    away is connected to again until it is back.
+    board restarts. With a stored reference it may be bent and touched. If the board goes away,
+    the session reconnects.
     """
     from eitskin.hardware.streams import open_publisher
 
-    board = options.named_board(board, output)
+    board = options.named_board(board)
     access = page.access if page.page else None  # refused before the board is opened
     own = options.own_method(method)
     pipeline = training.open_pipeline(model, own)
@@ -133,12 +134,11 @@ def command(
 
 
 def _pictured(
-    session: LiveSession, board: "hardware.Board", method: str
+    session: LiveSession, board: "hardware.Board", method: "Method"
 ) -> "hardware.FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures
     from eitskin.cli.page.plan import Region
-    from eitskin.training.reconstruction.reconstructor import Method
 
     sheet = sheet_of(session.pipeline)
     if isinstance(sheet, Region):
@@ -146,8 +146,7 @@ def _pictured(
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
-    name = options.one_of("--picture", method, Method)
-    return LivePictures(training.Reconstructor(sheet, board.protocol, name), session)
+    return LivePictures(training.Reconstructor(sheet, board.protocol, method), session)
 
 
 def tell_missing(pipeline: "training.Pipeline", output: options.Output) -> None:

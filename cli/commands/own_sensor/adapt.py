@@ -35,7 +35,7 @@ NOTHING = "none"
 StartModel = Annotated[
     Path,
     typer.Argument(
-        help="The trained pipeline, NAME.eitmodel; none, to learn touch positions anew.",
+        help="Trained pipeline, NAME.eitmodel; none, to learn touch positions alone.",
         metavar="MODEL",
     ),
 ]
@@ -55,19 +55,19 @@ def command(
     method: options.MethodCode = None,
     twin: Annotated[
         Path | None,
-        typer.Option(help="Folder of `twin fit`, whose response to touches is taken."),
+        typer.Option(help="Folder of `eitskin fit twin`, whose touch response is used."),
     ] = None,
     no_table: Annotated[
-        bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
+        bool, typer.Option("--no-table", help="Skip the error table (faster).")
     ] = False,
     replace: options.Replace = False,
     output: options.Output,
 ) -> None:
-    """Adapt a pipeline to one sensor, from frames of which it is known what they show.
+    """Adapt a pipeline to one sensor with labelled frames.
 
-    Whatever is labelled counts: angles, places, forces, or just untouched. The table tells errors
-    against the number of labelled frames, in blocks of time that were left out; the saved pipeline
-    has learned from all frames.
+    All labels count: angles, positions, forces, or just untouched. The table shows errors over the
+    number of labelled frames, on blocks of time that were left out. The saved pipeline has learned
+    from all frames.
     """
     from eitskin.training.pipeline.saved_form import require_writable
 
@@ -226,7 +226,7 @@ def calibrate(
     model: options.Model,
     *,
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
-    board: options.BoardUri,
+    board: options.BoardOption = None,
     reference: ReferenceFile = None,
     angles: Angles = ANGLES,
     frames: Annotated[
@@ -236,8 +236,8 @@ def calibrate(
         bool,
         typer.Option(
             "--no-prompt",
-            help="Do not wait: a virtual: board bends its sensor; a script or a recording goes "
-            "through the angles by itself, in turn.",
+            help="Do not wait for Enter: a virtual: board bends its sensor, a script or recording "
+            "goes through the angles in turn.",
         ),
     ] = False,
     method: options.MethodCode = None,
@@ -245,15 +245,16 @@ def calibrate(
     seed: int = 0,
     output: options.Output,
 ) -> None:
-    """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
+    """Calibrate the bend angle of a sensor at known angles.
 
     Bring the sensor to each angle when asked, hold it still and untouched, and press Enter. With
-    --reference the angles count from the stored state, and the sensor is not asked to be flat.
-    Frames that were recorded before are taken by `eitskin adapt`.
+    --reference the angles count from the stored state, and the sensor need not be flat. For
+    frames that you recorded before, use `eitskin adapt`.
     """
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
 
+    board = options.named_board(board)
     require_writable(out, replace)
     pipeline = training.open_pipeline(model, options.own_method(method))
     pipeline.require_bends()

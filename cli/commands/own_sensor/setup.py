@@ -31,7 +31,7 @@ class SetupOptions:
     """Number of frames and presses, and angles, that a set-up takes."""
 
     angles: adapt.Angles = adapt.ANGLES
-    presses: Annotated[int, typer.Option(min=0, help="Number of presses that are asked for.")] = 10
+    presses: Annotated[int, typer.Option(min=0, help="Number of touches to ask for.")] = 10
     frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8
 
     def __post_init__(self) -> None:
@@ -54,16 +54,16 @@ def command(
     options: SetupOptions,
     no_prompt: Annotated[
         bool,
-        typer.Option("--no-prompt", help="Ask nothing: for a virtual: board, which moves itself."),
+        typer.Option("--no-prompt", help="Ask nothing: for a virtual: board."),
     ] = False,
     replace: Replace = False,
     seed: int = 0,
     output: Output,
 ) -> None:
-    """Set up a new sensor: port, check, zero, known angles, presses, and its own pipeline.
+    """Set up a new sensor, step by step: check, reference, known angles, touches, its pipeline.
 
     Every step can be repeated or skipped. With `none` in place of a pipeline, and a --sensor, touch
-    positions are learned from the presses alone.
+    positions are learned from the touches alone.
     """
     from eitskin.training.pipeline.saved_form import require_writable
 

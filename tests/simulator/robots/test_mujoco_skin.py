@@ -17,7 +17,7 @@ from on_demand import OnDemand
 
 mujoco = OnDemand("mujoco")
 
-SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "mujoco" / "press.py"
+SCRIPT = Path(__file__).parents[3] / "docs" / "how-to" / "mujoco" / "press.py"
 SKIN = '<geom name="skin" type="box" size=".075 .03 .006" mass="1"/>'
 WEIGHT = 9.81  # N of one kilogram
 

@@ -33,7 +33,7 @@ from eitskin.training.pipeline.methods import (
 
 from made_up_sensor import FLAT, frames
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "own-method.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "own-method.md"
 
 
 class Strongest(Method):
@@ -240,7 +240,7 @@ def test_names_of_shipped_methods_are_those_of_the_settings():
 
 @pytest.mark.slow
 def test_the_method_of_the_page_goes_through_the_commands(tmp_path):
-    """Trained, evaluated and run live, as docs/own-method.md says."""
+    """Trained, evaluated and run live, as docs/how-to/own-method.md says."""
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (tmp_path / "my.py").write_text(code)
     save_dataset(frames(600), tmp_path / "data")

@@ -1,0 +1,159 @@
+"""Pages of published results, and the figures that other pages quote: `make pages`.
+
+Every `benchmarks/published/NAME/results.json` is shown in `docs/results/NAME.md`. The file
+`docs/results/quoted.toml` has the keys of the figures in table rows of README and docs; they are
+written again with as many digits as stand in the page.
+"""
+
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from eitskin.benchmarks.leaderboard import (
+    TRACKS,
+    leaderboard_page,
+    read_leaderboard,
+    write_leaderboard,
+)
+from eitskin.benchmarks.results import NUMBER, Results, found_results
+from eitskin.errors import ConfigurationError
+
+ROOT = Path(__file__).resolve().parents[1]
+PUBLISHED = ROOT / "benchmarks" / "published"
+TITLES = {
+    "accuracy": "Accuracy: error and run time of the forward model",
+    "layouts": "Layouts: Cramer-Rao bounds of electrode layouts",
+    "methods": "Methods: trained on the same frames, tested on the same specimens",
+    "paper": "Paper: the experiments of Chen et al.",
+    "recordings": "Recordings: a real skin, a real tank, another board",
+    "speed": "Speed: scenes, datasets and frames per second",
+    "stability": "Stability: stiff and extreme cases",
+    "transfer": "Transfer: sensors that differ from the training set",
+    "world": "World: bends and touches against independent 3D solutions",
+}
+
+
+def full_results(folder: Path = PUBLISHED) -> dict[str, Results]:
+    """Results of full runs by name; quick runs are left out."""
+    return {each.name: each for each in found_results(folder) if not each.quick}
+
+
+def result_page(results: Results) -> str:
+    """Markdown page of all figures of a benchmark, in tables of rows with the same columns."""
+    made = results.provenance
+    packages = ", ".join(" ".join(each) for each in made.packages.items())
+    took = "" if results.seconds is None else f" It took {results.seconds:.0f} s."
+    lines = [
+        f"# {TITLES.get(results.name, results.name)}",
+        "",
+        f"Generated from `benchmarks/published/{results.name}/results.json`, made by",
+        "",
+        f"    {results.command}",
+        "",
+        f"on {made.machine}, Python {made.python}, {packages}; seed {made.seed}, "
+        f"{made.date[:10]}.{took}",
+    ]
+    for columns, rows in _tables(results.figures):
+        lines += ["", "| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+        for row, figures in rows.items():
+            cells = (f"{figures[c]:.4g}" if c in figures else "" for c in columns)
+            lines.append("| " + " | ".join((row, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def with_figures(text: str, keys: Mapping[str, Sequence[str]], results: Results) -> str:
+    """Page with the figures of some table rows as published.
+
+    Args:
+        text: the page.
+        keys: key of each number of a row after its first cell, empty for one that is no figure,
+            by the text of that cell.
+        results: the published results that have these keys.
+
+    Raises ConfigurationError for a row or a figure that is missing.
+    """
+    for label, row_keys in keys.items():
+        rows = re.compile(rf"^\| {re.escape(label)} \|.*$", re.MULTILINE).findall(text)
+        missing = {key for key in row_keys if key} - set(results.figures)
+        if len(rows) != 1 or missing:
+            raise ConfigurationError(
+                f"expected one row {label!r} with figures of {results.name}, got {len(rows)} rows, "
+                f"and no figures {sorted(missing)}; mend docs/results/quoted.toml"
+            )
+        head = len(f"| {label} |")
+        cells, number = rows[0][head:], iter(row_keys)
+
+        def published(match: re.Match[str], number: Iterator[str] = number) -> str:
+            key = next(number, "")
+            return rewritten(match[0], results.figures[key]) if key else match[0]
+
+        text = text.replace(rows[0], rows[0][:head] + NUMBER.sub(published, cells))
+    return text
+
+
+def rewritten(written: str, value: float) -> str:
+    """Value with as many decimals, and thousands marked, as the number that it replaces."""
+    comma = "," if "," in written else ""
+    return f"{value:{comma}.{len(written.partition('.')[2])}f}"
+
+
+def pages(results: Mapping[str, Results], root: Path = ROOT) -> dict[Path, str]:
+    """Text of every page that shows or quotes results, by its path."""
+    folder = root / "docs" / "results"
+    out = {folder / f"{name}.md": result_page(each) for name, each in results.items()}
+    board = folder / "leaderboard.json"
+    if board.is_file():
+        out[board.with_suffix(".md")] = leaderboard_page(read_leaderboard(board))
+    quoted = tomllib.loads((folder / "quoted.toml").read_text(encoding="utf-8"))
+    for name, by_page in quoted.items():
+        for page, keys in by_page.items():
+            path = root / page
+            text = out.get(path) or path.read_text(encoding="utf-8")
+            out[path] = with_figures(text, keys, results[name])
+    return out
+
+
+def main(folders: Sequence[str]) -> None:
+    """Write all pages of the published results, or of other runs where there are any."""
+    results = full_results()
+    for folder in folders:
+        results |= full_results(Path(folder))
+    path = ROOT / "docs" / "results" / "leaderboard.json"
+    if not folders:
+        board = read_leaderboard(path)
+        for track in TRACKS:
+            board = board.with_results(results[track.results])
+        write_leaderboard(path, board)
+    for page, text in pages(results).items():
+        page.write_text(text, encoding="utf-8")
+
+
+def _tables(
+    figures: Mapping[str, float],
+) -> list[tuple[list[str], dict[str, dict[str, float]]]]:
+    """Columns and rows of each table; a row joins the last table that has half of its columns."""
+    rows: dict[str, dict[str, float]] = {}
+    for key, value in figures.items():
+        parts = re.split(r"(?<=[a-z]): (?=\w)", key, maxsplit=1)[::-1]
+        if len(parts) == 1:
+            parts = list(key.rpartition(" / ")[::2])
+        if not parts[0]:
+            parts = list(key.rpartition(".")[::2])
+        row = parts[0].replace("&emsp;", "") or key
+        rows.setdefault(row, {})[parts[1] if parts[0] else "value"] = value
+    tables: list[tuple[list[str], dict[str, dict[str, float]]]] = []
+    for row, cells in rows.items():
+        for columns, members in tables:
+            if 2 * len(set(columns) & set(cells)) >= max(len(cells), len(columns) // 2):
+                columns += [each for each in cells if each not in columns]
+                members[row] = cells
+                break
+        else:
+            tables.append((list(cells), {row: cells}))
+    return tables
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

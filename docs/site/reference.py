@@ -1,0 +1,210 @@
+"""Reference pages made from the code: commands and keys of files; `make pages`."""
+
+import dataclasses
+import inspect
+import re
+import types
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+
+import typer
+
+from eitskin.cli.help import examples_of
+from eitskin.cli.main import app
+from eitskin.datasets import Recipe
+from eitskin.geometry import Clamp, FreeArc, Hinge, SensorDesign
+from eitskin.geometry.design import regular_layouts
+from eitskin.hardware import Script
+from eitskin.protocol import Protocol
+from eitskin.simulator import Instrument, Mechanics, Scene, SensorGrid
+from eitskin.training import TwinPrior
+
+REFERENCE = Path(__file__).resolve().parents[1] / "reference"
+FILES = {
+    "Sensor designs": ("DESIGN.toml, `--sensor`", [SensorDesign]),
+    "Layouts of electrodes": (
+        "`electrodes` of a design, instead of a list",
+        [regular_layouts.uniform, regular_layouts.grid],
+    ),
+    "Scenes": ("SCENE.toml", [Scene]),
+    "Scripts of scenes": ("`virtual:?scene=FILE.toml`", [Script]),
+    "Fixtures": ("FIXTURE.toml, `--fixture`", [Clamp, Hinge, FreeArc]),
+    "Materials": ("MECHANICS.toml, `--mechanics`", [Mechanics]),
+    "Instruments": ("RIG.toml, `--instrument`", [Instrument]),
+    "Recipes": ("RECIPE.toml, `eitskin generate`", [Recipe]),
+    "Priors of a twin": ("PRIOR.toml, `fit twin --prior`", [TwinPrior]),
+}
+SIMPLE = {float: "number", int: "integer", str: "text", bool: "true or false", Path: "path"}
+SIMPLE |= {complex: "number or [real, imaginary]", Protocol: "name or path"}
+UNLISTED = (Protocol, SensorGrid)
+
+
+def files_page() -> str:
+    """Markdown of the keys of all files."""
+    parts = [
+        "# Files\n\nKeys of every TOML file, generated from the code. Units are SI. "
+        "Keys with a default may be left out; unknown keys are refused with a suggestion. Paths "
+        "are relative to the file that names them. If a key takes one of several tables, the keys "
+        "in it decide which.\n"
+    ]
+    shown: set[object] = set()
+    for title, (where, kinds) in FILES.items():
+        parts.append(f"## {title}\n\n{where}.\n")
+        queue = list(kinds)
+        for kind in queue:
+            if kind in shown:
+                continue
+            shown.add(kind)
+            rows = list(_keys(kind))
+            queue += [inner for _, annotation, _, _ in rows for inner in _tables(annotation)]
+            parts.append(_keys_table(kind, rows))
+    return "\n".join(parts)
+
+
+def commands_page() -> str:
+    """Markdown of all commands: what each does, examples, options."""
+    parts = [
+        "# Commands\n\nGenerated from the code; the help of each command (`-h`) shows the "
+        "same. All commands take `--json`, `--quiet` and `--verbose`.\n"
+    ]
+    group = typer.main.get_command(app)
+    panels: dict[str, list[str]] = {}
+    for name, command in group.commands.items():
+        if not command.hidden:
+            panels.setdefault(command.rich_help_panel or "Commands", []).append(name)
+    for panel, names in panels.items():
+        parts.append(f"## {panel}\n")
+        for name in names:
+            parts += _command(f"eitskin {name}", group.commands[name])
+    return "\n".join(parts)
+
+
+def _command(path: str, command: typing.Any) -> Iterator[str]:
+    members = getattr(command, "commands", {})
+    if members:
+        for name, member in members.items():
+            if not member.hidden:
+                yield from _command(f"{path} {name}", member)
+        return
+    text = inspect.cleandoc(command.help or "")
+    examples = examples_of(path)
+    arguments = [each for each in command.params if each.param_type_name == "argument"]
+    usage = " ".join([path, *(usage_name(each).strip("`") for each in arguments)])
+    yield f"### {path}\n\n{text}\n"
+    yield "```bash\n" + "\n".join(examples or [usage]) + "\n```\n"
+    rows = ["| argument or option | meaning |", "|---|---|"]
+    for each in command.params:
+        name = usage_name(each)
+        if name in ("`--json`", "`--quiet`", "`--verbose`", "`--help`") or each.hidden:
+            continue
+        note = f" Default: {each.default}." if each.default not in (None, False, "", ()) else ""
+        rows.append(f"| {name} | {_cell(each.help or '')}{note} |")
+    yield "\n".join(rows) + "\n"
+
+
+def usage_name(parameter: typing.Any) -> str:
+    """Option or argument as it is typed, with the kind of its value."""
+    if parameter.param_type_name == "argument":
+        return f"`{(parameter.metavar or parameter.name).upper()}`"
+    flag = parameter.opts[0]
+    return f"`{flag}`" if parameter.is_flag else f"`{flag} {_metavar(parameter)}`"
+
+
+def _metavar(parameter: typing.Any) -> str:
+    annotation = parameter.type_descriptor.annotation
+    if typing.get_origin(annotation) is typing.Literal:
+        return "\\|".join(typing.get_args(annotation))
+    return parameter.metavar or parameter.name.upper()
+
+
+def _keys(kind: typing.Any) -> Iterator[tuple[str, typing.Any, str, str]]:
+    """Name, type, default and description of each key."""
+    described = _described(inspect.getdoc(kind) or "")
+    hints = typing.get_type_hints(kind)
+    if dataclasses.is_dataclass(kind):
+        for field in dataclasses.fields(kind):
+            default = _default(field.default)
+            if field.default_factory is not dataclasses.MISSING:
+                default = "below" if _tables(hints[field.name]) else "empty"
+            yield field.name, hints[field.name], default, described.get(field.name, "")
+        return
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if name != "outline":
+            yield name, hints[name], _default(parameter.default), described.get(name, "")
+
+
+def _keys_table(kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]]) -> str:
+    first, *rest = (inspect.getdoc(kind) or "").split("\n\n")
+    lines = [f"### {kind.__name__}", "", " ".join(first.split()), ""]
+    if not rows:
+        return "\n".join([*lines[:-1], f' Written as `"{kind.__name__.lower()}"`.', ""])
+    sections = ("Args", "Attributes", "Raises", "Example", "Returns")
+    if rest and not rest[0].startswith((*sections, " ")):
+        lines += [" ".join(rest[0].split()), ""]
+    lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
+    for name, annotation, default, text in rows:
+        lines.append(f"| `{name}` | {_type(annotation)} | {default} | {_cell(text)} |")
+    return "\n".join([*lines, ""])
+
+
+def _described(docstring: str) -> dict[str, str]:
+    """Descriptions in the section of attributes or arguments, by name."""
+    section = re.search(r"^(?:Attributes|Args):\n((?:(?: {4}.*)?\n?)+)", docstring, re.MULTILINE)
+    found: dict[str, str] = {}
+    for names, text in re.findall(
+        r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {8}.*)*)", section[1] if section else "", re.MULTILINE
+    ):
+        found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+    return found
+
+
+def _type(annotation: typing.Any) -> str:  # noqa: PLR0911  one for each kind
+    origin, members = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation in SIMPLE:
+        return SIMPLE[annotation]
+    if origin is typing.Literal:
+        return " or ".join(f'`"{each}"`' for each in members)
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(_type(each) for each in members if each is not types.NoneType)
+    if origin is tuple and members[-1] is Ellipsis:
+        return f"list of {_type(members[0])}"
+    if origin is tuple:
+        return "[" + ", ".join(_type(each) for each in members) + "]"
+    if dataclasses.is_dataclass(annotation) and annotation not in UNLISTED:
+        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+    return getattr(annotation, "__name__", str(annotation))
+
+
+def _tables(annotation: typing.Any) -> list[typing.Any]:
+    """Dataclasses in an annotation that have a table of their own."""
+    if dataclasses.is_dataclass(annotation):
+        return [] if annotation in UNLISTED else [annotation]
+    return [kind for each in typing.get_args(annotation) for kind in _tables(each)]
+
+
+def _default(value: object) -> str:
+    if value in (dataclasses.MISSING, inspect.Parameter.empty):
+        return "needed"
+    if value is None or value in ((), ""):
+        return "none"
+    return "below" if dataclasses.is_dataclass(value) else f"`{_toml(value)}`"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_toml(each) for each in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+PAGES = {"files.md": files_page, "commands.md": commands_page}
+
+if __name__ == "__main__":
+    for name, page in PAGES.items():
+        (REFERENCE / name).write_text(page(), encoding="utf-8")
