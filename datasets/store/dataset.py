@@ -22,6 +22,7 @@ from eitskin.datasets.store.schema import (
     QUANTITIES,
     check_values,
 )
+from eitskin.datasets.store.tensors import NAMES, FrameTensors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import quoted
 from eitskin.frame import Frame, Status
@@ -240,6 +241,14 @@ class Dataset:
             frequency=self.frequency,
             status=self.status[index],
         )
+
+    def torch(self, *names: str) -> FrameTensors:
+        """Frames for `torch.utils.data.DataLoader`: dictionaries of tensors by attributes' names.
+
+        Of all attributes where none is named. Raises ConfigurationError for unknown names, and
+        ImportError without torch.
+        """
+        return FrameTensors(self, names or NAMES)
 
     def select(self, indices: ArrayLike | slice) -> "Dataset":
         """Frames at `indices` (integers, slice or mask) in that order, with all specimens."""

@@ -2,24 +2,16 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset, read_entry
 from eitskin.datasets.store.manifest import read_manifest
-from eitskin.datasets.store.schema import FRAME_FIELDS
+from eitskin.datasets.store.tensors import NAMES, FrameTensors, Item, checked_names, item_of
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
 
-if TYPE_CHECKING:
-    import torch
-
-Item = dict[str, "torch.Tensor"]
-
-NAMES = (*(field.name for field in FRAME_FIELDS), "reference")
 _MEMORY_LIMIT = 1 << 30
 
 
@@ -54,7 +46,7 @@ class TorchDataset:
             ImportError: without torch.
         """
         require("torch", "training")
-        self.folder, self.names = Path(folder), _checked(names)
+        self.folder, self.names = Path(folder), checked_names(names)
         manifest = read_manifest(self.folder)
         self._frames = manifest.frames
         first = read_entry(self.folder, manifest.shards[0])
@@ -64,7 +56,7 @@ class TorchDataset:
                 f"{folder} takes {size / 1e6:.0f} MB in memory, the limit is "
                 f"{memory_limit / 1e6:.0f} MB; read it with ShuffledShards, or raise memory_limit"
             )
-        self._data: Dataset | None = None
+        self._data: FrameTensors | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -75,9 +67,8 @@ class TorchDataset:
         if not -self._frames <= index < self._frames:
             raise IndexError(f"frame {index} of a dataset of {self._frames}")
         if self._data is None:
-            self._data = open_dataset(self.folder)
-            self._data.read(*self.names)
-        return _item(self._data, index, self.names)
+            self._data = FrameTensors(open_dataset(self.folder), self.names)
+        return self._data[index]
 
     def __getstate__(self) -> dict[str, Any]:
         """State for another process: the folder of the frames, without the frames."""
@@ -115,7 +106,7 @@ class ShuffledShards:
         # A loader checks for an IterableDataset; a base class would import torch here.
         data = require("torch.utils.data", "training")
         data.IterableDataset.register(ShuffledShards)
-        self.folder, self.names, self.seed, self.epoch = Path(folder), _checked(names), seed, 0
+        self.folder, self.names, self.seed, self.epoch = Path(folder), checked_names(names), seed, 0
         self._batch = batch
         self._manifest = read_manifest(self.folder)
 
@@ -139,34 +130,8 @@ class ShuffledShards:
             size = self._batch or 1
             for start in range(0, len(frames), size):
                 chosen = frames[start : start + size] if self._batch else int(frames[start])
-                yield _item(data, chosen, self.names)
+                yield item_of(data, chosen, self.names)
 
     def _generator(self, *stream: int) -> np.random.Generator:
         sequence = np.random.SeedSequence(self.seed, spawn_key=(self.epoch, *stream))
         return np.random.default_rng(sequence)
-
-
-def _checked(names: Sequence[str]) -> tuple[str, ...]:
-    wrong = sorted(set(names) - set(NAMES))
-    if wrong or not names:
-        raise ConfigurationError(
-            f"expected names of {', '.join(NAMES)}, got {', '.join(wrong) or 'none'}"
-        )
-    return tuple(names)
-
-
-def _item(data: Dataset, index: int | NDArray[np.int64], names: Sequence[str]) -> Item:
-    values = {name: getattr(data, name)[index] for name in names if name != "reference"}
-    row = data.specimen[index]
-    if "reference" in names:
-        values["reference"] = data.reference[row]
-    if "specimen" in names:  # not the row, which is one of the shard
-        values["specimen"] = data.specimen_number[row]
-    return {name: _tensor(value) for name, value in values.items()}
-
-
-def _tensor(value: Any) -> "torch.Tensor":
-    import torch
-
-    array = np.asarray(value)
-    return torch.from_numpy(array.astype(np.int64) if array.dtype.kind == "u" else array.copy())

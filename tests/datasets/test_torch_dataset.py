@@ -9,6 +9,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from eitskin.datasets import ShuffledShards, TorchDataset, open_dataset, save_dataset
+from eitskin.datasets.store.tensors import NAMES
 from eitskin.errors import ConfigurationError
 
 from small_dataset import make
@@ -43,6 +44,15 @@ def test_items_are_the_frames(folder, data):
     assert frames[-1]["time"] == frames[49]["time"] == data.time[49]
     with pytest.raises(IndexError):
         frames[50]
+
+
+def test_opened_frames_give_their_own_also_some_of_them(data):
+    """As the first page has it, with workers."""
+    chosen = data.select(data.state > 0)
+    loader = DataLoader(chosen.torch("impedance", "state"), batch_size=7, num_workers=2)
+    found = torch.cat([batch["impedance"] for batch in loader]).numpy()
+    assert np.array_equal(found, chosen.impedance)
+    assert set(data.torch()[0]) == set(NAMES)
 
 
 def test_items_belong_to_the_reader_also_of_one_shard(folder, tmp_path):
