@@ -25,9 +25,9 @@ FIELD: Final = (".eit", ".get")
 _DRAEGER_END: Final = b"**\r\n\r\n\r\n"  # of the text before the frames
 _DRAEGER_FRAME: Final = np.dtype(
     {
-        "names": ["day", "first", "second"],
-        "formats": ["<f8", ("<f8", 208), ("<f8", 208)],
-        "offsets": [0, 16, 2592],
+        "names": ["first", "second"],
+        "formats": [("<f8", 208), ("<f8", 208)],
+        "offsets": [16, 2592],
         "itemsize": 5495,
     }
 )
@@ -102,9 +102,12 @@ def _read_sciospec(files: Sequence[Path]) -> tuple[Tables, Contents]:
 
 def _sciospec_frame(file: Path) -> tuple[list[Row], int, NDArray[Any]]:
     """Rows, number of electrodes, and values (frequencies, measurements) [ohm] of one frame."""
-    lines = file.read_text(encoding="utf-8", errors="replace").split("\n")
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     try:
-        head, lines = lines[: int(lines[0])], [each for each in lines[int(lines[0]) :] if each]
+        head, lines = (
+            lines[: int(lines[0])],
+            [each for each in lines[int(lines[0]) :] if each.strip()],
+        )
         old = len(head) < 11  # without a line for the version
         count, current = int(float(head[7 - old])), float(head[8 - old])
         named = next((each for each in head if each.startswith("MeasurementChannels:")), "")
@@ -144,10 +147,9 @@ def _read_draeger(path: Path) -> tuple[Tables, Contents]:
     body = content[start + len(_DRAEGER_END) :]
     frames = np.frombuffer(body, _DRAEGER_FRAME, len(body) // _DRAEGER_FRAME.itemsize)
     first, second = _DRAEGER_OHM
-    tables = {
-        "v": first * frames["first"] - second * frames["second"],
-        "t": (frames["day"] - frames["day"][:1]) * 86400.0,
-    }
+    tables = {"v": first * frames["first"] - second * frames["second"]}
+    if rate := re.search(rb"Framerate \[Hz\]:\s*([\d.]+)", content[:start]):
+        tables["t"] = np.arange(len(frames)) / float(rate[1])
     rows = Protocol.adjacent(16).table
     return tables, _contents(tables, rows, 16, "Draeger, in ohm about", order="rotated")
 
@@ -174,7 +176,7 @@ def _gimli_lines(path: Path) -> list[list[str]]:
     data = plain[count + 1 :]
     if not data or not lines[data[0]][0].isdigit() or len(data) <= int(lines[data[0]][0]):
         return []
-    names = [each.strip("#").lower() for line in lines[data[0] + 1 : data[1]] for each in line]
+    names = [each.strip("#") for line in lines[data[0] + 1 : data[1]] for each in line]
     size = int(lines[data[0]][0])
     chosen = [lines[k] for k in data[1 : 1 + size]]
     names = [each for each in names if each]
@@ -185,9 +187,13 @@ def _read_gimli(path: Path) -> tuple[Tables, Contents]:
     """One frame: a row for each measurement, electrodes from 1, r, u / i, or rhoa / k."""
     names, *lines = _gimli_lines(path)
     try:
-        columns = dict(zip(names, np.array([x[: len(names)] for x in lines], float).T, strict=True))
+        numbers = np.array([line[: len(names)] for line in lines], float).T
     except ValueError as error:
         raise DataError(f"expected numbers below {' '.join(names)}: {error}") from error
+    columns = {}
+    for name, column in zip(names, numbers, strict=True):
+        name, _, unit = name.partition("/")  # noqa: PLW2901
+        columns[name.lower()] = column * (1e-3 if unit.startswith("m") else 1.0)
     for name, other in (("r", ""), ("u", "i"), ("rhoa", "k")):
         if name in columns and (not other or other in columns):
             values = columns[name] / (columns[other] if other else 1.0)

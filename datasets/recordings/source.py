@@ -108,8 +108,8 @@ class Source:
         usual, header = self.usual_values, self.contents.header
         if not usual or usual in self.names or "," in usual:
             return usual
-        if "c" in self._columns and len(self._columns["c"]) == len(header) >= count > 0:
-            return f"c{len(header) - count}..c{len(header) - 1}"
+        if "c" in self._columns and len(self._columns["c"]) == len(header) >= count:
+            return f"c{len(header) - count}..c{len(header) - 1}" if count else "c"
         named = [name for name in header if protocol_of_names([name])]
         if len(named) > 1:
             return f"{named[0]}..{named[-1]}"

@@ -120,7 +120,7 @@ def draeger(path):
     frames = np.zeros((2, 5495), dtype=np.uint8)
     for number, values in enumerate(in_order(Protocol.adjacent(16), "rotated").measure(SIXTEEN)):
         doubles = np.zeros(600)
-        doubles[0], doubles[2:210] = (7 + 0.05 * number) / 86400, values / 0.00098242 + 0.00019607
+        doubles[2:210] = values / 0.00098242 + 0.00019607
         doubles[324:532] = 0.00098242
         frames[number, :4800] = doubles.view(np.uint8)
     path.write_bytes(head + frames.tobytes())

@@ -269,7 +269,7 @@ def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     ("lines", "names", "error", "message"),
     [
         (["v0,v1,v3", "1,2,3"], {}, DataError, "after v1 comes v3"),
-        (["1,2", "3,4"], {}, ConfigurationError, "holds c .*no header"),
+        (["1,2", "3,4"], {"values": "v"}, ConfigurationError, "holds c .*no header"),
         (["v0,v0", "3,4"], {}, DataError, "'v0' more than once"),
         (["Volt0,Volt1", "3,4"], {"values": "volt"}, ConfigurationError, "did you mean 'Volt'"),
         (["v0,F", "3,4"], {"columns": {"forse": "F"}}, ConfigurationError, "mean 'force'"),
