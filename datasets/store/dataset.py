@@ -245,7 +245,7 @@ class Dataset:
     def torch(self, *names: str) -> FrameTensors:
         """Frames for `torch.utils.data.DataLoader`: dictionaries of tensors by attributes' names.
 
-        Of all attributes where none is named. Raises ConfigurationError for unknown names, and
+        Items have all attributes where none is named. Raises ConfigurationError for unknown names, and
         ImportError without torch.
         """
         return FrameTensors(self, names or NAMES)
