@@ -3,9 +3,9 @@
 Random presses of 4 to 12 N on the reference sensor in its default clamp: single ones and up to
 four, each with a bend of its own or many of one bend, by reanalysis and one by one, on two
 processes at once; and specimens of the recipe `training`, each set up and used for some scenes.
-Errors are those of the presses' signals against the resolution "fine". Besides, pyEIT in the same
-run; frames per second and memory of making a dataset; and the time of a frame in the shipped
-pipeline.
+Errors are those of the presses' signals against the resolution "fine", of other sensors' signals
+against "standard". Besides, pyEIT in the same run; frames per second and memory of making a
+dataset; and the time of a frame in the shipped pipeline.
 """
 
 import dataclasses
@@ -31,8 +31,9 @@ from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.stage import Script, Step
@@ -75,6 +76,8 @@ class Workload:
         resolution: of the simulator.
         tolerance: of reanalysis.
         specimens: whether every `PER_SPECIMEN` scenes have a specimen of their own.
+        electrodes: at equal distances around the reference's rectangle.
+        disc: whether the sensor is a disc on a hinge, which is bent alone.
     """
 
     name: str
@@ -83,11 +86,14 @@ class Workload:
     resolution: Resolution = "fast"
     tolerance: float = TOLERANCE
     specimens: bool = False
+    electrodes: int = 8
+    disc: bool = False
 
     def simulators(self, count: int) -> Iterator[Simulator]:
         """Simulator of each scene."""
         if not self.specimens:
-            yield from repeat(_reference(self.resolution), count)
+            sim = _simulator(self.resolution, self.electrodes, self.disc)
+            yield from repeat(sim, count)
             return
         recipe = Recipe.shipped("training")
         for number in range(-(-count // PER_SPECIMEN)):
@@ -105,6 +111,9 @@ WORKLOADS = (
     Workload("one touch, specimens of their own", specimens=True),
     Workload("one touch, specimens, resolution `coarse`", resolution="coarse", specimens=True),
     Workload("one touch, each solved by itself", tolerance=0.0),
+    Workload("one touch, 16 electrodes", electrodes=16),
+    Workload("one touch, 32 electrodes", electrodes=32),
+    Workload("no touch, a disc", touches=(0, 0), disc=True),
 )
 
 
@@ -170,21 +179,24 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
 def signal_errors(workload: Workload) -> Array:
     """Relative errors of the signals of some scenes, (JUDGED,)."""
     judged = dataclasses.replace(workload, per_bend=1, specimens=False)
-    truth = _true_signals(judged.touches)
+    truth = _true_signals(judged.touches, judged.electrodes, judged.disc)
     missed = _signals(judged) - truth
     found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return found
 
 
 @cache
-def _true_signals(touches: tuple[int, int]) -> Array:
-    return _signals(Workload("", touches, resolution="fine", tolerance=_TRUE))
+def _true_signals(touches: tuple[int, int], electrodes: int, disc: bool) -> Array:
+    few = electrodes == len(SensorDesign.reference().electrodes) and not disc
+    truth = Workload("", touches, resolution="fine" if few else "standard", tolerance=_TRUE)
+    return _signals(dataclasses.replace(truth, electrodes=electrodes, disc=disc))
 
 
 def _signals(workload: Workload) -> Array:
-    """Signals of the touches of the judged scenes [ohm], (JUDGED, measurements)."""
+    """Signals of the judged scenes' touches, or of bends without, [ohm], (JUDGED, measurements)."""
     some = scenes(workload, JUDGED, 99)
-    measured = _measured(workload, [*some, *(Scene(scene.bend) for scene in some)])
+    others = [Scene(scene.bend if scene.touches else Bend(0.0)) for scene in some]
+    measured = _measured(workload, [*some, *others])
     changes: Array = measured[:JUDGED] - measured[JUDGED:]
     return changes
 
@@ -200,8 +212,14 @@ def _measured(workload: Workload, some: Sequence[Scene]) -> Array:
 
 
 @cache
-def _reference(resolution: Resolution) -> Simulator:
-    return Simulator(SensorDesign.reference(), resolution)
+def _simulator(resolution: Resolution, electrodes: int, disc: bool) -> Simulator:
+    """The reference sensor, or one that differs from it in its outline and electrodes."""
+    design = SensorDesign.reference()
+    if disc or electrodes != len(design.electrodes):
+        outline = Disc(0.05) if disc else design.outline
+        ring = uniform(outline, electrodes)
+        design = dataclasses.replace(design, outline=outline, electrodes=ring)
+    return Simulator(design, resolution, Hinge(0.05) if disc else None)
 
 
 FOUR = tuple(

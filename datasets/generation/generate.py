@@ -2,7 +2,7 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
@@ -19,9 +19,9 @@ from eitskin.datasets.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from eitskin.datasets.store.schema import MOST_SHARD_BYTES
+from eitskin.datasets.store.schema import ENGINE, MOST_SHARD_BYTES
 from eitskin.datasets.store.shard import shard_name, write_entry
-from eitskin.datasets.store.shard_reader import shard_of
+from eitskin.datasets.store.shard_reader import engine_of, shard_of
 from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, read_bytes, remove_file, remove_leftovers, write_file
@@ -88,6 +88,7 @@ def generate(
     if resume or shard is not None:
         kept = _finished(recipe, folder, wanted, workers if shard is None else 1, examined)
     missing = [number for number in wanted if number not in kept]
+    _require_engine(folder, kept.values() if missing else ())
     _check_room(recipe, folder, missing)
     _begin(recipe, folder, resume, shared=shard is not None)
     total = _frames(recipe, wanted)
@@ -157,6 +158,18 @@ def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
             "one of them, or change frames_per_shard in the recipe"
         )
     return specimen_numbers(recipe, recipe.shard_range(shard))
+
+
+def _require_engine(folder: Path, kept: Iterable[ShardEntry]) -> None:
+    """Raise ConfigurationError for finished shards whose frames would be made otherwise now."""
+    for entry in kept:
+        engine = engine_of(folder / entry.name)
+        if engine != ENGINE:
+            raise ConfigurationError(
+                f"cannot resume in {folder}: {entry.name} is of simulation {engine}, and this "
+                f"eitskin has simulation {ENGINE}, whose frames differ; choose another folder, or "
+                "finish it with the version that began it"
+            )
 
 
 def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:

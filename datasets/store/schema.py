@@ -13,6 +13,7 @@ from eitskin.errors import DataError
 
 FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 2
+ENGINE: Final = 2  # number of the simulation, raised where frames change beyond rounding
 MAX_TOUCHES: Final = 4
 MOST_REFERENCE_FRAMES: Final = 1000
 

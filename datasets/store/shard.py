@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import ShardEntry
 from eitskin.datasets.store.schema import (
+    ENGINE,
     FIELDS,
     FORMAT,
     FORMAT_VERSION,
@@ -116,6 +117,7 @@ def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
         "frequency": data.frequency,
         "quantity": data.quantity,
         "design": data.design.to_toml() if data.design else "",
+        "engine": ENGINE,
         "packages": json.dumps(package_versions(PACKAGES), sort_keys=True),
     }
 

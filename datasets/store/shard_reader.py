@@ -51,6 +51,12 @@ def read_shard(path: str | Path) -> Dataset:
     return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path)
 
 
+def engine_of(path: Path) -> int:
+    """Number of the simulation that made a sound shard; 1 where none is stored."""
+    with h5py.File(path) as file:
+        return int(file.attrs.get("engine", 1))
+
+
 def shard_of(
     content: bytes, path: Path, first_index: int | None = None, known: bool = False
 ) -> Dataset:

@@ -54,6 +54,6 @@ def test_a_workload_without_tolerance_is_off_by_its_mesh_alone(monkeypatch):
     monkeypatch.setattr(speed, "JUDGED", 2)
     standard = Workload("", resolution="standard", tolerance=0.0)
     truth = speed._signals(standard)
-    monkeypatch.setattr(speed, "_true_signals", lambda _: truth)
+    monkeypatch.setattr(speed, "_true_signals", lambda *_: truth)
     assert np.abs(speed.signal_errors(standard)).max() < 1e-9
     assert 1e-3 < speed.signal_errors(Workload("", tolerance=0.0)).max() < 0.1

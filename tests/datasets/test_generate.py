@@ -158,6 +158,18 @@ def test_finished_dataset_is_not_made_again(whole, monkeypatch):
     assert contents(whole) == before
 
 
+def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
+    whole, tmp_path, monkeypatch
+):
+    folder = tmp_path / "begun"
+    shutil.copytree(whole, folder)
+    monkeypatch.setattr(generation, "ENGINE", 1 + generation.ENGINE)
+    generate(RECIPE, folder, resume=True)
+    (folder / shard_name(0)).unlink()
+    with pytest.raises(ConfigurationError, match="is of simulation"):
+        generate(RECIPE, folder, resume=True)
+
+
 def test_finished_shards_are_read_in_a_child_whatever_seal_they_have(whole, monkeypatch):
     tried = []
     monkeypatch.setattr(shard_reader, "contained", lambda *task: tried.append(task) or ())
