@@ -245,8 +245,8 @@ class Dataset:
     def torch(self, *names: str) -> FrameTensors:
         """Frames for `torch.utils.data.DataLoader`: dictionaries of tensors by attributes' names.
 
-        Items have all attributes where none is named. Raises ConfigurationError for unknown names, and
-        ImportError without torch.
+        Items have all attributes where none is named. Raises ConfigurationError for unknown names,
+        and ImportError without torch.
         """
         return FrameTensors(self, names or NAMES)
 
