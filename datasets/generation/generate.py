@@ -22,7 +22,12 @@ from eitskin.datasets.store.manifest import (
 from eitskin.datasets.store.schema import ENGINE, MOST_SHARD_BYTES
 from eitskin.datasets.store.shard import shard_name, write_entry
 from eitskin.datasets.store.shard_reader import engine_of, shard_of
-from eitskin.datasets.store.worker_processes import check_scheduler, run_tasks, worthwhile
+from eitskin.datasets.store.worker_processes import (
+    check_scheduler,
+    leave_worker_that_starts,
+    run_tasks,
+    worthwhile,
+)
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, read_bytes, remove_file, remove_leftovers, write_file
 
@@ -47,13 +52,14 @@ def generate(
     """Generate the dataset of `recipe` in the folder `out`.
 
     The bytes depend on the recipe alone, not on the workers or on interruptions. Scripts that call
-    this function need the usual `if __name__ == "__main__":`, because workers are new processes.
+    this function with several workers, which are new processes, need the usual
+    `if __name__ == "__main__":`.
 
     Args:
         recipe: of the dataset.
         out: folder; new or empty, unless `resume` or `shard`.
-        workers: number of processes; with `scheduler` they only look for finished shards, with
-            `shard` there are none.
+        workers: number of processes; one works in this process. With `scheduler` they only look
+            for finished shards, with `shard` there are none.
         progress: called with the number of finished frames and of all frames.
         resume: keep the finished shards in `out` and simulate the others.
             Half-written files of killed writers are removed.
@@ -74,6 +80,7 @@ def generate(
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    leave_worker_that_starts()
     if shard is not None and scheduler:
         raise ConfigurationError(
             "expected a scheduler, which makes all shards, or the number of one shard, got both; "

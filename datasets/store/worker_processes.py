@@ -10,8 +10,9 @@ from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 from urllib.parse import urlsplit
 
 from eitskin.datasets.store.shard import PACKAGES
@@ -25,6 +26,8 @@ WORKERS_SECONDS = 60
 _SMALL = 30_000_000  # bytes that one process checks in the second in which others start
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_Workers: TypeAlias = tuple[Callable[..., Any], type[Exception], Callable[[], bool]]
+"""Submission, error of a task whose worker died, and whether any worker has begun."""
 
 
 def run_tasks(
@@ -42,21 +45,25 @@ def run_tasks(
     Args:
         task: a function of a module, which workers can import.
         items: what `task` is called with.
-        workers: number of processes of this machine; 0 runs the tasks in this process.
+        workers: number of processes of this machine; one or none runs the tasks in this process.
         scheduler: address of a dask.distributed scheduler, for its workers instead.
         remedy: end of the message where workers died.
 
     Raises PartialError where workers died twice with the same tasks, or the scheduler goes away;
     ConfigurationError where the scheduler has no workers, or they have other packages.
     """
-    if not workers and scheduler is None:
-        yield from ((item, task(item)) for item in items)
+    if workers <= 1 and scheduler is None:
+        for item in items:
+            with one_thread():
+                result = task(item)
+            yield item, result
         return
+    leave_worker_that_starts()
     left = list(items)
     for _ in range(2):  # tasks of workers that died, perhaps by the machine's fault, get a second
         lost = []
         started = _on_cluster(scheduler) if scheduler else _in_pool(min(workers, len(left) or 1))
-        with started as (submit, died):
+        with started as (submit, died, have_begun):
             futures = [submit(task, item) for item in left]
             for item, future in zip(left, futures, strict=True):
                 try:
@@ -72,10 +79,25 @@ def run_tasks(
                 yield item, result
         if not (left := lost):
             return
+        if not have_begun():
+            raise ConfigurationError(
+                "workers cannot begin, since they import this script, and would run it again: "
+                "begin what it does by if __name__ == '__main__':, in a file, or choose workers=1, "
+                "which works in this process"
+            )
     raise PartialError(
-        f"workers died twice, {len(left)} of {len(items)} tasks are left. Look for lack of memory, "
-        f"or, in a script, for a missing if __name__ == '__main__'; then {remedy}"
+        f"workers died twice, {len(left)} of {len(items)} tasks are left. Look for lack of memory; "
+        f"then {remedy}"
     )
+
+
+def leave_worker_that_starts() -> None:
+    """End this process where it is a worker that imports a script without a main guard.
+
+    The script would start workers of workers, and each of them would say so at length.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)
 
 
 def worthwhile(workers: int, files: Iterable[Path]) -> int:
@@ -88,14 +110,15 @@ def worthwhile(workers: int, files: Iterable[Path]) -> int:
 
 
 @contextmanager
-def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]]]:
+def _in_pool(workers: int) -> Iterator[_Workers]:
     """Submission to new processes, and the error of a task whose process died."""
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
+    started = context.Event()
     with (
         _one_interrupt(),
         one_thread_per_process(),
-        ProcessPoolExecutor(workers, context, _end_with_parent) as pool,
+        ProcessPoolExecutor(workers, context, _begin, (started,)) as pool,
     ):
 
         def submit(task: Callable[[Any], Any], item: Any) -> "Future[Any]":
@@ -108,7 +131,7 @@ def _in_pool(workers: int) -> Iterator[tuple[Callable[..., Any], type[Exception]
                 return broken
 
         try:
-            yield submit, BrokenProcessPool
+            yield submit, BrokenProcessPool, started.is_set
         except BaseException:
             for process in set(multiprocessing.active_children()) - others:
                 process.kill()
@@ -146,8 +169,9 @@ def _interrupts_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with_parent() -> None:
-    """End this worker process, from a thread, when its parent has ended."""
+def _begin(begun: Event) -> None:
+    """Say that this worker has begun; end it, from a thread, when its parent has ended."""
+    begun.set()
 
     def wait() -> None:
         if parent := multiprocessing.parent_process():
@@ -176,7 +200,7 @@ def check_scheduler(address: str) -> None:
 
 
 @contextmanager
-def _on_cluster(address: str) -> Iterator[tuple[Callable[..., Any], type[Exception]]]:
+def _on_cluster(address: str) -> Iterator[_Workers]:
     """Submission to the workers at `address`, and the error of a task whose workers all died."""
     distributed = require("distributed", "cluster")
     with distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False) as client:
@@ -189,7 +213,7 @@ def _on_cluster(address: str) -> Iterator[tuple[Callable[..., Any], type[Excepti
             ) from error
         # Not pure: results are files, of which the scheduler knows nothing.
         submit = partial(client.submit, _run_on_worker, package_versions(PACKAGES), pure=False)
-        yield submit, distributed.KilledWorker
+        yield submit, distributed.KilledWorker, lambda: True
 
 
 # Simulators, and the limit on BLAS threads, are shared by all threads of a worker process.

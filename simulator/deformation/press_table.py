@@ -438,10 +438,17 @@ def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:
 
 def indenter_samples(indenter: Indenter, length: float = 1.0) -> dict[str, object]:
     """Numbers that identify an indenter, of lengths over `length`."""
-    heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
+    heights, slopes = _profile(indenter)
     return {
         "rims": [rim / length for rim in indenter.rims],
         "rough": indenter.rough,
         "heights": (heights / length).tolist(),
-        "slopes": slopes.tolist(),
+        "slopes": slopes,
     }
+
+
+@lru_cache(maxsize=64)
+def _profile(indenter: Indenter) -> tuple[Array, list[float]]:
+    """Heights [m] and slopes of an indenter's profile."""
+    heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
+    return heights, slopes.tolist()

@@ -65,10 +65,8 @@ class Problem:
     @cached_property
     def name(self) -> str:
         """Name of the file: the kind, and a hash of the description to nine digits."""
-        described = {"format": _VERSION, **self.description}
-        text = json.dumps(described, default=float, sort_keys=True)
-        rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-        return f"{self.kind}-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+        described = json.dumps(_rounded({"format": _VERSION, **self.description}), sort_keys=True)
+        return f"{self.kind}-{hashlib.sha256(described.encode()).hexdigest()[:32]}.npz"
 
     @property
     def path(self) -> Path:
@@ -79,6 +77,17 @@ class Problem:
     def is_shipped(self) -> bool:
         """Whether the solution comes with the package."""
         return (LIBRARY / self.name).is_file()
+
+
+def _rounded(value: object) -> object:
+    """Description whose real numbers are texts of nine digits."""
+    if type(value) is float:
+        return f"{value:.9g}"
+    if isinstance(value, list | tuple):
+        return [_rounded(each) for each in value]
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    return value if isinstance(value, int | str) else f"{value:.9g}"
 
 
 def cache_folder() -> Path:
@@ -111,10 +120,10 @@ def load_or_solve(
         make: of the arrays what is returned, and kept in memory while the file stays as it is.
         report: called with the number of parts done and of all parts.
     """
-    places = (LIBRARY / problem.name, problem.path)
 
     def load() -> Made | None:
-        return next((found for path in places if (found := _load(path, make)) is not None), None)
+        found = _load(LIBRARY / problem.name, make)
+        return _load(problem.path, make) if found is None else found
 
     found = load()
     if found is None:

@@ -3,6 +3,8 @@
 import dataclasses
 import os
 import shutil
+import subprocess
+import sys
 from collections import namedtuple
 from types import SimpleNamespace
 
@@ -215,6 +217,37 @@ def test_results_come_in_order_and_an_error_of_a_task_is_raised():
         next(results)
     with pytest.raises(PartialError, match="fewer workers"):
         list(run_tasks(os._exit, [1, 1, 1], 2))
+
+
+# A script that generates without a main guard, which several workers would run again
+UNGUARDED = """
+import sys
+from eitskin.datasets import Recipe, generate
+print("once")
+generate(Recipe.from_toml(sys.argv[1]), sys.argv[2], workers=int(sys.argv[3]))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_without_a_main_guard_has_one_worker(whole, tmp_path):
+    recipe, script = tmp_path / "recipe.toml", tmp_path / "script.py"
+    recipe.write_text(RECIPE.to_toml())
+    script.write_text(UNGUARDED)
+    one, two = (
+        subprocess.run(
+            [sys.executable, script, recipe, tmp_path / f"set{workers}", str(workers)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        for workers in (1, 2)
+    )
+    assert (one.stdout, one.returncode) == ("once\n", 0), one.stderr
+    assert contents(tmp_path / "set1") == contents(whole)
+    assert two.returncode == 1
+    assert two.stderr.count("Traceback") == 1
+    assert "__main__" in two.stderr.splitlines()[-1]
+    assert "workers=1" in two.stderr.splitlines()[-1]
 
 
 # What a dataset will cost, and refusing a disk that has no room for it
