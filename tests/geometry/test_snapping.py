@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import volumes
-from eitskin.geometry.meshing.tetrahedra import TriangleSurface, snapped
+from eitskin.geometry.meshing.tetrahedra import TriangleSurface, _sizing, snapped
 
 from cut_blocks import block
 from on_demand import OnDemand
@@ -77,3 +78,17 @@ def test_points_stay_where_moving_would_flatten_a_cell_and_only_there():
     assert found[[4, 8, 12]] == pytest.approx(
         np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.06, 1.0]])
     )
+
+
+def test_sizes_are_those_wanted_and_no_place_but_their_own_is_near_the_edges():
+    grading, edges = (
+        Grading(0.1, 0.2, 0.5),
+        np.random.default_rng(5).uniform(0, [3, 2, 1], (300, 3)),
+    )
+    places, cells, sizes = _sizing(edges, grading, BOX)
+    distance = np.linalg.norm(places[:, None] - edges, axis=2).min(axis=1)
+    assert np.count_nonzero(distance < 1e-11) == len(edges)
+    assert distance[distance > 1e-11].min() > 2.0 * grading.finest
+    assert sizes == pytest.approx(np.minimum(0.2, sizes[distance < 1e-11].max() + 0.5 * distance))
+    assert sizes.min() == pytest.approx(grading.finest, rel=0.5)
+    assert np.abs(volumes(places, cells)).sum() == pytest.approx(3.6 * 2.6 * 1.6, rel=0.01)

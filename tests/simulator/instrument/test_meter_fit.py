@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import FourTerminalMeter, Protocol
-from eitskin.simulator.instrument.fit_parameters import FITTED
+from eitskin.simulator.instrument.fit_parameters import FITTED, Parameter
 from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
 RIG = FourTerminalMeter(sink=3e-3, sense_plus=8e-4, idle=5e-4, scale=12.0, reads="magnitude")
@@ -138,3 +138,12 @@ def test_frames_and_terms_that_do_not_fit_are_refused(skin):
         fit_meter(skin, BOTH, np.where(frames > 0, np.nan, frames))
     with pytest.raises(DataError, match="zero"):
         fit_meter(skin, BOTH, 0.0 * frames)
+
+
+@pytest.mark.parametrize(("transform", "scale"), [("factor", 1.0), ("linear", 3.0), ("share", 9.0)])
+def test_coordinates_are_those_of_the_numbers_and_slopes_their_derivatives(transform, scale):
+    parameter = Parameter("sink", 2.0, 0.3, transform, scale=scale)
+    for x in (-0.5, 0.2, 1.5):
+        assert parameter.coordinate(parameter.number(x)) == pytest.approx(x, rel=1e-12)
+        rise = parameter.number(x + 1e-5) - parameter.number(x - 1e-5)
+        assert parameter.slope(x) == pytest.approx(rise / 2e-5, rel=1e-7)

@@ -1,9 +1,11 @@
 """Combinations of measurements, to which nothing is lost, and features of specimens."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_up_frames import made_up_frames
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
@@ -124,6 +126,16 @@ def test_combinations_that_nothing_tells_are_unknown():
     assert not forward[:, ~good].any()
     few = np.arange(COUNT) < 10
     assert np.linalg.eigvalsh(FEW.without(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
+
+
+def test_noise_of_frames_in_combinations_is_that_of_their_measurements():
+    """White noise of the measurements, and a drift of all."""
+    alone = made_up_frames(np.zeros((2, COUNT)), np.zeros(2), np.arange(2), np.diag(NOISES**2))
+    frames = replace(alone, variance=1.5)
+    features = SimpleNamespace(apply=lambda flat: flat[:, :2])
+    found = frames.combined(features, FEW, drift=4e-8)
+    expected = FEW.forward.T @ (1.5 * np.diag(NOISES**2) + 4e-8) @ FEW.forward
+    np.testing.assert_allclose(found.noise, expected, atol=1e-12)
 
 
 def test_signals_are_told_from_noise():
