@@ -340,7 +340,7 @@ LEAKS = Instrument(meter=FourTerminalMeter(leaks=(1e-6, 1e-6)))
         (spread(hinge_offset=0.02), r"hinge_offset.*0 to 0.01 m"),
         (spread(hinge_span=0.009), "bend of -60 deg"),
         (spread(hinge_span=0.005) | {"fixture": Hinge(span=0.015)}, "hinge_span"),
-        (scenes(BENT, angle_deg=(0.0, 148.0)) | SHORTER, "bend of 148 deg"),
+        (scenes(BENT, angle_deg=(-65.0, 0.0)) | SHORTER, "bend of -65 deg"),
         (spread(board_loads=11.0), "board_loads must be from 0 to 10"),
         (loads(1.0, None), "board_loads is the spread"),
         (loads(1.0, FourTerminalMeter(scale=2.0)), "board_loads is the spread"),

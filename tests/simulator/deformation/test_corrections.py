@@ -26,6 +26,7 @@ from eitskin.simulator.deformation.corrections import (
 )
 from eitskin.simulator.deformation.indentation_tables import (
     Indentations,
+    _side_nodes,
     solve_disc,
     solve_end,
     solve_side,
@@ -158,6 +159,12 @@ def test_presses_beyond_the_tables_are_refused(outline, middle, beside) -> None:
     for place in beside:
         with pytest.raises(ConfigurationError, match=r"keep .* mm from the edge"):
             found.at(*place, 0.001)
+
+
+def test_nodes_along_a_side_are_as_close_before_a_press_as_behind_it() -> None:
+    (along, _), _ = _side_nodes(0.012)
+    assert along == pytest.approx(-along[::-1], abs=1e-12)
+    assert 0.0 < np.diff(along).min() == pytest.approx(np.diff(along)[len(along) // 2])
 
 
 def test_a_disc_without_room_for_an_indenter_has_no_table() -> None:

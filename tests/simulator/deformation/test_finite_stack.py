@@ -9,7 +9,13 @@ from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
+from eitskin.simulator.deformation.stack_mesh import (
+    Contact,
+    Fineness,
+    StackMesh,
+    _faces,
+    stack_mesh,
+)
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
 
@@ -48,6 +54,7 @@ def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
     """Gel and margin have the volumes of the L shape and of its surroundings."""
     end, leg, margin = 0.06, 0.035, MECHANICS.margin
     outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
+    assert _faces(outline) == [[(leg, 1.0)], [(leg, 1.0)]]
     contacts = [Contact(0.02, 0.02, PUNCH.radius)]
     coarse = Fineness(ends=0.0, sides=0.0, layers=1)
     body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)

@@ -1,5 +1,7 @@
 """The complete electrode model: closed forms, independent solutions, invariants, twins."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,18 @@ def test_potentials_count_from_the_mean_of_the_electrodes(order, z) -> None:
     reach = np.abs(expected).max()
     assert model.potentials()[:, 0] == pytest.approx(expected, abs=1e-9 * reach)
     assert model.potentials()[:, 1] == pytest.approx(-expected, abs=1e-9 * reach)
+
+
+def test_resistances_rise_with_the_functions_that_potentials_are_made_of() -> None:
+    """Of all potentials with the given currents the true one stores most."""
+    flat = SensorDesign.reference()
+    pads = tuple(dataclasses.replace(e, height=0.002, z=0.001) for e in flat.electrodes)
+    design, last = dataclasses.replace(flat, electrodes=pads), 0.0
+    for order in ((1,), (2,), (2, 1), (2, 1, 1), (2, 2, 1)):
+        model = ForwardModel(design, (order, Grading(5e-3, 8e-3, 1.0)))
+        R = Protocol.pairwise(8).measure(model.impedance()).real
+        assert (R > last).all()
+        last = R
 
 
 def test_impedance_is_reciprocal_and_its_rows_sum_to_zero(model) -> None:
