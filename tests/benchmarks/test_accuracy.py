@@ -4,15 +4,14 @@ from functools import partial
 
 import numpy as np
 import pytest
-from command_line import printed_json, run
+from command_line import printed_json
 
 from eitskin.benchmarks import accuracy
 from eitskin.benchmarks import forward_models as models
-from eitskin.benchmarks.accuracy import QUICK_SCENES, Deformed, published_error
+from eitskin.benchmarks.accuracy import QUICK_SCENES, published_error
 from eitskin.benchmarks.forward_models import Drop, Truth, drops, judge, model_frame
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import ForwardModel, Protocol
 
 
 @pytest.fixture(scope="module")
@@ -87,32 +86,3 @@ def test_a_drop_is_30_percent_where_it_is_touched_and_smooth():
 def test_the_published_error_is_that_of_the_published_contact_impedance():
     fine = models.ModelCase("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
     assert published_error(fine) < 3e-5
-
-
-@pytest.mark.slow
-def test_superposed_drives_are_what_the_peer_says_of_each_pair(truth):
-    pytest.importorskip("pyeit")
-    mesh = ForwardModel(truth.design, ((1, 1), Grading(8e-3, 8e-3, 1.0, 2))).mesh
-    for plane in (False, True):
-        model = models.PointElectrodeModel(truth.design, mesh, plane)
-        R = model.frame(background=1.0)(None)
-        table = Protocol.pairwise(8).table
-        for number in (3, 12, 27):
-            i, j = table[number][:2]
-            u = model._forward.solve(np.array([i, j]))[model._electrodes]
-            assert R[number] == pytest.approx(u[i] - u[j])
-        assert model.frame(background=2.0)(None) == pytest.approx(0.5 * R)
-
-
-@pytest.mark.slow
-def test_without_the_peer_the_rest_is_measured(monkeypatch, tmp_path):
-    monkeypatch.setattr(models, "has_pyeit", lambda: False)
-    monkeypatch.setattr(models, "QUICK", models.ladder((1, 1), Grading(8e-3, 8e-3, 1.0), 1))
-    coarse = models.ladder((1, 1), Grading(9e-3, 9e-3, 1.0), 2)
-    monkeypatch.setattr(models, "QUICK_REFERENCES", tuple(coarse))
-    monkeypatch.setattr(models, "drops", partial(drops, count=1))
-    monkeypatch.setattr(accuracy, "compare_deformed", lambda _: [Deformed("fast", 0.1, {})])
-    printed = run(*QUICK, "--out", tmp_path / "deep" / "er").stdout
-    assert "pyEIT is not installed and was left out" in printed
-    names = {path.name for path in (tmp_path / "deep" / "er" / "accuracy").iterdir()}
-    assert names == {"accuracy.png", "results.json", "table.csv"}

@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import json
 from collections import Counter
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -20,7 +19,6 @@ from eitskin.benchmarks.results import read_results
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
@@ -306,16 +304,3 @@ def test_each_sensor_is_calibrated_by_one_frame_of_each_angle():
         assert set(frames.values()) == {1}
         assert len(frames) == 6 * experiment.specimens.count
         assert specimen(known, 3) == specimen(experiment, 3)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: paper.run(Path("nowhere"), Path(), seeds=0), "at least one seed"),
-        (lambda: paper.run(Path("nowhere"), Path()), "--pipeline"),
-        (lambda: next(recipes(-1, quick=True)), "not be negative"),
-    ],
-)
-def test_runs_that_cannot_be_made_are_refused(call, message):
-    with pytest.raises(ConfigurationError, match=message):
-        call()

@@ -1,8 +1,5 @@
 """Firmware in C: frames of more measurements than one packet holds."""
 
-import random
-import subprocess
-
 import numpy as np
 import pytest
 
@@ -22,7 +19,7 @@ from eitskin.hardware.protocol.messages import (
 from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
 from eitskin.simulator import Protocol
 
-from compiled_firmware import CompiledFirmware, ask, config, fuzzer, messages
+from compiled_firmware import CompiledFirmware, ask, config, messages
 from loopback import connected, take
 from simulated_afe import SimulatedAfe
 
@@ -135,24 +132,3 @@ def test_a_host_of_version_1_is_told_that_the_board_speaks_another():
     answer = list(Decoder().feed(small().receive(encode(pack(Hello(), 1)))))
     assert [packet.version for packet in answer] == [2]
     assert isinstance(unpack(answer[0]), Info)
-
-
-@pytest.mark.slow
-def test_no_bytes_break_a_board_of_large_frames():
-    rng = random.Random(4)
-    stream = bytearray(encode(pack(Start(0), 1)))
-    for number in range(600):
-        kind = rng.choice([0x01, 0x02, 0x04, 0x04, 0x05, 0x83])
-        payload = rng.choice([b"", bytes(4), bytes([rng.randrange(256), rng.randrange(4)])])
-        packet = encode(Packet(kind, number, payload, rng.choice([1, 2])))
-        stream += packet if rng.random() < 0.7 else rng.randbytes(rng.randrange(1, 200))
-    done = subprocess.run(
-        [fuzzer(), "large"], input=bytes(stream) + b"\0", capture_output=True, check=False
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    decoder = Decoder()
-    packets = list(decoder.feed(done.stdout))
-    assert not decoder.drops
-    assert [packet.seq for packet in packets] == [n & 0xFFFF for n in range(len(packets))]
-    answers = [unpack(packet) for packet in packets]
-    assert {type(answer) for answer in answers} >= {Info, Ack, TablePart, FramePart}
