@@ -24,7 +24,7 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
-from eitskin.simulator.deformation.field import CubicSplines, Field
+from eitskin.simulator.deformation.field import CubicSplines, Field, powers_of
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, cut_weights
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
@@ -96,7 +96,7 @@ class BentLayer(Deformation):
         if kernels := compiled("eitskin.simulator.deformation.kernels"):
             places, F = np.array(points, dtype=float, order="C"), np.array(gradients, order="C")
             box = np.stack([self.centre, self.half_sizes])
-            kernels.bend(box, *self.field.splines, places.reshape(-1, 3), F.reshape(-1, 9))
+            kernels.bend(box, *powers_of(self.field), places.reshape(-1, 3), F.reshape(-1, 9))
             return places, F
         inside = np.clip(x, -self.half_sizes, self.half_sizes)
         columns = inside.reshape(-1, 1, 3) + np.array([0.0, 0.0, self.half_sizes[2]])
@@ -298,11 +298,12 @@ def bend_table(
     return BendTable(tuple((table.restricted(common), weight) for table, weight in weighted))
 
 
+@lru_cache(maxsize=64)
 def bend_problems(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid = OWN_GRID
-) -> list[Problem]:
+) -> tuple[Problem, ...]:
     """Tables that `bend_table` needs; each takes half a minute to solve."""
-    return [case.problem() for case, _ in _cases(design, clamp, mechanics, grid)]
+    return tuple(case.problem() for case, _ in _cases(design, clamp, mechanics, grid))
 
 
 def on_support(clamp: Clamp, support: Support) -> Clamp:

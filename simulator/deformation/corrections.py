@@ -289,19 +289,15 @@ class Corrections:
     ) -> Array:
         """Corrections on a long rectangle: those of a strip, and differences near both ends."""
         (x, y, depth), (strip, end) = places.T, self.strip
-        H, height, k = strip.size("thickness"), self.design.thickness, 4
-        if sums:
-            k = sums.components
+        H, height = strip.size("thickness"), self.design.thickness
+        k = sums.components if sums else 4
         images, pressed = (DIRECT, MIRRORED_Y), {"distance_to_side": y, "depth": depth}
         table = sum_of(strip, (strip,), k, images)
         amounts, extra = table.amounts([1.0], height, **pressed)
         if sums:
             bases = tables.strip_bases(H, outline.width)
-            along, across = (
-                functions_from(bases[0], sums.nodes[0], x),
-                bases[1].dense(sums.nodes[1]),
-            )
-            sums.add(table.modes, amounts, along, across, scenes)
+            along = functions_from(bases[0], sums.nodes[0], x)
+            sums.add(table.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)
         distance = np.stack([x, outline.length - x])
         far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
         pressed = {name: values[near] for name, values in pressed.items()}

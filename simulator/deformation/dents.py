@@ -11,7 +11,7 @@ from eitskin.compiled import compiled
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.press_table import TabulatedDent
+from eitskin.simulator.deformation.press_table import TabulatedDent, powers_of
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class PlacedDent:
         """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
         dent, place = self.dent, (float(self.x), float(self.y))
         kernels.add_dent(
-            place, dent.thickness, dent.profile.x, dent.pieces, _HAIR, points, places, F
+            place, dent.thickness, dent.profile.x, powers_of(dent), _HAIR, points, places, F
         )
 
     def values(self, columns: Array) -> Array:

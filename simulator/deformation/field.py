@@ -225,22 +225,8 @@ class Field:
         if self.frame is not None:
             frame, half = self.frame, (self.bases[0].ends[1], self.bases[1].ends[1])
         kernels.add_field(
-            tuple(map(float, frame)), half, self.height, *self.splines, points, places, F
+            tuple(map(float, frame)), half, self.height, *powers_of(self), points, places, F
         )
-
-    @property
-    def splines(self) -> tuple[Array, Array, Array]:
-        """Knots along x and y, and coefficients (nx, ny, 12) of the powers 0 to 3 of the level.
-
-        Levels go from -1 to 1 over the height; each power has the three components of the
-        displacement.
-        """
-        along, across = self.bases
-        if not (isinstance(along, CubicSplines) and isinstance(across, CubicSplines)):
-            raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
-        nx, ny, nz, k = self.coefficients.shape
-        powers = self.coefficients.reshape(nx * ny, -1) @ _powers(nz, k)
-        return along.knots, across.knots, powers.reshape(nx, ny, -1)
 
     def _moved_plainly(self, columns: Array) -> Array:
         x, y, within = self._in_frame(columns)
@@ -295,6 +281,21 @@ class Field:
         slope = legendre.legder(np.eye(degree + 1))
         rates: Array = values[..., : len(slope)] @ slope * (2.0 / self.height)
         return values, rates
+
+
+@lru_cache(maxsize=16)  # cells and contacts of a mesh, and scenes of one bend, follow each other
+def powers_of(field: Field) -> tuple[Array, Array, Array]:
+    """Knots along x and y, and coefficients (nx, ny, 12) of the powers 0 to 3 of the level.
+
+    Levels go from -1 to 1 over the height; each power has the three components of the
+    displacement.
+    """
+    along, across = field.bases
+    if not (isinstance(along, CubicSplines) and isinstance(across, CubicSplines)):
+        raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
+    nx, ny, nz, k = field.coefficients.shape
+    powers = field.coefficients.reshape(nx * ny, -1) @ _powers(nz, k)
+    return along.knots, across.knots, powers.reshape(nx, ny, -1)
 
 
 @lru_cache(maxsize=8)

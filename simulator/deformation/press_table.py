@@ -73,15 +73,6 @@ class TabulatedDent:
     profile: PPoly
 
     @property
-    def pieces(self) -> Array:
-        """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
-
-        From the highest power of r. Levels go from -1 to 1 over the height.
-        """
-        c = np.ascontiguousarray(self.profile.c.transpose(1, 0, 3, 2)[:, :, :2])
-        return np.asarray((c.reshape(-1, _DEGREE + 1) @ _POWERS).reshape(len(c), 4, -1))
-
-    @property
     def reach(self) -> float:
         """Distance from the axis beyond which nothing moves [m]."""
         return float(self.profile.x[-1])
@@ -110,6 +101,16 @@ class TabulatedDent:
     def over_height(self, z: Array) -> Array:
         """Legendre polynomials (..., m) at heights z (...) [m]."""
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
+
+
+@lru_cache(maxsize=16)
+def powers_of(dent: TabulatedDent) -> Array:
+    """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
+
+    From the highest power of r. Levels go from -1 to 1 over the height.
+    """
+    c = np.ascontiguousarray(dent.profile.c.transpose(1, 0, 3, 2)[:, :, :2])
+    return np.asarray((c.reshape(-1, _DEGREE + 1) @ _POWERS).reshape(len(c), 4, -1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,6 +290,7 @@ def _from_arrays(arrays: Arrays) -> PressTable:
     return PressTable(**arrays)
 
 
+@lru_cache(maxsize=512)
 def _problem(stack: Stack, indenter: Indenter) -> Problem:
     """Table of a stack and an indenter, described at the solved thickness and modulus."""
     length, modulus = _scales(stack)

@@ -178,18 +178,16 @@ def _tabulated(
     """Corrections of the dents of each scene by tables."""
     pressed = [one for one in scenes if one.acting]
     if not pressed:
-        return iter([() for _ in scenes])
+        return iter([()] * len(scenes))
     design, mechanics, _, grid = sensor
     table = corrections(design, mechanics, pressed[0].acting[0][0].indenter, grid)
     components = 4 if mechanics.piezoresistivity.pressure else 3
     sums = sums_on(design, len(scenes), components) if table.strip else None
     fields, _ = _evaluate(scenes, sensor, sums)
     summed = sums.fields(design.thickness, table.scales) if sums else [None] * len(scenes)
-    return iter(
-        [
-            (*own, *([total] if total is not None and one.acting else []))
-            for one, own, total in zip(scenes, fields, summed, strict=True)
-        ]
+    return (
+        (*own, *([total] if total is not None and one.acting else []))
+        for one, own, total in zip(scenes, fields, summed, strict=True)
     )
 
 
@@ -203,7 +201,8 @@ def _evaluate(
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
     fields: list[list[ColumnField]] = [[] for _ in scenes]
     extra = np.zeros(len(presses))
-    for indenter in dict.fromkeys(t.indenter for _, t, _ in presses):
+    # In an order that does not depend on other scenes.
+    for indenter in sorted({t.indenter for _, t, _ in presses}, key=repr):
         here = np.flatnonzero([t.indenter == indenter for _, t, _ in presses])
         table = corrections(design, mechanics, indenter, grid)
         found, extra[here] = table.evaluate(places[here], owners[here], sums)
@@ -215,7 +214,7 @@ def _evaluate(
         if owners[first] == owners[second]:
             both = (presses[n][1].indenter for n in (first, second))
             pairs.setdefault(min(both, key=lambda i: i.rims[1]), []).append((first, second))
-    for indenter, some in pairs.items():
+    for indenter, some in sorted(pairs.items(), key=lambda each: repr(each[0])):
         first, second = np.array(some).T
         changes = pair_corrections(design, mechanics, indenter, grid)
         felt, deeper = changes.evaluate(places[first], places[second], owners[first], sums)
