@@ -19,12 +19,13 @@ Array = NDArray[np.float64]
 TAIL = 8.0  # degrees of freedom of the misfit: a frame that fits badly is trusted less
 FINE = 6  # parts of a cell's side around the best places
 MODES = 3
+WIDE = 10.0  # cells that share the posterior, beyond which they are not divided
 ROUNDS = 2  # of strength against the variance that depends on it
 _SUPPORT = 6  # nodes of the interpolation between grid points
 MOST_LEFT_OUT = 4  # a channel in so many
 SUSPECTS = 3  # channels that are tried without
 MOST_SUSPECTED = 4  # channels of one frame
-FEWEST_MAPS = 32  # that are told one by one
+MOST_WHOLE = 32  # channels, whose maps are all told one by one
 LEAST_MEAN = 1e-2  # mean square of a map, in units of the noise, from which it is told by itself
 
 
@@ -107,11 +108,11 @@ class MapGrid(StoredFields):
         return middle
 
     def shortened(self) -> "MapGrid":
-        """Grid whose maps of little mean, beyond `FEWEST_MAPS`, are told by one variance."""
+        """Grid whose maps of little mean, are told by one variance, unless there are few."""
         size = np.mean(self.mean**2, axis=(0, 1))
         order = np.argsort(-size, kind="stable")
-        kept = max(FEWEST_MAPS, int(np.sum(size > LEAST_MEAN)))
-        if self.rest is not None or kept >= len(size):
+        kept = max(1, int(np.sum(size > LEAST_MEAN)))
+        if self.rest is not None or kept >= len(size) or len(size) <= MOST_WHOLE:
             return self
         first, others = order[:kept], order[kept:]
         return replace(
@@ -155,12 +156,13 @@ class MapGrid(StoredFields):
         likelihood = partial(score, self.strength, seen)
         allowed = np.flatnonzero(np.isfinite(self.log_prior))
         log = np.full(rows * columns, -np.inf)
-        parts_of = (self.mean.reshape(-1, kept), self.variance.reshape(-1, kept))
+        means, variances = (m.reshape(-1, kept)[allowed] for m in (self.mean, self.variance))
         rest = None if self.rest is None else self.rest.ravel()[allowed]
-        log[allowed], _ = likelihood(*(part[allowed] for part in parts_of), rest)
+        log[allowed], _ = likelihood(means, variances, rest)
         log = (log + self.log_prior.ravel()).reshape(rows, columns)
         coarse, points, parts = log.copy(), [], []
-        for _ in range(MODES):
+        wide = np.exp(log - log.max()).sum() > WIDE  # of few presses: cells are fine enough
+        for _ in range(0 if wide else MODES):
             row, column = np.unravel_index(int(np.argmax(coarse)), coarse.shape)
             if not coarse[row, column] > log.max() - 12.0:
                 break
@@ -236,12 +238,18 @@ class MapGrid(StoredFields):
         return misfit
 
 
+@lru_cache(maxsize=16)
+def _back(grid: MapGrid) -> Array:
+    """Channels of the independent maps (I, C): the inverse of the whitening."""
+    return np.asarray(np.linalg.pinv(grid.whitening), dtype=np.float64)
+
+
 @lru_cache(maxsize=64)
 def _without(grid: MapGrid, pattern: bytes) -> MapGrid:
     """`MapGrid.without`, the bad channels as bytes; sessions have few patterns of them."""
     good = np.flatnonzero(~np.frombuffer(pattern, dtype=bool))
     kept, count = grid.mean.shape[2], grid.whitening.shape[1]
-    back = np.linalg.pinv(grid.whitening)[:, good]
+    back = _back(grid)[:, good]
     rest = np.zeros(grid.log_prior.shape) if grid.rest is None else grid.rest
     size = np.full(count, float(rest.mean()))
     size[:kept] = np.mean(grid.mean**2 + grid.variance, axis=(0, 1))

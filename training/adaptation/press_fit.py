@@ -32,11 +32,12 @@ from eitskin.training.method.settings import single_touches
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 FEWEST = 5  # labelled presses
-GRID_POINTS = 44  # along the longer side of the sheet
+GRID_POINTS, FEW_POINTS = 44, 28  # along the longer side; fewer, where few presses tell little
 FOLDS = 5
 MOST_TESTED = 20  # presses of a fold
 MISFIT = 6.0  # standard deviations; a channel that departs further is left out of the frame
 MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
+FEW_MARGIN = 20.0  # more, over the number of these: few do not tell the usual misfit
 PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
 # Presses at which learned covariances double the error variance, without the design and with it.
 COVARIANCE_PRESSES, WITH_DESIGN = 10.0, 4.0
@@ -256,7 +257,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
         strength = law.strength(label)
     presses = replace(recorded, strength=strength)
     choices = known.choices(presses)
-    region = _Region.of(xy[first], design)
+    region = _Region.of(xy[first], design, GRID_POINTS if len(choices) == 1 else FEW_POINTS)
     grids, gains = _map_grids(known, choices, presses, region)
     members = electrode_members(labelled.protocol, logs.shape[1])
     found, true, lost = _cross_validated(known, choices, presses, region, members)
@@ -276,7 +277,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
         np.where(dead, np.inf, recorded.unit_scale),
         xy.mean(axis=0),
         float(np.sqrt(variance)),
-        max(MISFIT, MISFIT_MARGIN * usual),
+        max(MISFIT, (MISFIT_MARGIN + FEW_MARGIN / len(off)) * usual),
         tuple(grids[1:]),
         trust,
         extent,
@@ -316,7 +317,7 @@ class _Region:
     log_prior: Array
 
     @classmethod
-    def of(cls, places: Array, design: SensorDesign | None) -> "_Region":
+    def of(cls, places: Array, design: SensorDesign | None, longer: int) -> "_Region":
         """Region within reach of the presses' places (n, 2), and within the outline where known.
 
         Reach is 1.5 times the distance of neighbours, were the presses on a square grid over the
@@ -338,7 +339,7 @@ class _Region:
                 np.maximum(low, places.min(axis=0) - margin),
                 np.minimum(high, places.max(axis=0) + margin),
             )
-        step = float((high - low).max()) / (GRID_POINTS - 1)
+        step = float((high - low).max()) / (longer - 1)
         columns, rows = (int(n) for n in np.floor((high - low) / step + 1e-9).astype(int) + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         points = low + step * np.stack([x.ravel(), y.ravel()], axis=1)

@@ -304,10 +304,12 @@ class PositionScore:
         found = places.place
         error = np.linalg.norm(found - true, axis=1)
         guess = np.linalg.norm(_method(pipeline).locator.centre - true, axis=1)
-        means = (1e3 * float(value) for value in (error.mean(), np.median(error), guess.mean()))
+        values = (error.mean(), np.median(error), guess.mean())
+        mean, middle, guessed = (1e3 * float(value) for value in values)
         over = float(np.sqrt(np.mean((error / places.deviation) ** 2)))
         faults = pipeline.followed(dataset)[1]
-        return cls(len(true), *means, None if np.isnan(over) else over, faults)
+        ratio = None if np.isnan(over) else over
+        return cls(len(true), mean, middle, guessed, ratio, faults)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Health of a sensor over a session: electrodes and channels whose readings leave their range.
 
 A reading is compared with the range that readings of the healthy sensor had, as departures of the
-logarithms of magnitudes from their middle, less the median of all channels: gel and gain change all
+logarithms of magnitudes from their middle, less what most channels share: gel and gain change all
 alike. An electrode has failed where half of its channels, or more, stay out of their range and
 those of no other electrode explain it. It is named with the time that it began, and left out.
 """
@@ -39,7 +39,7 @@ class ReadingRange(StoredFields):
 
     Attributes:
         middle: logarithms of magnitudes (C,); NaN where a session's reference takes their place.
-        low, high: departures from it, less their median over the channels (C,).
+        low, high: departures from it, less what most channels share (C,).
         reach: largest change of the logarithm by a touch beyond that (C,).
     """
 
@@ -94,12 +94,20 @@ def _log(magnitudes: ArrayLike) -> Array:
 
 
 def _departure(logs: Array, middle: Array) -> Array:
-    """Departures of logarithms (..., C) from their middle (C,), less the median of all channels."""
-    off = logs - middle
-    known = np.isfinite(off)
-    common = np.ma.median(np.ma.masked_array(off, ~known), axis=-1, keepdims=True)
-    departure: Array = off - np.ma.filled(common, 0.0)
+    """Departures of logarithms (..., C) from their middle (C,), less what most channels share."""
+    off = np.atleast_2d(logs - middle)
+    departure: Array = (off - np.array([[_shared(row)] for row in off])).reshape(logs.shape)
     return departure
+
+
+def _shared(off: Array) -> float:
+    """Median of the half of the channels that are closest together; zero without any."""
+    known = np.sort(off[np.isfinite(off)])
+    if not len(known):
+        return 0.0
+    half = (len(known) + 1) // 2
+    first = int(np.argmin(known[half - 1 :] - known[: len(known) - half + 1]))
+    return float(np.median(known[first : first + half]))
 
 
 def _good(values: Array, status: NDArray[np.uint8]) -> Array:
@@ -121,21 +129,22 @@ class ElectrodeFault:
         electrode: its number.
         number: of the frame that it began with.
         time: of that frame [s].
-        lost, channels: number of its channels that left their range, and of all of them.
+        lost: number of its channels that left their range.
+        channels: numbers of all of its channels.
     """
 
     electrode: int
     number: int
     time: float
     lost: int
-    channels: int
+    channels: tuple[int, ...]
 
     def __str__(self) -> str:
         """The fault in words."""
         return (
             f"electrode {self.electrode} has failed or aged since frame {self.number} "
-            f"({self.time:.6g} s): {self.lost} of its {self.channels} channels left the range of a "
-            "healthy sensor; they are left out; check its contact, wire and plug"
+            f"({self.time:.6g} s): {self.lost} of its {len(self.channels)} channels left the range "
+            "of a healthy sensor; they are left out; check its contact, wire and plug"
         )
 
 
@@ -223,19 +232,21 @@ class SensorHealth:
         now = self._outside(off, 0.0 if untouched else REACH * self.usual.reach)
         self._window.append((number, time, now))
         rows = np.array([row for _, _, row in self._window])
-        self.out = (2 * rows.sum(axis=0) > len(rows)) & (len(rows) >= MIN_READINGS)
+        most = 2 * rows.sum(axis=0) > len(rows)
+        self.out = np.asarray(most & (len(rows) >= MIN_READINGS))
         if self.out.mean() > MOST_OUT:
             return np.zeros(len(now), bool)
         for e in electrodes_out(self.out, self._members):
             if e not in self.faults:
                 shown = rows[:, self._members[e]].mean(axis=1) >= MIN_SHARE
                 since = self._window[int(shown.argmax())]
-                lost, channels = int((self.out & self._members[e]).sum()), self._members[e].sum()
-                self.faults[e] = ElectrodeFault(e, since[0], since[1], lost, int(channels))
+                lost = int((self.out & self._members[e]).sum())
+                channels = tuple(np.flatnonzero(self._members[e]).tolist())
+                self.faults[e] = ElectrodeFault(e, since[0], since[1], lost, channels)
         for e in list(self.faults):
             if len(rows) == WINDOW and self.out[self._members[e]].mean() < RECOVERED:
                 del self.faults[e]
-        bad = self.out | self._members[list(self.faults)].any(axis=0)
+        bad: Bools = self.out | self._members[list(self.faults)].any(axis=0)
         if self.grows:
             step = np.where(self._outside(off, 0.0) | bad | np.isnan(off), 0.0, off)
             inner = self._limits + np.array([[1.0], [-1.0]]) * MARGIN
@@ -282,7 +293,7 @@ def follow_recording(
     own = usual is not None and not np.isfinite(usual.middle).any()
     if own:
         readings = _good(np.abs(data.impedance), data.status)
-    there = np.isfinite(readings).any(axis=1)
+    there: Bools = np.asarray(np.isfinite(readings).any(axis=1))
     bad, faults = np.zeros(readings.shape, bool), list[ElectrodeFault]()
     for specimen in np.unique(data.specimen):
         rows = order[data.specimen[order] == specimen]
