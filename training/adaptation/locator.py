@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 TAIL = 8.0  # degrees of freedom of the misfit: a frame that fits badly is trusted less
 FINE = 6  # parts of a cell's side around the best places
 MODES = 3
+UNKNOWN_SCALE = 1e12  # of a channel that was bad in training
 WIDE = 10.0  # cells that share the posterior, beyond which they are not divided
 ROUNDS = 2  # of strength against the variance that depends on it
 _SUPPORT = 6  # nodes of the interpolation between grid points
@@ -403,7 +404,7 @@ class PressLocator(Locator):
 
     Attributes:
         grid: the maps.
-        gain: of the channels (C,), by which log |V / ref| is divided; NaN of those that were bad.
+        gain: of the channels (C,), by which log |V / ref| is divided; 0 of those that were bad.
         channel_scale: root mean square of the log ratios (C,).
         centre: mean of the training places (2,) [m].
         error_factor: factor of the standard errors, from presses that were left out.
@@ -435,9 +436,9 @@ class PressLocator(Locator):
         size = np.abs(np.asarray(ratio))
         logs = log_ratio(ratio)
         self.require_channels(logs.shape[-1])
-        bad = ~(np.isfinite(size) & (size > 0) & np.isfinite(self.gain))
-        lost = (bad & np.isfinite(self.gain)).sum(axis=1) > 1
-        answers = logs / self.gain
+        bad = ~(np.isfinite(size) & (size > 0) & (self.gain != 0))
+        lost = (bad & (self.gain != 0)).sum(axis=1) > 1
+        answers = logs / np.where(self.gain == 0, 1.0, self.gain)
         found = self._located(answers, bad)
         rounds = min(logs.shape[1] // MOST_LEFT_OUT, MOST_SUSPECTED)
         most = bad.sum(axis=1) + rounds

@@ -18,6 +18,7 @@ from eitskin.training.adaptation.channel_maps import (
     concatenate,
 )
 from eitskin.training.adaptation.locator import (
+    UNKNOWN_SCALE,
     MapGrid,
     Places,
     PressLocator,
@@ -273,8 +274,8 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
         grids[0],
-        np.where(dead, np.nan, gains),
-        np.where(dead, np.inf, recorded.unit_scale),
+        np.where(dead, 0.0, gains),
+        np.where(dead, UNKNOWN_SCALE, recorded.unit_scale),
         xy.mean(axis=0),
         float(np.sqrt(variance)),
         max(MISFIT, (MISFIT_MARGIN + FEW_MARGIN / len(off)) * usual),

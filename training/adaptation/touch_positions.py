@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
-from eitskin.training.adaptation.locator import PositionRegressor, PressLocator
+from eitskin.training.adaptation.locator import UNKNOWN_SCALE, PositionRegressor, PressLocator
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
@@ -71,7 +71,8 @@ class TouchPositions(Method):
         problems: list[tuple[str, ...]] = [()] * count
         if len(touched):
             places, left_out = self.locator.locate(ratio[touched])
-            misfits = left_out & np.isfinite(ratio[touched] / self.locator.channel_scale)
+            known = self.locator.channel_scale < UNKNOWN_SCALE
+            misfits = left_out & np.isfinite(ratio[touched]) & known
             for at, row in enumerate(touched):
                 size, deviation = min(float(strength[row]), 1.0), places.deviation[at]
                 touches[row] = FoundTouches.of(places.place[at], size, deviation=deviation)
@@ -110,7 +111,7 @@ class TouchPositions(Method):
 
 def _still_noise(channel_scale: NDArray[Any]) -> float:
     """Largest rms change of a still sensor, by the root mean square log ratios of touches (C,)."""
-    return STILL * float(np.sqrt(np.mean(channel_scale[np.isfinite(channel_scale)] ** 2)))
+    return STILL * float(np.sqrt(np.mean(channel_scale[channel_scale < UNKNOWN_SCALE] ** 2)))
 
 
 def _observations(ratio: NDArray[np.float64]) -> Observations:

@@ -30,6 +30,7 @@ GROWTH = 0.05  # share of a departure that a range takes in at a time, where it 
 MIN_SHARE, RECOVERED = 0.5, 0.25  # of an electrode's channels out of their range
 MOST_TIED = 2  # electrodes that explain the same channels; what more share is no electrode's fault
 MOST_OUT = 0.5  # of all channels; beyond it the sensor is another, or in another state
+UNKNOWN = 1e3  # departure that no channel has
 MOST_NAMED = 4  # channels in a sentence
 
 
@@ -38,15 +39,16 @@ class ReadingRange(StoredFields):
     """Range of the readings of a healthy sensor.
 
     Attributes:
-        middle: logarithms of magnitudes (C,); NaN where a session's reference takes their place.
-        low, high: departures from it, less what most channels share (C,).
+        low, high: departures of logarithms, less what most channels share (C,).
         reach: largest change of the logarithm by a touch beyond that (C,).
+        middle: logarithms of magnitudes that they depart from (C,); None where it is a session's
+            reference.
     """
 
-    middle: Array
     low: Array
     high: Array
     reach: Array
+    middle: Array | None = None
 
     @classmethod
     def of(
@@ -62,14 +64,14 @@ class ReadingRange(StoredFields):
         logs = _log(untouched)
         known = np.isfinite(logs).any(axis=0)
         logs[:, ~known] = 0.0
-        middle = np.full(logs.shape[1], np.nan) if reference else np.nanmedian(logs, axis=0)
-        off = _departure(logs, np.zeros(len(middle)) if reference else middle)
-        low, high = np.nanquantile(off, [0.01, 0.99] if not reference else [0.001, 0.999], axis=0)
+        middle = np.zeros(logs.shape[1]) if reference else np.nanmedian(logs, axis=0)
+        shares = [0.001, 0.999] if reference else [0.01, 0.99]
+        low, high = np.nanquantile(_departure(logs, middle), shares, axis=0)
         reach = np.zeros(len(middle))
         if touched is not None and len(np.asarray(touched)):
             reach = np.nanmax(np.nan_to_num(np.abs(_log(touched))), axis=0)
-        middle[~known & ~np.isnan(middle)] = np.nan
-        return cls(middle, low, high, reach)
+        low, high = np.where(known, low, -UNKNOWN), np.where(known, high, UNKNOWN)
+        return cls(low, high, reach, None if reference else middle)
 
     def doubled(self) -> "ReadingRange":
         """Range twice as wide, where few frames told it."""
@@ -209,8 +211,7 @@ class SensorHealth:
     def begin(self, magnitudes: ArrayLike) -> None:
         """Take a session's first reading (C,) for the middle, where another day's is far off."""
         logs, middle = _log(magnitudes), self.usual.middle
-        far = self._outside(_departure(logs, middle), 0.0)
-        if not np.isfinite(middle).any() or far.mean() > MOST_OUT:
+        if middle is None or self._outside(_departure(logs, middle), 0.0).mean() > MOST_OUT:
             self.usual = replace(self.usual, middle=logs)
 
     def _outside(self, off: Array, beyond: "Array | float") -> Bools:
@@ -228,7 +229,8 @@ class SensorHealth:
             untouched: whether nothing touches the sensor; other readings may reach further, and
                 only what stays out of its range is left out.
         """
-        off = _departure(_log(magnitudes), self.usual.middle)
+        middle = self.usual.middle
+        off = _departure(_log(magnitudes), np.zeros(len(self.out)) if middle is None else middle)
         now = self._outside(off, 0.0 if untouched else REACH * self.usual.reach)
         self._window.append((number, time, now))
         rows = np.array([row for _, _, row in self._window])
@@ -290,7 +292,7 @@ def follow_recording(
     """
     order = np.lexsort((np.arange(len(data)), data.time, data.episode, data.specimen))
     readings = _magnitudes(data, data.has_touch_reference)
-    own = usual is not None and not np.isfinite(usual.middle).any()
+    own = usual is not None and usual.middle is None
     if own:
         readings = _good(np.abs(data.impedance), data.status)
     there: Bools = np.asarray(np.isfinite(readings).any(axis=1))
