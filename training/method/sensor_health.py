@@ -81,7 +81,7 @@ class ReadingRange(StoredFields):
     def of_recording(cls, data: Dataset) -> "ReadingRange":
         """Range of the readings before the touches of a recording, and of the touches' changes."""
         before = data.has_touch_reference
-        readings = _magnitudes(data, before)
+        readings = _good(_magnitudes(data, before), data.status)
         ratio = np.abs(data.impedance[before] / data.touch_reference[before])
         return cls.of(
             readings[np.isfinite(readings).any(axis=1)], _good(ratio, data.status[before])
