@@ -50,7 +50,7 @@ from eitskin.training.pipeline.saved_form import (
 from eitskin.training.pipeline.session import COMMON, Session
 
 FLAT_SENSORS = "flat_sensors"
-USUAL = "usual"
+USUAL = "healthy"
 FOREIGN = (
     "layout.",
     f"{FLAT_SENSORS}.",
