@@ -50,8 +50,6 @@ from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_be
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
 
-_AT_ONCE = 16  # scenes whose touches are summed together
-
 
 class Simulator:
     """One sensor on one fixture, meshed once; `measure` gives the frame of any scene.
@@ -111,8 +109,9 @@ class Simulator:
         self.touch_model: TouchModel | None = touch_model
         self.grid = grid or OWN_GRID
         breaks = _breaks(design, self.fixture)
-        self._impedances = SensorImpedances(design, resolution, breaks, nominal, self._layer)
-        self._layers: dict[Scene, DeformedLayer] = {}
+        self._impedances = SensorImpedances(
+            design, resolution, breaks, nominal, self.deformed_layers
+        )
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
@@ -309,13 +308,8 @@ class Simulator:
         for scene in dict.fromkeys(scenes):  # those of one bend follow each other
             by_bend.setdefault(untouched(scene), []).append(scene)
         ordered = [scene for group in by_bend.values() for scene in group]
-        found: dict[Scene, NDArray[np.inexact]] = {}
         with kernels():
-            for start in range(0, len(ordered), _AT_ONCE):
-                some = ordered[start : start + _AT_ONCE]
-                self._layers = dict(zip(some, self.deformed_layers(some), strict=True))
-                found |= self._impedances.at(some, tolerance)
-            self._layers = {}
+            found = self._impedances.at(ordered, tolerance)
         return np.array([found[scene] for scene in scenes])
 
     def contact_sensitivities(
@@ -368,9 +362,6 @@ class Simulator:
         """Deformed over flat area [1], as of `deformed_layer`; None where the sensor stays flat."""
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
-
-    def _layer(self, scene: Scene) -> DeformedLayer:
-        return self._layers[scene] if scene in self._layers else self.deformed_layer(scene)
 
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""

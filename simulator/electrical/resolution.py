@@ -42,6 +42,8 @@ _COLUMNS = {
     "standard": _Named((4, 4, 3, 2), 0.04, 0.11, 3.0, 0.68),
     "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
+# Electrodes on top of a rectangle, where currents turn within the layer.
+_PADS = _COLUMNS | {"fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
     "coarse": _Named((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
@@ -90,8 +92,7 @@ def suited_cells(
     `breaks`, further faces across x, have hexahedra.
     """
     kind = natural_cells(design)
-    on_sides = all(electrode.on == "side" for electrode in design.electrodes)
-    if kind != "hexahedra" or not isinstance(resolution, str) or breaks or not on_sides:
+    if kind != "hexahedra" or not isinstance(resolution, str) or breaks or not _on_sides(design):
         return kind
     extents = design.outline.length, design.outline.width
     along, across = (
@@ -99,6 +100,10 @@ def suited_cells(
         for lines, extent in zip(electrode_lines(design), extents, strict=True)
     )
     return "prisms" if along * across > _MOST_CROSSINGS.get(resolution, 0) else kind
+
+
+def _on_sides(design: SensorDesign) -> bool:
+    return all(electrode.on == "side" for electrode in design.electrodes)
 
 
 def discretisation(
@@ -126,6 +131,8 @@ def discretisation(
             f"resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
         )
     named = _NAMED[cells][resolution]
+    if cells == "hexahedra" and not _on_sides(design):
+        named = _PADS[resolution]
     extents = [e.width for e in design.electrodes]
     extents += [e.height for e in design.electrodes if e.height is not None]
     largest = named.coarsest * min(design.outline.length, design.outline.width)
