@@ -60,6 +60,12 @@ class Simulator:
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
         touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
+
+    Example:
+        >>> from eitskin import Bend, Scene, SensorDesign, Simulator
+        >>> sim = Simulator(SensorDesign.reference(), "coarse")
+        >>> sim.measure(Scene(bend=Bend(20.0))).impedance.shape
+        (28,)
     """
 
     def __init__(

@@ -82,6 +82,13 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
         breaks: further x at which the mesh must have a face, as where F jumps [m].
 
     Raises ConfigurationError for another outline, and for too many points.
+
+    Example:
+        >>> from eitskin.geometry import SensorDesign, structured_mesh
+        >>> from eitskin.geometry.meshing.grading import Grading
+        >>> mesh = structured_mesh(SensorDesign.reference(), Grading(2e-3, 1e-2, 1.0))
+        >>> len(mesh.cells) > 100
+        True
     """
     if not isinstance(design.outline, Rectangle):
         raise ConfigurationError(

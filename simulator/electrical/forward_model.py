@@ -81,6 +81,13 @@ class ForwardModel:
         pattern: of the linear system, shared by all scenes.
         solver: of the linear system; `solver.name` names its order of elimination.
         factorisations: number of matrices factorised so far.
+
+    Example:
+        >>> from eitskin import Protocol, SensorDesign
+        >>> from eitskin.simulator import ForwardModel
+        >>> model = ForwardModel(SensorDesign.reference(), "coarse")
+        >>> Protocol.adjacent(8).measure(model.impedance()).shape
+        (40,)
     """
 
     def __init__(

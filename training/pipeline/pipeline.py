@@ -71,6 +71,13 @@ class Pipeline:
         adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
         flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
             None where training had too few specimens.
+
+    Example:
+        >>> from eitskin import Pipeline, Scene, SensorDesign, Simulator
+        >>> pipeline = Pipeline.load("reference.eitmodel")
+        >>> frame = Simulator(SensorDesign.reference(), "coarse").measure(Scene())
+        >>> pipeline.process(frame).state.name
+        'IDLE'
     """
 
     layout: InputSpec
@@ -456,5 +463,11 @@ class Pipeline:
 
 
 def open_pipeline(path: str | Path, method: type[Method] | None = None) -> Pipeline:
-    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold."""
+    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold.
+
+    Example:
+        >>> from eitskin.training import open_pipeline
+        >>> open_pipeline("reference.eitmodel").targets.missing
+        ()
+    """
     return Pipeline.load(path, method)
