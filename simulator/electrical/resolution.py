@@ -20,8 +20,9 @@ class _Named(NamedTuple):
     """Sizes of a named resolution, relative to lengths of the design.
 
     Attributes:
-        order: in the plane for the constant, linear, quadratic ... part along the height. Presses
-            shear the layer, which couples the parts, so that all parts need nearly the same order.
+        order: in the plane for the constant, linear, quadratic ... part along the height. A shear
+            of the whole layer couples the parts, so that all need nearly the same order; presses
+            and bends hardly do.
         finest: finest cell, relative to the smallest electrode.
         coarsest: coarsest cell, relative to the body's shorter side.
         growth: of the cells from the electrode edges.
