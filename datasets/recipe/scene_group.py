@@ -44,7 +44,7 @@ class SceneGroup:
         margin: least distance of a touch's centre from the rim [m].
         spacing: least distance between the centres of two touches [m].
         from_middle: range of the distance of touches' centres from the sensor's middle along x
-            [m], as on plates beside their gap; any when omitted.
+            [m], as on plates away from their gap; any when omitted.
         positions: (x, y) [m] of single touches in turn, instead of random positions.
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.

@@ -24,6 +24,7 @@ class Inclusion:
     """Part of a layer through its whole thickness.
 
     Examples:
+        >>> from eitskin.geometry import Inclusion
         >>> Inclusion.cylinder(0.05, 0.03, 0.01, conductivity=2.0).outline
         Disc(radius=0.01)
 
