@@ -73,7 +73,6 @@ class Judgements:
             right &= said.state is State.IDLE or (said.state is State.BEND and angle_deg != 0.0)
         else:
             right &= said.state is (State.TOUCH if len(true) else State.BEND)
-        right &= event.known or said.state is State.TOUCH  # a twist is nothing that can be told
         told = bool(said.problems)
         self.wrong.append(not right and not told)
         self.flagged.append(right and told and event.healthy)

@@ -298,13 +298,13 @@ EVENTS: dict[str, Event] = {
     "force from 12 to 2 N": Event(_ramp),
     "two touches, 30 to 60 mm": Event(lambda s: _pair(s, (0.8, 1.25), (0.030, 0.060))),
     "two uneven, 24 to 40 mm": Event(lambda s: _pair(s, (0.45, 0.7), (0.024, 0.040))),
-    "two uneven, 16 to 24 mm": Event(lambda s: _pair(s, (0.45, 0.7), (CLOSE, 0.024))),
+    "two uneven, 16 to 24 mm": Event(lambda s: _pair(s, (0.45, 0.7), (CLOSE, 0.024)), False),
     "three touches": Event(lambda s: _held(s, s.touches(3))),
     "four touches": Event(lambda s: _held(s, s.touches(4))),
     "bend": Event(_bend),
     "touch on a bend": Event(_bent_touch),
     "bend, calibrated": Event(_bend, calibrated=True),
-    "three touches, 16 mm": Event(lambda s: _cluster(s, _TRIANGLE, (4.0, 8.0)), known=False),
+    "three touches, 16 mm": Event(lambda s: _cluster(s, _TRIANGLE, (4.0, 8.0)), False, False),
     "five touches": Event(lambda s: _held(s, s.touches(5, 0.022)), False, False),
     "palm of 40 mm": Event(lambda s: _cluster(s, _RING, (2.0, 6.0)), False, False),
     "line of 64 mm": Event(
@@ -314,7 +314,6 @@ EVENTS: dict[str, Event] = {
         lambda s: s.stream(
             np.repeat(s.solved([Scene(twist=Twist(_signed(s, 5.0, 20.0)))]), HELD, axis=0)
         ),
-        False,
         False,
     ),
     "one contact": Event(lambda s: _contacts(s, 1, (2.0, 8.0)), False),

@@ -6,8 +6,8 @@ Solves the tables that neither the package nor `FOLDER` has, of the reference se
 neighbours, and prints how long they took and how large each file is. Those in the package's
 `simulator/deformation/library` are dents by the 15 mm cylinder on all stacks that the shipped
 recipes draw, their corrections with neighbours in thickness and stiffness of the encapsulation,
-those beside one straight side, and bends by the default clamp, both faces held or the bottom, with
-neighbours in span and offset too. With `--bends`, bends only.
+those beside one straight side, presses on plates, and bends by the default clamp, both faces held
+or the bottom, with neighbours in span and offset too. With `--bends`, bends only.
 """
 
 import sys
@@ -18,9 +18,10 @@ from dataclasses import replace
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.outline import Polygon
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.bends.bend_table import bend_problems
+from eitskin.simulator.bends.pressed_plates import held_by_plates
 from eitskin.simulator.deformation.corrections import correction_problems
 from eitskin.simulator.deformation.press_table import press_problems
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
@@ -62,6 +63,9 @@ def main(only_bends: bool) -> None:
     _solve("reference", correction_problems(reference, materials, press))
     _solve("a straight side, for polygons", correction_problems(polygon, materials, press))
     _solve("neighbours", correction_problems(varied, stiffer, press, grid))
+    on_plates = replace(reference, support=Plates(clamp.span))
+    held = held_by_plates(on_plates, clamp, materials, grid)
+    _solve("presses on plates", [held.problem(press)] if held else [])
     for factor in _FARTHER:
         farther = correction_problems(reference, _stiffened(materials, factor), press)
         _solve(f"encapsulation {factor:g} times as stiff", farther)

@@ -23,14 +23,14 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, Displaced
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.bends import bend_table
-from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
+from eitskin.simulator.bends.bend_3d import ClampedStack
+from eitskin.simulator.bends.pressed_plates import held_by_plates
 from eitskin.simulator.deformation.dents import Dents, PlacedDent
 from eitskin.simulator.deformation.finite_stack import solved_presses
 from eitskin.simulator.deformation.press_table import press_table
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
+from eitskin.simulator.deformation.sensor_grid import OWN_GRID
 from eitskin.simulator.deformation.touches import (
-    PressedSensor,
-    TouchModel,
-    bent_dents,
     dents,
     pressed_touches,
     resolve_touch_model,
@@ -165,13 +165,15 @@ def deformations(case: ReferenceCase) -> dict[str, Model]:
         SOLVED: partial(_pressed_3d, case),
     }
     shipped = resolve_touch_model(touches, _sensor(case, None)) == TABULATED
-    if shipped and not case.scene.bend.angle_deg:
+    if shipped:
         models[TABULATED] = lambda: dents([touches], _sensor(case, TABULATED))[0]
     return models
 
 
 def _sensor(case: ReferenceCase, model: TouchModel | None) -> PressedSensor:
-    return PressedSensor(case.design, case.mechanics, model)
+    angle = case.scene.bend.angle_deg
+    plates = held_by_plates(case.design, Clamp(), case.mechanics, OWN_GRID, angle)
+    return PressedSensor(case.design, case.mechanics, model, plates=plates)
 
 
 def bend(case: ReferenceCase, model: str) -> Deformation:
@@ -189,7 +191,7 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         dent = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
         return float(dent.depth)
     sensor = _sensor(case, TABULATED if model == TABULATED else SOLVED)
-    return pressed_touches(case.scene.touches, sensor, _bent_state(case))[0].depth
+    return pressed_touches(case.scene.touches, sensor)[0].depth
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:
@@ -198,18 +200,9 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
     return next(stack.equilibria([case.scene.bend.angle_deg]))
 
 
-def _bent_state(case: ReferenceCase) -> BentStack | None:
-    if not case.scene.bend.angle_deg:
-        return None
-    return bend_table.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
-
-
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    touches, sensor, state = case.scene.touches, _sensor(case, SOLVED), _bent_state(case)
-    if state is None:
-        return dents([touches], sensor)[0]
-    return bent_dents(touches, sensor, bend(case, SOLVED), state)
+    return dents([case.scene.touches], _sensor(case, SOLVED))[0]
 
 
 def _unbounded(case: ReferenceCase) -> Deformation:

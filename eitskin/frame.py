@@ -12,7 +12,13 @@ from eitskin.protocol import Protocol
 
 
 class Status(IntFlag):
-    """Status bits of one measurement; 0 is good."""
+    """Status bits of one measurement; 0 is good.
+
+    Example:
+        >>> from eitskin.simulator import Status
+        >>> Status(9)
+        <Status.CLIPPED|OPEN: 9>
+    """
 
     CLIPPED = 1
     FIFO_OVERFLOW = 2
@@ -36,6 +42,13 @@ class Frame:
         frequency: of the excitation [Hz].
         status: `Status` bits, (measurements,) uint8; zeros where nothing is wrong.
         duration: time that its measurements took [s]; NaN where unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Frame, Protocol
+        >>> frame = Frame(np.full(28, 600.0), Protocol.pairwise(8), time=0.3, number=1)
+        >>> frame.impedance.shape
+        (28,)
     """
 
     impedance: NDArray[np.complex128]

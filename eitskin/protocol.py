@@ -33,6 +33,11 @@ class Protocol:
     Attributes:
         table: electrode numbers, one row per measurement.
         n_electrodes: number of electrodes of the sensor.
+
+    Example:
+        >>> from eitskin import Protocol
+        >>> len(Protocol.pairwise(8).table), len(Protocol.adjacent(16).table)
+        (28, 208)
     """
 
     table: tuple[Row, ...]

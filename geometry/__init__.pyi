@@ -40,6 +40,9 @@ from eitskin.geometry.deformation.fixtures import (
     Twist as Twist,
 )
 from eitskin.geometry.design.electrode import Electrode as Electrode
+from eitskin.geometry.design.inclusion import (
+    Inclusion as Inclusion,
+)
 from eitskin.geometry.design.outline import (
     Disc as Disc,
 )

@@ -60,7 +60,12 @@ log = logging.getLogger(__name__)
 
 
 class Estimate(typing.Protocol):
-    """Result of a pipeline for one frame; None where the pipeline does not estimate a quantity."""
+    """Result of a pipeline for one frame; None where the pipeline does not estimate a quantity.
+
+    Example:
+        >>> from eitskin.hardware import Estimate
+        >>> estimate: Estimate | None = None
+    """
 
     @property
     def state(self) -> State | str | None:
@@ -88,7 +93,13 @@ class Estimate(typing.Protocol):
 
 
 class FramePipeline(typing.Protocol):
-    """Pipeline as far as the live loop uses it: one frame in, one estimate out."""
+    """Pipeline as far as the live loop uses it: one frame in, one estimate out.
+
+    Example:
+        >>> from eitskin.hardware import FramePipeline
+        >>> hasattr(FramePipeline, "process")
+        True
+    """
 
     def process(self, frame: Frame) -> Estimate:
         """Estimate for `frame`."""
@@ -107,6 +118,14 @@ class Reading:
         problem: reason for a missing estimate; empty otherwise.
         wall_time: when the frame came, by the clock of this machine [s since 1970]; NaN where
             unknown.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Frame, Protocol
+        >>> from eitskin.hardware import Reading
+        >>> frame = Frame(np.full(28, 600.0), Protocol.pairwise(8))
+        >>> Reading(frame, None, latency=0.002, rate=3.4).rate
+        3.4
     """
 
     frame: Frame
@@ -140,6 +159,13 @@ def run_live(
         DeviceError: where the board falls silent or goes away.
         FrameError: for a board of another sensor. After a first estimate the sensor is the right
             one: later errors count as damaged frames, since the board may recover.
+
+    Example:
+        >>> from eitskin.hardware import open_board, run_live
+        >>> from eitskin.training import open_pipeline
+        >>> with open_board("virtual:?speed=max") as board:
+        ...     next(run_live(board, open_pipeline("reference.eitmodel"))).estimate.state.name
+        'IDLE'
     """
     unusable = 0
     known = False
@@ -181,6 +207,14 @@ class LiveReadings(Closeable):
     Any number of threads may iterate, ask for `newest` and have functions called. A board that goes
     away is connected to again, for as long as it takes. An error that ends the session, such as a
     board with another sensor, is raised by every iteration, and by `close` where nobody iterates.
+
+    Example:
+        >>> from eitskin.hardware import LiveReadings, open_board
+        >>> from eitskin.training import open_pipeline
+        >>> board = open_board("virtual:", period=0.01)
+        >>> with LiveReadings(board, open_pipeline("reference.eitmodel")) as readings:
+        ...     next(iter(readings)).estimate.state.name
+        'IDLE'
     """
 
     def __init__(self, board: Board, pipeline: FramePipeline) -> None:

@@ -31,6 +31,12 @@ def open_board(uri: str, **options: Any) -> Board:
         ConfigurationError: for an unknown URI or option, or an option out of range.
         DeviceError: where the port is missing, in use, or no board answers as expected.
         DataError: for a recording that cannot be replayed.
+
+    Example:
+        >>> from eitskin.hardware import open_board
+        >>> with open_board("virtual:?speed=max&resolution=coarse") as board:
+        ...     len(board.protocol.table)
+        28
     """
     if _PORT.fullmatch(uri):
         uri = f"{'text' if 'protocol=' in uri else 'serial'}:{uri}"

@@ -15,11 +15,11 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.outline import Polygon
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Plates, SensorDesign, Support, require_fit
+from eitskin.geometry.design.sensor import Rigid, SensorDesign, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_table
-from eitskin.simulator.bends.bend_3d import BentStack
+from eitskin.simulator.bends.pressed_plates import ANGLES_DEG, held_by_plates
 from eitskin.simulator.bodies.body_deformation import (
     bent_by,
     pressed_body_touches,
@@ -29,11 +29,9 @@ from eitskin.simulator.bodies.body_deformation import (
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
 from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.deformation.dents import BentPresses, Dents
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
 from eitskin.simulator.deformation.touches import (
-    PressedSensor,
-    TouchModel,
-    bent_dents,
     dents,
     pressed_touches,
     require_model,
@@ -50,8 +48,6 @@ from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_be
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
 
-_AT_ONCE = 16  # scenes whose touches are summed together
-
 
 class Simulator:
     """One sensor on one fixture, meshed once; `measure` gives the frame of any scene.
@@ -62,6 +58,12 @@ class Simulator:
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
         touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
+
+    Example:
+        >>> from eitskin import Bend, Scene, SensorDesign, Simulator
+        >>> sim = Simulator(SensorDesign.reference(), "coarse")
+        >>> sim.measure(Scene(bend=Bend(20.0))).impedance.shape
+        (28,)
     """
 
     def __init__(
@@ -111,8 +113,9 @@ class Simulator:
         self.touch_model: TouchModel | None = touch_model
         self.grid = grid or OWN_GRID
         breaks = _breaks(design, self.fixture)
-        self._impedances = SensorImpedances(design, resolution, breaks, nominal, self._layer)
-        self._layers: dict[Scene, DeformedLayer] = {}
+        self._impedances = SensorImpedances(
+            design, resolution, breaks, nominal, self.deformed_layers
+        )
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
@@ -163,9 +166,16 @@ class Simulator:
         self.check_scene(scene)
         if self._is_body:
             return pressed_body_touches(scene.touches, self.supported(scene), self.mechanics)
-        bent = self._bent_state(scene)
-        bent_after = scene.bends if bent is None else scene.twist is not None
-        return pressed_touches(scene.touches, self._pressed(scene), bent, bent_after)
+        sensor = self._pressed(scene)
+        bent_after = scene.bends if sensor.bend is None else scene.twist is not None
+        return pressed_touches(scene.touches, sensor, bent_after, self._is_compared(scene))
+
+    def _is_compared(self, scene: Scene) -> bool:
+        """Whether the press of a sensor that is bent then was compared with that of a bent one."""
+        low, high = ANGLES_DEG[0], ANGLES_DEG[-1]
+        alone = scene.roll is None and scene.twist is None and isinstance(self.fixture, Clamp)
+        on_base = isinstance(self.supported(scene).support, Rigid)
+        return alone and on_base and low <= scene.bend.angle_deg <= high
 
     def solves_presses(self, scene: Scene) -> bool:
         """Whether the touches of a scene are solved in 3D, which takes half a minute to minutes."""
@@ -174,22 +184,15 @@ class Simulator:
         return resolve_touch_model(scene.touches, self._pressed(scene)) == "solved"
 
     def _pressed(self, scene: Scene) -> PressedSensor:
-        """The sensor on its support in a scene."""
+        """The sensor on its support in a scene; plates that bend it hold it while it is pressed."""
         pressed = self.supported(scene)
         if isinstance(pressed.outline, Polygon) and (plain := pressed.outline.as_rectangle):
             # Presses do not feel electrodes, which might cross a corner of the rectangle's rim.
             pair = uniform(plain, 2, width=0.25 * min(plain.length, plain.width))
             pressed = dataclasses.replace(pressed, outline=plain, electrodes=pair)
-        return PressedSensor(pressed, self.mechanics, self.touch_model, self.grid)
-
-    def _bent_state(self, scene: Scene) -> BentStack | None:
-        """State in which plates that bend the sensor hold it; None for one that is pressed flat."""
-        supported, fixture = self.supported(scene), self.fixture
-        if not (isinstance(supported.support, Plates) and isinstance(fixture, Clamp)):
-            return None
-        if not scene.bend.angle_deg or scene.roll is not None:
-            return None
-        return bend_table.equilibrium(supported, fixture, self.mechanics, scene.bend)
+        angle = 0.0 if scene.roll is not None else scene.bend.angle_deg
+        plates = held_by_plates(pressed, self.fixture, self.mechanics, self.grid, angle)
+        return PressedSensor(pressed, self.mechanics, self.touch_model, self.grid, plates)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
@@ -309,13 +312,8 @@ class Simulator:
         for scene in dict.fromkeys(scenes):  # those of one bend follow each other
             by_bend.setdefault(untouched(scene), []).append(scene)
         ordered = [scene for group in by_bend.values() for scene in group]
-        found: dict[Scene, NDArray[np.inexact]] = {}
         with kernels():
-            for start in range(0, len(ordered), _AT_ONCE):
-                some = ordered[start : start + _AT_ONCE]
-                self._layers = dict(zip(some, self.deformed_layers(some), strict=True))
-                found |= self._impedances.at(some, tolerance)
-            self._layers = {}
+            found = self._impedances.at(ordered, tolerance)
         return np.array([found[scene] for scene in scenes])
 
     def contact_sensitivities(
@@ -339,23 +337,17 @@ class Simulator:
         self, scenes: Sequence[Scene]
     ) -> Iterator[Dents | BentPresses | TetrahedralField | None]:
         """Deformations by touches; None without any, and where the dents of a body have faded."""
-        states = [None if self._is_body else self._bent_state(scene) for scene in scenes]
-        flat: dict[PressedSensor, list[tuple[Touch, ...]]] = {}
-        for scene, bent in zip(scenes, states, strict=True):
-            if scene.touches and bent is None and not self._is_body:
-                flat.setdefault(self._pressed(scene), []).append(scene.touches)
-        dented = {sensor: iter(dents(touches, sensor)) for sensor, touches in flat.items()}
-        for scene, bent in zip(scenes, states, strict=True):
+        pressed: dict[PressedSensor, list[tuple[Touch, ...]]] = {}
+        for scene in scenes:
+            if scene.touches and not self._is_body:
+                pressed.setdefault(self._pressed(scene), []).append(scene.touches)
+        dented = {sensor: iter(dents(touches, sensor)) for sensor, touches in pressed.items()}
+        for scene in scenes:
             if not scene.touches:
                 yield None
             elif self._is_body:
-                pressed = pressed_by(scene.touches, self.design, self.mechanics)
-                yield None if pressed is None else pressed.field
-            elif bent is not None:
-                sensor = self._pressed(scene)
-                yield bent_dents(
-                    scene.touches, sensor, self._flexure(scene.bend, sensor.design), bent
-                )
+                body = pressed_by(scene.touches, self.design, self.mechanics)
+                yield None if body is None else body.field
             else:
                 yield next(dented[self._pressed(scene)])
 
@@ -368,9 +360,6 @@ class Simulator:
         """Deformed over flat area [1], as of `deformed_layer`; None where the sensor stays flat."""
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
-
-    def _layer(self, scene: Scene) -> DeformedLayer:
-        return self._layers[scene] if scene in self._layers else self.deformed_layer(scene)
 
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""

@@ -163,7 +163,15 @@ def _solve_missing(
             f"solving {bends} table{'s' * (bends > 1)} of bends that no clamped sensor has needed "
             f"so far, once: about half a minute each; kept in {cache_folder()}"
         )
-    missing = len(missing_press_tables(recipe, specimens))
+    absent = missing_press_tables(recipe, specimens)
+    plates = sum(path.name.startswith("plates-") for path in absent)
+    if plates:
+        output.note(
+            f"solving {plates} table{'s' * (plates > 1)} of presses on plates that no sensor has "
+            "needed so far, once: about a quarter of an hour of one core each, less on several; "
+            f"kept in {cache_folder()}"
+        )
+    missing = len(absent) - plates
     if missing:
         output.note(
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
@@ -176,7 +184,7 @@ def _solve_missing(
             "their support or outline: half a minute to some minutes each. Progress is counted in "
             f"files of {recipe.frames_per_shard} frames; a smaller frames_per_shard shows it sooner"
         )
-    if bends or missing:
+    if bends or absent:
         with output.counting("tables") as show:
             prepare(recipe, show, workers, specimens)
 

@@ -8,7 +8,6 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
-import numpy as np
 import typer
 from rich.table import Column
 
@@ -18,13 +17,10 @@ from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import table_of
-from eitskin.datasets.recordings.orders import in_order, require_order
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.hardware.opening import is_board
-from eitskin.training.reconstruction.reconstructor import silent_channels
-from eitskin.training.reconstruction.regions import picture_regions
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from eitskin.simulator.electrical.resolution import Resolution
@@ -77,6 +73,11 @@ class FrameOptions:
         self, source: str, resolution: "Resolution", seed: int, output: options.Output
     ) -> PicturedFrames:
         """Frames of a scene, a board, or a dataset, whose order is tested by reciprocity."""
+        import numpy as np
+
+        from eitskin.datasets.recordings.orders import in_order, require_order
+        from eitskin.hardware.opening import is_board
+
         if not source.endswith((".toml", ".eitmodel")):
             found = (
                 self._from_board(source, seed, output)
@@ -106,6 +107,9 @@ class FrameOptions:
         self, path: Path, resolution: "Resolution", output: options.Output
     ) -> PicturedFrames:
         """Frame of a scene, against it without its touches or against the flat sensor."""
+
+        import numpy as np
+
         if self.reference not in ("untouched", "flat"):
             raise ConfigurationError(
                 f"expected --reference untouched or flat for a scene, got '{self.reference}'"
@@ -127,6 +131,11 @@ class FrameOptions:
 
     def _from_dataset(self, path: Path, output: options.Output) -> PicturedFrames:
         """Chosen frames of a dataset; the first touched one where none is chosen."""
+
+        import numpy as np
+
+        from eitskin.training.reconstruction.reconstructor import silent_channels
+
         data = datasets.open_dataset(path)
         design = options.read_design(self.sensor) if self.sensor else data.design
         if design is None:
@@ -179,6 +188,9 @@ class FrameOptions:
 
     def _from_board(self, uri: str, seed: int, output: options.Output) -> PicturedFrames:
         """Frames of a board after the frames of its reference."""
+
+        import numpy as np
+
         design, frames = options.read_design(self.sensor), self.frames
         count = int(frames) if frames and frames.isdigit() else 1
         if frames and not 1 <= count <= options.MAX_PICTURES:
@@ -250,7 +262,11 @@ def command(
     output: options.Output,
 ) -> None:
     """Reconstruct a conductivity image (EIT); no training needed."""
+    import numpy as np
+
+    from eitskin.hardware.opening import is_board
     from eitskin.training.reconstruction.reconstructor import Method
+    from eitskin.training.reconstruction.regions import picture_regions
 
     names: list[Method] = [method] if method != "all" else [*get_args(Method)]
     chosen_rule = training.Regularisation.named(rule)
@@ -407,6 +423,7 @@ def _require_out(out: Path | None) -> None:
 
 def _write(out: Path, images: list[Image]) -> None:
     """Write the pictures in the form of the file's suffix; those of one method on one scale."""
+
     import numpy as np
 
     from eitskin.files import atomic_file

@@ -244,8 +244,8 @@ def announce_unsolved(
         )
     if sim.solves_presses(scene):
         output.note(
-            "solving the scene's touches in 3D, since no tables ship for them or the sensor is "
-            "pressed in its bent state: half a minute to some minutes"
+            "solving the scene's touches in 3D, since no tables ship for them or they are beyond "
+            "these: half a minute to some minutes"
         )
 
 

@@ -85,6 +85,14 @@ def export_dataset(
         ConfigurationError: where `out` holds something, or for another format or licence.
         DataError: for a dataset that is not complete or damaged, or without episodes for LeRobot.
         PartialError: where a file cannot be written.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, State, export_dataset, save_dataset
+        >>> data = Dataset.from_arrays(np.full((4, 28), 600.0), state=np.full(4, State.IDLE))
+        >>> _ = save_dataset(data, "to_export")
+        >>> export_dataset("to_export", "parquet", "parquet").frames["train"]
+        4
     """
     require("pyarrow", "recordings")
     if form not in FORMATS:

@@ -77,6 +77,10 @@ def generate(
         ConfigurationError: where `out` holds something else or has no room, forces are beyond the
             reach of the presses, or the scheduler cannot be used.
         PartialError: where files cannot be written or workers died; resume after the repair.
+
+    Example:
+        >>> from eitskin.datasets import Recipe, generate
+        >>> generate(Recipe.shipped("quick"), "data", workers=2)  # doctest: +SKIP
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")

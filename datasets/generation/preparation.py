@@ -15,11 +15,13 @@ import numpy as np
 from eitskin.datasets.generation.shard_simulation import flat_impedance, simulate_frames
 from eitskin.datasets.recipe.frame_sampling import instrument, sample, specimen, specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimen, free_length
 from eitskin.datasets.store.shard import shard_bytes
 from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.design.sensor import SensorDesign, Support
 from eitskin.simulator.bends.bend_table import bend_problems, bend_table
+from eitskin.simulator.bends.pressed_plates import PlateBend, held_by_plates
 from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
@@ -52,6 +54,8 @@ def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None)
         for sensor in _pressed(recipe, indenter, specimens):
             problems = (*press_problems(*sensor), *correction_problems(*sensor, pairs))
             found |= missing(problems).keys()
+        on_plates = (each.problem(indenter) for each, _ in _on_plates(recipe, indenter, specimens))
+        found |= missing(on_plates).keys()
     return found
 
 
@@ -100,6 +104,13 @@ def prepare(
             if is_tabulable(sensor[0]):
                 solve_missing(correction_problems(*sensor, pairs), progress, workers)
                 corrections(*sensor).check_depth(deepest)
+        held = list(_on_plates(recipe, indenter, specimens))
+        for plates, group in held:
+            table = press_table(plates.design, plates.mechanics, indenter, plates.grid)
+            depth = table.at_force(group.force[1]).depth
+            for x in _nearest_to_gap(group, plates.design.outline.length):
+                plates.check(indenter, x, depth)
+        solve_missing((each.problem(indenter) for each, _ in held), progress, workers)
 
 
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
@@ -172,6 +183,26 @@ def _pressed(
     supports += [group.support for group in touched if group.pressed_by == indenter]
     for made in _on_supports(recipe, specimens, supports):
         yield made.design, made.mechanics, indenter, made.grid
+
+
+def _on_plates(
+    recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
+) -> Iterator[tuple[PlateBend, SceneGroup]]:
+    """Specimens on plates at the extreme angles of the groups in which the indenter presses."""
+    for group in recipe.scenes:
+        if group.state == "touch" and group.pressed_by == indenter:
+            for made in _on_supports(recipe, specimens, [group.support]):
+                for angle in dict.fromkeys(group.angle_deg):
+                    fixed = made.design, made.fixture, made.mechanics, made.grid
+                    if (plates := held_by_plates(*fixed, angle)) is not None:
+                        yield plates, group
+
+
+def _nearest_to_gap(group: SceneGroup, length: float) -> list[float]:
+    """Places of a group's touches along the sensor, the one nearest to its middle at least [m]."""
+    if group.positions:
+        return [x for x, _ in group.positions]
+    return [0.5 * length + (group.from_middle[0] if group.from_middle else 0.0)]
 
 
 def _on_supports(

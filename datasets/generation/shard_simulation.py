@@ -26,7 +26,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends.bend_table import on_support
 from eitskin.simulator.deformation.corrections import is_tabulable
-from eitskin.simulator.deformation.touches import TouchModel
+from eitskin.simulator.deformation.pressed_sensor import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session

@@ -58,6 +58,13 @@ def verify(
             `if __name__ == "__main__":` in a script.
 
     Raises PartialError where a worker dies.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, save_dataset, verify
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "verified")
+        >>> verify("verified").damage
+        ()
     """
     folder = Path(folder)
     damage: list[DamagedFile] = []

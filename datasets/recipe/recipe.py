@@ -64,6 +64,11 @@ class Recipe:
         mounts: clamps and stiffnesses that specimens have in turn, in place of `fixture`.
         reference_frames: number of frames of the untouched sensor, each with its noise, averaged
             for a frame's `touch_reference`, as a pipeline does while a sensor is still.
+
+    Example:
+        >>> from eitskin import Recipe
+        >>> Recipe.shipped("quick").frames
+        3000
     """
 
     name: str

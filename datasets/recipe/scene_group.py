@@ -19,7 +19,16 @@ from eitskin.simulator.scene.scene import Scene, Touch
 
 _SETS_AT_ONCE = 16
 _TRIES = 1600
-_TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats", "indenter")
+_TOUCH_ONLY = (
+    "touches",
+    "force",
+    "margin",
+    "spacing",
+    "from_middle",
+    "positions",
+    "repeats",
+    "indenter",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +43,8 @@ class SceneGroup:
         force: range of the force of each touch [N].
         margin: least distance of a touch's centre from the rim [m].
         spacing: least distance between the centres of two touches [m].
+        from_middle: range of the distance of touches' centres from the sensor's middle along x
+            [m], as on plates away from their gap; any when omitted.
         positions: (x, y) [m] of single touches in turn, instead of random positions.
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
@@ -50,6 +61,7 @@ class SceneGroup:
     force: tuple[float, float] = (10.0, 10.0)
     margin: float = 0.010
     spacing: float = 0.030
+    from_middle: tuple[float, float] | None = None
     positions: tuple[tuple[float, float], ...] = ()
     repeats: int = 1
     per_bend: int = 1
@@ -81,7 +93,13 @@ class SceneGroup:
         yield from count_problems("per_bend", self.per_bend)
         if self.state == "touch":
             yield from touch_problems(
-                self.force, self.touches, self.margin, self.spacing, outline, self.pressed_by
+                self.force,
+                self.touches,
+                self.margin,
+                self.spacing,
+                outline,
+                self.pressed_by,
+                self.from_middle,
             )
         else:
             plain = SceneGroup(self.state)
@@ -129,7 +147,9 @@ class SceneGroup:
             positions = np.array([self.positions[number % len(self.positions)]])
         else:
             amount = int(rng.integers(self.touches[0], self.touches[1], endpoint=True))
-            positions = draw_positions(amount, outline, self.margin, self.spacing, rng)
+            positions = draw_positions(
+                amount, outline, self.margin, self.spacing, rng, self.from_middle
+            )
         forces = drawn(rng, self.force, len(positions))
         touches = tuple(
             Touch(float(x), float(y), float(force), self.pressed_by)
@@ -143,11 +163,18 @@ class SceneGroup:
         yield from count_problems("repeats", self.repeats)
         if self.touches != (1, 1):
             yield "positions are pressed one at a time; leave out touches"
+        if self.from_middle is not None:
+            yield "from_middle is for random positions; leave it or positions out"
         yield from position_problems(self.positions, outline)
 
 
 def draw_positions(
-    amount: int, outline: PlaneOutline, margin: float, spacing: float, rng: np.random.Generator
+    amount: int,
+    outline: PlaneOutline,
+    margin: float,
+    spacing: float,
+    rng: np.random.Generator,
+    from_middle: tuple[float, float] | None = None,
 ) -> NDArray[np.float64]:
     """Random positions (amount, 2) [m], uniform over all sets with the given distances [m].
 
@@ -161,6 +188,9 @@ def draw_positions(
         sets = rng.uniform(low, high, size=(_SETS_AT_ONCE, amount, 2))
         apart = np.linalg.norm(sets[:, first] - sets[:, second], axis=-1)
         within = outline.contains(sets, margin).all(axis=1)
+        if from_middle is not None:
+            away = np.abs(sets[..., 0] - 0.5 * outline.length)
+            within &= ((from_middle[0] <= away) & (away <= from_middle[1])).all(axis=1)
         good = np.flatnonzero((apart >= spacing).all(axis=1) & within)
         if good.size:
             positions: NDArray[np.float64] = sets[good[0]]
@@ -214,12 +244,15 @@ def touch_problems(
     spacing: float,
     outline: PlaneOutline,
     indenter: Indenter,
+    from_middle: tuple[float, float] | None = None,
 ) -> Iterator[str]:
     """Reasons why touches in these ranges cannot be drawn, a sentence each; see `SceneGroup`."""
     few, many = touches
     rng = np.random.default_rng(0)
     across = 2.0 * indenter.rims[1]
     if problem := range_problem("force", force, above=0.0):
+        yield problem
+    if from_middle is not None and (problem := range_problem("from_middle", from_middle)):
         yield problem
     if not 1 <= few <= many <= MAX_TOUCHES:
         yield f"touches must be from 1 to {MAX_TOUCHES}, got {list(touches)}"
@@ -230,8 +263,10 @@ def touch_problems(
         )
     elif not spacing >= across:
         yield f"spacing must be at least the indenter's {across:g} m, got {spacing:g}"
-    elif any(refusal(lambda: draw_positions(many, outline, margin, spacing, rng))):
+    elif any(refusal(lambda: draw_positions(many, outline, margin, spacing, rng, from_middle))):
         yield (
             f"{many} touches {spacing:g} m apart and {margin:g} m from the rim do "
             "not fit, or almost never; ask for fewer, or less spacing or margin"
+            + ", or another from_middle"
+            * (from_middle is not None)
         )

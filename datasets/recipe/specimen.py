@@ -19,8 +19,8 @@ from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_table
+from eitskin.simulator.deformation.pressed_sensor import TouchModel
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
-from eitskin.simulator.deformation.touches import TouchModel
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.meter import LOADS, FourTerminalMeter
 from eitskin.simulator.mechanics.layer_stack import Mechanics

@@ -61,6 +61,11 @@ class RecordingNames:
         patterns: drive and sense patterns, electrodes by patterns, instead of a protocol.
         sheet: of an Excel file; the first one when omitted.
         header_row: row with the names of the columns, from 1; found where omitted.
+
+    Example:
+        >>> from eitskin.datasets import RecordingNames
+        >>> RecordingNames("ch", columns={"x": "px", "y": "py"}).values
+        'ch'
     """
 
     values: str | None = None
@@ -93,6 +98,11 @@ class RecordingForm:
         differences: the values are differences from the touch reference, which is added.
         order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
             ("rotated") or "reversed"; tested by reciprocity where empty.
+
+    Example:
+        >>> from eitskin.datasets import RecordingForm
+        >>> RecordingForm("before-during", length_unit="mm").origin
+        'corner'
     """
 
     rows: Rows = "frames"

@@ -33,16 +33,23 @@ def read_recording(
     design: SensorDesign | None = None,
     form: RecordingForm | None = None,
 ) -> Dataset:
-    """Dataset of a recording with any number of channels.
+    r"""Dataset of a recording with any number of channels.
 
     Arguments and errors as for `Recording`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from eitskin.datasets import read_recording
+        >>> _ = Path("table.csv").write_text("x,y,v0,v1\n0.05,0.02,530.1,718.9\n")
+        >>> len(read_recording("table.csv"))
+        1
     """
     recording = Recording(path, names, protocol, frequency, design, form)
     return Dataset.collect(recording.parts(), recording.frames)
 
 
 class Recording:
-    """Recording in one or several files, read twice: for its references, then for its frames.
+    r"""Recording in one or several files, read twice: for its references, then for its frames.
 
     Besides the tables of `names`, `state` (idle, touch, bend or their numbers), `angle_deg` [deg],
     `x`, `y`, `depth`, `radius` [m], `force` [N], `t` [s], `specimen`, `sensor` and `session`
@@ -54,6 +61,13 @@ class Recording:
         unused: tables of the files that are not read.
         specimens: number of each specimen by its name in the files.
         sessions: number of each session by its name in the files.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from eitskin.datasets import Recording
+        >>> _ = Path("log.csv").write_text("v0,v1\n530.1,718.9\n541.2,733.8\n")
+        >>> Recording("log.csv").unused
+        ()
     """
 
     def __init__(

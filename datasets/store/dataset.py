@@ -73,6 +73,13 @@ class Dataset:
         quantity: kind of the values: "impedance" [ohm] with sign and phase, "magnitude" of
             impedances [ohm], "voltage" [V]; empty where the recording does not say.
         names: of specimens and sessions, as a recording gave them.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, State
+        >>> data = Dataset.from_arrays(np.full((4, 28), 600.0), state=np.full(4, State.IDLE))
+        >>> len(data), data.impedance.shape
+        (4, (4, 28))
     """
 
     impedance: NDArray[np.complex64]

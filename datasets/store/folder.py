@@ -56,6 +56,13 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     Raises:
         DataError: where files are missing, damaged, newer than this eitskin, or no dataset.
         ConfigurationError: for columns larger than the memory of this machine.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, open_dataset, save_dataset
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "opened")
+        >>> open_dataset("opened").impedance.shape
+        (4, 28)
     """
     path = Path(path)
     if path.is_file():
@@ -77,6 +84,13 @@ def read_shards(path: str | Path, progress: Progress | None = None) -> Iterator[
 
     A shard holds only the specimens that occur in it; `specimen_number` says which of the whole
     dataset they are. Arguments and DataError as for `open_dataset`.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, read_shards, save_dataset
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "in_parts", 2)
+        >>> [len(part) for part in read_shards("in_parts")]
+        [2, 2]
     """
     path = Path(path)
     if path.is_file():
@@ -102,6 +116,12 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
 
     Raises DataError without frames, ConfigurationError where the folder holds something, and
     PartialError where a file cannot be written.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, save_dataset
+        >>> save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "saved").frames
+        4
     """
     if not len(data):
         raise DataError("a dataset needs at least one frame, got none")
@@ -185,6 +205,11 @@ class StoredDataset(Dataset):
     All else is as in a `Dataset`. A pass over all shards reads the columns that are asked for and
     all labels; `read` takes one pass for several columns. Each file is checked in every pass. A
     part of the frames is read without the others by `select`.
+
+    Example:
+        >>> from eitskin.datasets import Dataset, StoredDataset
+        >>> issubclass(StoredDataset, Dataset)
+        True
     """
 
     __slots__ = ("_folder", "_head", "_held", "_manifest", "_progress")

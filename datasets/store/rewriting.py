@@ -55,6 +55,14 @@ def combine(
         DataError: for datasets that cannot be combined, with all differences, or are damaged.
         ConfigurationError: for fewer than two datasets, and where `out` holds something.
         PartialError: where a file cannot be written.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, combine, save_dataset
+        >>> for name, value in {"first": 600.0, "second": 610.0}.items():
+        ...     _ = save_dataset(Dataset.from_arrays(np.full((4, 28), value)), name)
+        >>> combine(["first", "second"], "both").frames
+        8
     """
     paths = [Path(folder) for folder in folders]
     if len(paths) < 2:
@@ -224,6 +232,13 @@ def compact(
         DataError: where the dataset is not complete, or a shard is damaged.
         ConfigurationError: where `out` holds something, or for an impossible number of frames.
         PartialError: where a file cannot be written, or a worker dies.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, compact, save_dataset
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "small", 2)
+        >>> len(compact("small", "large").shards)
+        1
     """
     folder, manifest = Path(folder), read_manifest(Path(folder))
     if frames_per_shard is not None and not 1 <= frames_per_shard <= LIMITS["frame"]:

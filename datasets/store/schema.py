@@ -27,7 +27,13 @@ UNKNOWN_STATE: Final = 255
 
 
 class State(IntEnum):
-    """State of the sensor in one frame; `TOUCH` for a sensor both bent and touched."""
+    """State of the sensor in one frame; `TOUCH` for a sensor both bent and touched.
+
+    Example:
+        >>> from eitskin.datasets import State
+        >>> [state.name for state in State]
+        ['IDLE', 'TOUCH', 'BEND']
+    """
 
     IDLE = 0
     TOUCH = 1

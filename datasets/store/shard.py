@@ -64,6 +64,14 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
         first_index: number of its first frame within the whole dataset.
 
     Raises PartialError where the file cannot be written.
+
+    Example:
+        >>> import numpy as np
+        >>> from pathlib import Path
+        >>> from eitskin.datasets import Dataset, read_shard, write_shard
+        >>> write_shard(Path("written.h5"), Dataset.from_arrays(np.full((4, 28), 600.0)))
+        >>> read_shard("written.h5").impedance.shape
+        (4, 28)
     """
     write_file(Path(path), shard_bytes(data, first_index))
 

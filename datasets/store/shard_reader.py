@@ -46,7 +46,16 @@ _TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in
 
 
 def read_shard(path: str | Path) -> Dataset:
-    """Dataset of one shard, checked; raises DataError for any violation of the format."""
+    """Dataset of one shard, checked; raises DataError for any violation of the format.
+
+    Example:
+        >>> import numpy as np
+        >>> from pathlib import Path
+        >>> from eitskin.datasets import Dataset, read_shard, write_shard
+        >>> write_shard(Path("one.h5"), Dataset.from_arrays(np.full((4, 28), 600.0)))
+        >>> len(read_shard("one.h5"))
+        4
+    """
     path = Path(path)
     return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path)
 

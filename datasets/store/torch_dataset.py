@@ -25,6 +25,13 @@ class TorchDataset:
 
     The files are read with the first item, in each process separately, so that the object can be
     sent to workers.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, TorchDataset, save_dataset
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "in_memory")
+        >>> len(TorchDataset("in_memory", names=("impedance",)))
+        4
     """
 
     def __init__(
@@ -83,6 +90,13 @@ class ShuffledShards:
     once. Items are those of `TorchDataset`, or batches of them, which are many times faster: for a
     loader with `batch_size=None`. Call `set_epoch` before each epoch, and leave the loader's
     `persistent_workers` off: persistent workers would keep the first epoch.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import Dataset, ShuffledShards, save_dataset
+        >>> _ = save_dataset(Dataset.from_arrays(np.full((4, 28), 600.0)), "shuffled")
+        >>> sum(1 for _ in ShuffledShards("shuffled", names=("impedance",)))
+        4
     """
 
     def __init__(

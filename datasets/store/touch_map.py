@@ -29,6 +29,12 @@ def touch_maps(
 
     Raises DataError where a touch has a position and no radius, or one coordinate, and
     ConfigurationError for an outline or a shape that no map can have.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.datasets import touch_maps
+        >>> touch_maps([[0.05]], [[0.02]], [[0.0075]], (0.150, 0.060)).shape[0]
+        1
     """
     for name, length in zip(("length", "width"), outline, strict=True):
         require_length(f"{name} of the outline", length)

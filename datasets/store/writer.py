@@ -33,6 +33,16 @@ class ShardWriter(Closeable):
     Attributes:
         folder: of the dataset.
         readable: number of frames in finished shards, which survive a crash.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Frame, Protocol
+        >>> from eitskin.datasets import ShardWriter, open_dataset
+        >>> writer = ShardWriter("monday")
+        >>> writer.append(Frame(np.full(28, 600.0), Protocol.pairwise(8)))
+        >>> writer.close()
+        >>> len(open_dataset("monday"))
+        1
     """
 
     def __init__(

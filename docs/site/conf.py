@@ -153,7 +153,9 @@ def read_docstring(
 
 
 def _plain(line: str) -> str:
-    """Text outside backticks with the marks of reStructuredText escaped."""
+    """Text outside backticks with the marks of reStructuredText escaped; examples as they are."""
+    if line.lstrip().startswith((">>>", "...")):
+        return line
     parts = _LITERAL.split(line)
     return "".join(
         part if part.startswith("`") else re.sub(r"([*|]|_(?=\W|$))", r"\\\1", part)

@@ -22,6 +22,11 @@ class Bend:
 
     Attributes:
         angle_deg: angle between the two ends; positive is convex on the touched side.
+
+    Example:
+        >>> from eitskin import Bend, Scene
+        >>> Scene(bend=Bend(30.0)).bend.angle_deg
+        30.0
     """
 
     angle_deg: float
@@ -46,6 +51,11 @@ class Clamp:
         offset: depth of the axis below the mid-plane of the conductive layer [m].
         compliance: gap per traction of the bond between plate and face [m/Pa]; 0 for a rigid bond.
         faces: faces held by the plates, "both" or only the "bottom".
+
+    Example:
+        >>> from eitskin.geometry import Clamp
+        >>> Clamp(span=0.030, faces="bottom").offset
+        0.008
     """
 
     span: float = 0.040
@@ -150,6 +160,11 @@ class Hinge(_Kinematic):
     A closed form, which nothing but an explicit choice selects: the default is a plate between
     rigid ends, whose bend signal is off by 87 % from the 3D solution; `give=0.002,
     contraction=0.8` fits that of the reference stack best.
+
+    Example:
+        >>> from eitskin.geometry import Hinge
+        >>> Hinge(give=0.002, contraction=0.8).span
+        0.04
     """
 
     span: float = 0.040
@@ -195,6 +210,11 @@ class FreeArc(_Kinematic):
     Attributes:
         length: flat length of the arc, centred on the sensor [m].
         transition, contraction: as in `Hinge`.
+
+    Example:
+        >>> from eitskin.geometry import FreeArc
+        >>> FreeArc(length=0.100).length
+        0.1
     """
 
     length: float
@@ -247,6 +267,12 @@ class Twist:
 
     Attributes:
         angle_deg: angle of the end at large x against the end at x = 0, right-handed about x.
+
+    Example:
+        >>> from eitskin import Scene
+        >>> from eitskin.geometry import Twist
+        >>> Scene(twist=Twist(10.0)).twist.angle_deg
+        10.0
     """
 
     angle_deg: float
@@ -294,6 +320,12 @@ class Roll:
 
     Attributes:
         angle_deg: angle between the two long edges; positive is convex on the touched side.
+
+    Example:
+        >>> from eitskin import Scene
+        >>> from eitskin.geometry import Roll
+        >>> Scene(roll=Roll(20.0)).roll.angle_deg
+        20.0
     """
 
     angle_deg: float

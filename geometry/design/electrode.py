@@ -37,6 +37,11 @@ class Electrode:
             mesh, with one potential on both faces and its area counted once; "surface" belongs to
             a `Surface`.
         shape: "round" makes an ellipse of width and height, as a polygon of the same area.
+
+    Example:
+        >>> from eitskin.geometry import Electrode
+        >>> Electrode(x=0.075, y=0.0, width=0.005).on
+        'side'
     """
 
     x: float

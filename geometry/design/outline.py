@@ -146,6 +146,11 @@ class Rectangle(_StraightSided):
     """Rectangular outline with a corner at the origin: length along x, width along y [m].
 
     Arc length runs counter-clockwise from the origin.
+
+    Example:
+        >>> from eitskin.geometry import Rectangle
+        >>> round(Rectangle(0.150, 0.060).perimeter, 3)
+        0.42
     """
 
     length: float
@@ -168,6 +173,11 @@ class Polygon(_StraightSided):
 
     The least x and the least y must be 0. Clockwise points are reversed, the first point staying
     the first: arc length runs counter-clockwise from there.
+
+    Example:
+        >>> from eitskin.geometry import Polygon
+        >>> round(Polygon(((0.0, 0.0), (0.04, 0.0), (0.0, 0.03))).perimeter, 3)
+        0.12
     """
 
     points: tuple[tuple[float, float], ...]
@@ -223,6 +233,11 @@ class Disc(_Plane):
     """Circular outline about (radius, radius) [m].
 
     Arc length runs counter-clockwise from angle 0, the point (2 radius, radius).
+
+    Example:
+        >>> from eitskin.geometry import Disc
+        >>> round(Disc(0.050).perimeter, 3)
+        0.314
     """
 
     radius: float

@@ -71,6 +71,13 @@ class Contacts:
         areas: of the pieces, (n,) [m2], scaled so that each electrode has its true area: the
             chords of a curved face are a little short.
         facets: per electrode the cell faces in contact, (k, 3) or (k, 4) point numbers.
+
+    Example:
+        >>> from eitskin.geometry import SensorDesign, structured_mesh
+        >>> from eitskin.geometry.meshing.grading import Grading
+        >>> mesh = structured_mesh(SensorDesign.reference(), Grading(2e-3, 1e-2, 1.0))
+        >>> len(set(mesh.contacts.electrode.tolist()))
+        8
     """
 
     electrode: Numbers

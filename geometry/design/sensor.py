@@ -38,7 +38,13 @@ def warn_of_grid(call: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Rigid:
-    """Rigid base: the whole bottom face is bonded, and follows a bend."""
+    """Rigid base: the whole bottom face is bonded, and follows a bend.
+
+    Example:
+        >>> from eitskin.geometry import Rigid, SensorDesign
+        >>> SensorDesign.reference().support == Rigid()
+        True
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +54,11 @@ class Plates:
     Attributes:
         span: free length along x between the plates, centred on the sensor [m]. The bottom is
             bonded where |x - length / 2| >= span / 2.
+
+    Example:
+        >>> from eitskin.geometry import Plates
+        >>> Plates(span=0.030).span
+        0.03
     """
 
     span: float = 0.040
@@ -68,6 +79,11 @@ class Substrate:
     Attributes:
         thickness: thickness of the substrate [m].
         shear_modulus: modulus of the substrate, neo-Hookean, compressible as the sensor is [Pa].
+
+    Example:
+        >>> from eitskin.geometry import Substrate
+        >>> Substrate(thickness=0.010, shear_modulus=5e3).thickness
+        0.01
     """
 
     thickness: float
@@ -80,7 +96,14 @@ class Substrate:
 
 @dataclass(frozen=True, slots=True)
 class Free:
-    """No base: the sensor is a membrane, its outer sides held, its bottom face free."""
+    """No base: the sensor is a membrane, its outer sides held, its bottom face free.
+
+    Example:
+        >>> from eitskin.geometry import Free, SensorDesign
+        >>> import dataclasses
+        >>> dataclasses.replace(SensorDesign.reference(), support=Free()).support
+        Free()
+    """
 
 
 Support = Rigid | Plates | Substrate | Free
@@ -104,7 +127,13 @@ def require_fit(support: Support, outline: Outline) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Conductive sheet of a layered sensor: thickness [m], conductivity [S/m]."""
+    """Conductive sheet of a layered sensor: thickness [m], conductivity [S/m].
+
+    Example:
+        >>> from eitskin.geometry import Layer
+        >>> Layer(thickness=0.002, conductivity=0.5).conductivity
+        0.5
+    """
 
     thickness: float
     conductivity: float
@@ -128,6 +157,12 @@ class SensorDesign:
             up to `thickness`.
         encapsulated_thickness: thickness of body and encapsulation together, body centred [m].
         support: what the bottom face of the encapsulation rests on.
+
+    Example:
+        >>> from eitskin import SensorDesign
+        >>> design = SensorDesign.reference()
+        >>> len(design.electrodes), design.thickness
+        (8, 0.005)
     """
 
     outline: Outline

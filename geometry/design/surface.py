@@ -43,6 +43,10 @@ class Surface:
     Attributes:
         file: path of the surface; made absolute.
         scale: metres per unit of the file, 1e-3 for millimetres.
+
+    Example:
+        >>> from eitskin.geometry import Surface
+        >>> Surface("fingertip.stl", scale=1e-3)  # doctest: +SKIP
     """
 
     file: Path

@@ -1,13 +1,14 @@
 """Graded triangulation of plane outlines by Delaunay refinement."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.inclusion import Inclusion
 from eitskin.geometry.design.outline import Disc, PlaneOutline
 
 Array = NDArray[np.float64]
@@ -20,11 +21,15 @@ _CHORDS = 24  # fewest chords of a circle
 _MOST_ROUNDS = 300
 _MOST_POINTS = 500_000
 _PER_SIZE = 1.0 / np.sqrt(3.0)  # points in twice the square of an edge, of equilateral triangles
+_ORIGIN: Array = np.zeros(2)
 _SAME = 1e-9  # relative distance of points and lengths that count as equal
 
 
 def triangulated(
-    outline: PlaneOutline, fixed: Array, size: Callable[[Array], Array]
+    outline: PlaneOutline,
+    fixed: Array,
+    size: Callable[[Array], Array],
+    inclusions: Sequence[Inclusion] = (),
 ) -> tuple[Array, Numbers]:
     """Graded Delaunay triangulation of an outline with no edge longer than `size`.
 
@@ -38,6 +43,7 @@ def triangulated(
         outline: of the layer. On a disc all points of the rim are on the circle.
         fixed: arc lengths of required points of the rim, besides the corners, (k,) [m].
         size: largest edge lengths (n,) [m] at the middles of triangles, (n, 2) [m].
+        inclusions: whose rims no triangle crosses.
 
     Returns:
         points: (n, 2), by rising x [m].
@@ -46,10 +52,11 @@ def triangulated(
     Raises ConfigurationError for more than half a million points, and where electrode ends and
     corners allow no triangulation.
     """
-    rim, inner = _Rim.of(outline, fixed), np.empty((0, 2))
+    rims, inner = [_Rim.of(outline, fixed)], np.empty((0, 2))
+    rims += [_Rim.of(each.meshed, each.marks, each.origin) for each in inclusions]
     for _ in range(_MOST_ROUNDS):
-        rim = rim.clear_of(inner)
-        points = np.concatenate([rim.positions, inner])
+        rims = _clear_of_all(rims, inner)
+        points = np.concatenate([*(rim.positions for rim in rims), inner])
         triangles = _inside(outline, points)
         corners = points[triangles]
         centres, radii = _circumcircles(corners)
@@ -57,17 +64,32 @@ def triangulated(
         largest = size(corners.mean(axis=1))
         _require_few(_PER_SIZE * float((_doubled_areas(corners) / largest**2).sum()))
         poor = radii > _WORST_RATIO * edges.min(axis=1)
-        poor &= ~rim.across_acute_corner(triangles, edges)
+        poor &= ~rims[0].across_acute_corner(triangles, edges)
         poor |= edges.max(axis=1) > largest * (1.0 + _SAME)
         if not poor.any():
             return numbered_along_x(points, triangles)
         chosen = np.flatnonzero(poor)[_far_apart(centres[poor], radii[poor])]
-        rim, accepted = rim.split_by(centres[chosen])
+        accepted = centres[chosen]
+        for number, rim in enumerate(rims):
+            rims[number], accepted = rim.split_by(accepted, beyond=number > 0)
         inner = np.concatenate([inner, accepted])
     raise ConfigurationError(
         f"no triangulation with angles of 28 degrees was found in {_MOST_ROUNDS} rounds; move "
         "electrode ends away from each other and from the outline's corners"
     )
+
+
+def _clear_of_all(rims: list["_Rim"], inner: Array) -> list["_Rim"]:
+    """Rims of which no chord has a point of the others, or an inner one, in its circle."""
+    while True:
+        positions = [rim.positions for rim in rims]
+        cleared = [
+            rim.clear_of(np.concatenate([*positions[:k], *positions[k + 1 :], inner]))
+            for k, rim in enumerate(rims)
+        ]
+        if all(len(a.arc) == len(b.arc) for a, b in zip(rims, cleared, strict=True)):
+            return cleared
+        rims = cleared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +100,16 @@ class _Rim:
         outline: of the layer.
         arc: lengths within one turn, (n,) [m].
         acute: whether each corner is below 60 degrees, seen from inside or outside, (c,).
+        origin: of the outline, (2,) [m].
     """
 
     outline: PlaneOutline
     arc: Array
     acute: Flags
+    origin: Array
 
     @classmethod
-    def of(cls, outline: PlaneOutline, fixed: Array) -> "_Rim":
+    def of(cls, outline: PlaneOutline, fixed: Array, origin: Array = _ORIGIN) -> "_Rim":
         whole = outline.perimeter
         marks = np.mod(fixed, whole)
         if isinstance(outline, Disc):
@@ -99,12 +123,12 @@ class _Rim:
             side /= np.linalg.norm(side, axis=1)[:, None]
             acute = -(side * np.roll(side, 1, axis=0)).sum(axis=1) > 0.5 + _SAME
         apart = np.diff(arc, append=arc[0] + whole) > _SAME * whole
-        return cls(outline, arc[apart], acute)
+        return cls(outline, arc[apart], acute, origin)
 
     @property
     def positions(self) -> Array:
         """Positions of the points, (n, 2) [m]."""
-        return self.outline.at(self.arc)
+        return self.outline.at(self.arc) + self.origin
 
     def clear_of(self, inner: Array) -> "_Rim":
         """Halve chords until none has a point within its diametral circle.
@@ -121,14 +145,17 @@ class _Rim:
             rim = rim._split(close)
             _require_few(len(rim.arc))
 
-    def split_by(self, centres: Array) -> tuple["_Rim", Array]:
-        """Split the chords that `centres` (k, 2) encroach upon; return the other centres too."""
+    def split_by(self, centres: Array, beyond: bool = False) -> tuple["_Rim", Array]:
+        """Split the chords that `centres` (k, 2) encroach upon; return the other centres too.
+
+        Those beyond the rim split the nearest chord, unless points `beyond` it are wanted.
+        """
         middle, radius = self._circles()
         struck = cKDTree(centres).query_ball_point(middle, radius)
         split = np.array([len(numbers) > 0 for numbers in struck])
         free = np.ones(len(centres), dtype=bool)
         free[[number for numbers in struck for number in numbers]] = False
-        lost = free & ~self.outline.contains(centres)
+        lost = free & (not beyond) & ~self.outline.contains(centres - self.origin)
         split[cKDTree(middle).query(centres[lost])[1]] = True
         return self._split(split), centres[free & ~lost]
 
@@ -164,7 +191,7 @@ class _Rim:
         at_start, at_end = np.isin(start, sharp), np.isin(np.mod(end, whole), sharp)
         middle = np.where(at_start, start + shell, np.where(at_end, end - shell, start + half))
         arc = np.sort(np.concatenate([self.arc, np.mod(middle, whole)]))
-        return _Rim(self.outline, arc, self.acute)
+        return replace(self, arc=arc)
 
 
 def _cut_evenly(marks: Array, whole: float) -> Array:

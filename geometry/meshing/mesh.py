@@ -36,6 +36,13 @@ class Mesh:
         cells: (m, 8) hexahedra, (m, 6) wedges or (m, 4) tetrahedra, point numbers in VTK's order.
         contacts: pieces of cell faces in contact with the electrodes.
         heights: z of the layers of points, rising [m]; None for tetrahedra.
+
+    Example:
+        >>> from eitskin.geometry import SensorDesign, structured_mesh
+        >>> from eitskin.geometry.meshing.grading import Grading
+        >>> mesh = structured_mesh(SensorDesign.reference(), Grading(2e-3, 1e-2, 1.0))
+        >>> mesh.points.shape[1], mesh.cells.shape[1]
+        (3, 8)
     """
 
     points: NDArray[np.float64]

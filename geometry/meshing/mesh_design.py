@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
 from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.inclusion import Inclusion, require_inside
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.patches import electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
@@ -24,7 +25,9 @@ Array = NDArray[np.float64]
 Lines = NDArray[np.float64]
 
 
-def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
+def triangulated_mesh(
+    design: SensorDesign, grading: Grading, inclusions: Sequence[Inclusion] = ()
+) -> Mesh:
     """Mesh a plane outline by triangular prisms whose faces fit the ends of electrodes on the side.
 
     Electrodes on top, at the bottom and inside are refined around their rims, not fitted.
@@ -33,8 +36,10 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     Args:
         design: the sensor; its outline must be plane.
         grading: longest edges of the triangles, and layers.
+        inclusions: at whose rims prisms have faces.
 
-    Raises ConfigurationError for a surface, and for more than half a million points in the plane.
+    Raises ConfigurationError for a surface, inclusions that do not lie inside, and for more than
+    half a million points in the plane.
     """
     outline = design.outline
     if isinstance(outline, Surface):
@@ -51,7 +56,8 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
         distance, _ = edges.query(points)
         return grading.size(distance)
 
-    plane, triangles = triangulated(outline, ends, size)
+    require_inside(inclusions, outline)
+    plane, triangles = triangulated(outline, ends, size, inclusions)
     heights = layer_heights(design, grading)
     count = len(heights)
     points = np.column_stack([np.repeat(plane, count, axis=0), np.tile(heights, len(plane))])
@@ -76,6 +82,13 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
         breaks: further x at which the mesh must have a face, as where F jumps [m].
 
     Raises ConfigurationError for another outline, and for too many points.
+
+    Example:
+        >>> from eitskin.geometry import SensorDesign, structured_mesh
+        >>> from eitskin.geometry.meshing.grading import Grading
+        >>> mesh = structured_mesh(SensorDesign.reference(), Grading(2e-3, 1e-2, 1.0))
+        >>> len(mesh.cells) > 100
+        True
     """
     if not isinstance(design.outline, Rectangle):
         raise ConfigurationError(
@@ -159,6 +172,7 @@ def mesh_design(
     grading: Grading,
     cells: CellKind | None = None,
     breaks: Sequence[float] = (),
+    inclusions: Sequence[Inclusion] = (),
 ) -> Mesh:
     """Mesh a design and check the quality of the cells.
 
@@ -167,6 +181,7 @@ def mesh_design(
         grading: cell sizes.
         cells: kind of cells; `natural_cells(design)` when omitted.
         breaks: further x at which hexahedra have faces [m]; other cells ignore them.
+        inclusions: at whose rims prisms have faces.
 
     Raises:
         ConfigurationError: where the cells cannot fill the outline, or some are misshapen.
@@ -177,10 +192,15 @@ def mesh_design(
         raise ConfigurationError(
             f"cells must be one of {', '.join(get_args(CellKind))}, got {cells!r}"
         )
+    if inclusions and cells != "prisms":
+        raise ConfigurationError(
+            f"only prisms have faces at the rims of inclusions, got cells={cells!r}; leave cells "
+            "out, and give bodies from surface files meshes of their own"
+        )
     if cells == "hexahedra":
         mesh = structured_mesh(design, grading, breaks)
     elif cells == "prisms":
-        mesh = triangulated_mesh(design, grading)
+        mesh = triangulated_mesh(design, grading, inclusions)
     else:
         from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 

@@ -34,6 +34,11 @@ class Counts:
         skipped: good frames left out because a newer one was waiting.
         dropped: packets, messages or lines that could not be used, by reason.
         reconnections: connections after the first.
+
+    Example:
+        >>> from eitskin.hardware import Counts
+        >>> Counts(frames=100, lost=2).lost
+        2
     """
 
     frames: int = 0
@@ -60,6 +65,12 @@ class Board(Closeable, ABC):
         uri: URI that the board was opened by.
         protocol: stimulation and measurement pattern of the frames.
         stage: scene and faults of a virtual board, a `Stage`; None for every other board.
+
+    Example:
+        >>> from eitskin.hardware import Board, open_board
+        >>> with open_board("virtual:?speed=max&resolution=coarse") as board:
+        ...     isinstance(board, Board)
+        True
     """
 
     uri: str
@@ -184,6 +195,12 @@ class Connection:
         board: source of the frames.
         problem: reason why no frames come; empty while frames come.
         tell: called with each new problem, and with its end.
+
+    Example:
+        >>> from eitskin.hardware import Connection, open_board
+        >>> with open_board("virtual:?speed=max&resolution=coarse") as board:
+        ...     next(iter(Connection(board).frames())).impedance.shape
+        (28,)
     """
 
     def __init__(self, board: Board, wait: Callable[[float], None] = time.sleep) -> None:

@@ -24,6 +24,10 @@ class ReplayBoard(Board):
 
     Attributes:
         info: settings of the recorded board; NaN where the recording has none.
+
+    Example:
+        >>> from eitskin.hardware import ReplayBoard
+        >>> board = ReplayBoard("monday")  # doctest: +SKIP
     """
 
     info: Info

@@ -56,6 +56,10 @@ class SerialBoard(PortBoard[Message]):
     Attributes:
         info: identity and settings; replaced when the board restarts.
         events: the last 20 lines of text from the firmware.
+
+    Example:
+        >>> from eitskin.hardware import open_board
+        >>> board = open_board("serial:/dev/ttyACM0")  # doctest: +SKIP
     """
 
     info: Info

@@ -199,6 +199,14 @@ class ReadingCheck:
         laws: outcome of every law that the protocol allows to check; empty where it allows none.
         magnitudes: whether the readings are magnitudes, whose laws are weaker: pairs have equal
             magnitudes, and the largest of a loop is at most the sum of the others.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Protocol
+        >>> from eitskin.hardware import check_readings
+        >>> rng = np.random.default_rng(0)
+        >>> check_readings(600.0 + rng.normal(0.0, 0.1, (16, 28)), Protocol.pairwise(8)).findings
+        ()
     """
 
     findings: tuple[Finding, ...]
@@ -223,6 +231,15 @@ def check_readings(
 
     Raises:
         DataError: for readings of another shape.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Protocol
+        >>> from eitskin.hardware import check_readings
+        >>> stuck = np.full((16, 28), 600.0) + np.random.default_rng(0).normal(0.0, 0.1, (16, 28))
+        >>> stuck[:, 4] = 600.0
+        >>> [finding.what for finding in check_readings(stuck, Protocol.pairwise(8)).findings]
+        [<FindingKind.STUCK: 'stuck'>]
     """
     values = np.array(impedance, np.complex128)
     if values.ndim != 2 or values.shape[1] != len(protocol) or not len(values):

@@ -55,7 +55,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SensorCheck:
-    """Findings of a sensor check; none for a healthy sensor."""
+    """Findings of a sensor check; none for a healthy sensor.
+
+    Example:
+        >>> from itertools import islice
+        >>> from eitskin.hardware import check_sensor, open_board
+        >>> with open_board("virtual:?speed=max&resolution=coarse") as board:
+        ...     frames = list(islice(board.frames(), 8))
+        >>> len(check_sensor(frames, abs(frames[0].impedance)).findings)
+        0
+    """
 
     findings: tuple[Finding, ...]
 
@@ -78,6 +87,17 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     Raises:
         FrameError: for no frames, or frames of several protocols.
         ConfigurationError: for expected values of another shape, or not finite and positive.
+
+    Example:
+        >>> from itertools import islice
+        >>> from eitskin.hardware import check_sensor, open_board
+        >>> faulty = "virtual:?speed=max&resolution=coarse&faults=open_electrode@0:3"
+        >>> with open_board(faulty) as board:
+        ...     frames = list(islice(board.frames(), 8))
+        >>> from eitskin import Scene, SensorDesign, Simulator
+        >>> expected = abs(Simulator(SensorDesign.reference(), "coarse").measure(Scene()).impedance)
+        >>> [(each.what, each.electrodes) for each in check_sensor(frames, expected).findings]
+        [(<FindingKind.OPEN: 'open'>, (3,))]
     """
     checked = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
     opened = checked.opened

@@ -96,6 +96,14 @@ class Info:
         amplitude: excitation amplitude [V]; NaN where unknown.
         rtia, rcal: gain and calibration resistors [ohm]; NaN where unknown.
         period: time from one frame to the next [s], to the microsecond.
+
+    Example:
+        >>> from eitskin import Protocol
+        >>> from eitskin.hardware import Info
+        >>> protocol = Protocol.pairwise(8)
+        >>> info = Info.of(protocol, firmware="mine", boot_count=0, frequency=40e3, period=0.3)
+        >>> info.n_measurements
+        28
     """
 
     firmware: str

@@ -28,7 +28,14 @@ SceneSource = Callable[[int], Scene]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Scene that lasts for a number of frames; the flat, untouched sensor when omitted."""
+    """Scene that lasts for a number of frames; the flat, untouched sensor when omitted.
+
+    Example:
+        >>> from eitskin import Bend, Scene
+        >>> from eitskin.hardware import Step
+        >>> Step(Scene(bend=Bend(20.0)), frames=8).frames
+        8
+    """
 
     scene: Scene = field(default_factory=Scene)
     frames: int = 1
@@ -45,6 +52,12 @@ class Script:
     Attributes:
         steps: steps in the order in which they are played.
         repeat: begin again after the last step; else the last one stays.
+
+    Example:
+        >>> from eitskin import Bend, Scene
+        >>> from eitskin.hardware import Script, Step
+        >>> len(Script((Step(Scene(), 8), Step(Scene(bend=Bend(20.0)), 8))).steps)
+        2
     """
 
     steps: tuple[Step, ...]
@@ -175,6 +188,12 @@ class Stage:
         frames: number of frames measured since the board was made.
         requests: number of requests answered since then.
         changed: called after every change of the faults.
+
+    Example:
+        >>> from eitskin import Bend, Scene
+        >>> from eitskin.hardware import open_virtual
+        >>> with open_virtual(speed="max", resolution="coarse") as board:
+        ...     board.stage.set(Scene(bend=Bend(20.0)))
     """
 
     def __init__(

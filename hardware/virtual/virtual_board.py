@@ -114,6 +114,10 @@ def virtual_terminal(
         options: as for `virtual_firmware`.
 
     Raises ConfigurationError for an option out of range.
+
+    Example:
+        >>> from eitskin.hardware import virtual_terminal
+        >>> terminal = virtual_terminal(resolution="coarse")  # doctest: +SKIP
     """
     terminal = PseudoTerminal(_virtual_line(speed, options), link)
     terminal.firmware.stage.changed = terminal.wake
@@ -125,6 +129,12 @@ class VirtualBoard(SerialBoard):
 
     Attributes:
         stage: scene and faults, which may be changed while the board runs.
+
+    Example:
+        >>> from eitskin.hardware import open_virtual
+        >>> with open_virtual(speed="max", resolution="coarse") as board:
+        ...     next(iter(board.frames())).impedance.shape
+        (28,)
     """
 
     stage: Stage
@@ -163,6 +173,12 @@ def open_virtual(
 
     It has no terminal unless a link to one is asked for. At speed "max" each frame is then measured
     when it is read, and the same requests give the same frames on any machine.
+
+    Example:
+        >>> from eitskin.hardware import open_virtual
+        >>> with open_virtual(speed="max", resolution="coarse", seed=1) as board:
+        ...     next(iter(board.frames())).number
+        0
     """
     if link is not None:
         return VirtualBoard(virtual_terminal(speed=speed, link=link, **options), uri)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.simulator.mechanics.box_fields import shape_functions
 from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
@@ -68,7 +69,7 @@ class ContactFrame:
     stretches: Array
 
     @classmethod
-    def at(cls, bent: BentState, x: float, y: float, stack: Stack) -> "ContactFrame":
+    def at(cls, bent: BentState | Deformation, x: float, y: float, stack: Stack) -> "ContactFrame":
         """Frame of the top of a bent stack under (x, y) [m]."""
         top = stack.levels[-1] - stack.levels[stack.gel]
         beside = _BESIDE * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
-from eitskin.geometry.design.sensor import Rigid, SensorDesign, Substrate
+from eitskin.geometry.design.sensor import Plates, Rigid, SensorDesign, Substrate
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation import indentation_tables as tables
 from eitskin.simulator.deformation import pair_tables
@@ -70,14 +70,24 @@ class PressCorrection(NamedTuple):
 def is_tabulable(design: SensorDesign) -> bool:
     """Whether corrections on a design can be tabulated: on plane outlines on an even base.
 
-    Both extents of an outline must be some times the thickness of its stack.
+    Both extents of an outline must be some times the thickness of its stack. So are those of
+    rectangles on plates.
     """
     outline, thickness = design.outline, design.encapsulated_thickness
+    if isinstance(design.support, Plates):
+        return isinstance(outline, Rectangle) and is_tabulable(on_even_base(design))
     if isinstance(outline, Surface) or not isinstance(design.support, Rigid | Substrate):
         return False
     if isinstance(outline, Disc):
         return outline.radius >= _SMALLEST * thickness
     return has_strip(design) or min(outline.length, outline.width) >= _NARROWEST * thickness
+
+
+def on_even_base(design: SensorDesign) -> SensorDesign:
+    """Design on a rigid base in place of plates, whose part is added to its corrections."""
+    if isinstance(design.support, Plates):
+        return dataclasses.replace(design, support=Rigid())
+    return design
 
 
 def has_strip(design: SensorDesign) -> bool:
@@ -169,11 +179,12 @@ def correction_problems(
 ) -> tuple[Problem, ...]:
     """Tables that a design needs, those of several touches among them if wanted.
 
-    There are none for a design that is not `is_tabulable`; each takes minutes to solve.
+    There are none for a design that is not `is_tabulable`; each takes minutes to solve. On plates
+    they are those of a rigid base.
     """
     if not is_tabulable(design):
         return ()
-    sensor = TabledSensor(design, mechanics, indenter)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter)
     base, weights = sensor.stacks(grid)
     found = [*sensor.singles(base), *(sensor.varied(stack) for stack in weights)]
     return (*found, *(sensor.pairs(base) if pairs else ()))
@@ -184,7 +195,7 @@ def corrections(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> "Corrections":
     """Corrections on a design that `is_tabulable`; those not stored take minutes to solve."""
-    sensor = TabledSensor(design, mechanics, indenter)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter)
     base, weights = sensor.stacks(grid)
     return Corrections(
         design,

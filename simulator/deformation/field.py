@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import ModuleType
 from typing import NamedTuple, Protocol, TypeAlias
@@ -186,6 +186,16 @@ class Field:
                 "ai,bj,cl,ijlk->abck", along, across, heights, self.coefficients, optimize=True
             )
         )
+
+    def turned(self, rotation: Array) -> "Field":
+        """The field whose displacements (3,) are turned by a rotation (3, 3) at their places."""
+        if self.frame is not None:
+            c, s = self.frame.cos, self.frame.sin
+            Q = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            rotation = Q.T @ rotation @ Q
+        coefficients = self.coefficients.copy()
+        coefficients[..., :3] = coefficients[..., :3] @ rotation.T
+        return replace(self, coefficients=coefficients)
 
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""

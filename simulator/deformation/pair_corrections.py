@@ -13,6 +13,7 @@ from eitskin.simulator.deformation.corrections import (
     PressCorrection,
     TabledSensor,
     load_table,
+    on_even_base,
     sums_on,
 )
 from eitskin.simulator.deformation.field import Field, Frame
@@ -46,7 +47,7 @@ def pair_corrections(
 
     The part of the sides is of long rectangles.
     """
-    sensor = TabledSensor(design, mechanics, indenter)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter)
     wide, *sides = map(load_table, sensor.pairs(sensor.stacks(grid)[0]))
     return PairCorrections(design, wide, sides[0] if sides else None, mechanics.gel.shear_modulus)
 

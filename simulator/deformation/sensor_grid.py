@@ -39,6 +39,15 @@ class SensorGrid:
         thickness: of the gel, for presses and bends [m].
         ratio: shear modulus of the encapsulation over the gel's, for bends.
         span, offset: of the clamp [m].
+
+    Example:
+        >>> from eitskin import SensorDesign, Simulator
+        >>> from eitskin.geometry import Clamp
+        >>> from eitskin.simulator import SensorGrid
+        >>> grid, clamp = SensorGrid(span=0.040, offset=0.008), Clamp(span=0.041)
+        >>> sim = Simulator(SensorDesign.reference(), "coarse", fixture=clamp, grid=grid)
+        >>> sim.protocol.n_electrodes
+        8
     """
 
     thickness: float | None = None

@@ -87,7 +87,7 @@ def _rounded(value: object) -> object:
         return [_rounded(each) for each in value]
     if isinstance(value, dict):
         return {key: _rounded(each) for key, each in value.items()}
-    return value if isinstance(value, int | str) else f"{value:.9g}"
+    return value if value is None or isinstance(value, int | str) else f"{value:.9g}"
 
 
 def cache_folder() -> Path:

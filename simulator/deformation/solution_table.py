@@ -213,6 +213,11 @@ def _from_zero(nodes: Array, at: Array) -> Array:
     return _lagrange(nodes, np.append(0.0, nodes), at)[None]
 
 
+def _polynomial(nodes: Array, at: Array) -> Array:
+    """Polynomial through the solved values."""
+    return _lagrange(nodes, nodes, at)[None]
+
+
 def _bilinear(nodes: Array, at: Array) -> Array:
     """For the product of two depths, by solved equal ones.
 
@@ -259,6 +264,7 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
     "vanishing": _vanishing,
     "logarithmic": _vanishing_logarithmic,
     "from-zero": _from_zero,
+    "polynomial": _polynomial,
     "bilinear": _bilinear,
     "mirrored": _mirrored,
     "direction": _direction,

@@ -1,9 +1,10 @@
 """Touches of a scene: their dents, depth, contact and pressure."""
 
+import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,28 +14,27 @@ from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.deformation.contact import BentState, ContactFrame
 from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
     has_strip,
-    is_tabulable,
     sums_on,
 )
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
+from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import solved_presses
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
-from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
 
 Array = NDArray[np.float64]
-TouchModel = Literal["tabulated", "solved"]
+Indices = NDArray[np.int64]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/results/world.md) [m].
@@ -44,9 +44,9 @@ _MAX_RELATIVE_DEPTH = 0.55
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
 # leave more than 7 %.
 _MIN_CORNER_DISTANCE = 2.0
-# Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon
-# and on a bent sensor.
-_FLAT, _POLYGON, _BENT = 0.04, 0.07, 0.05
+# Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
+# plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
+_FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -57,36 +57,28 @@ _MOST_SEARCHED, _TOLERANCE, _SHALLOW = 10, 1e-3, 0.1
 _LARGEST_STEP, _LEAST_SUNK = math.log(4.0), -0.9
 
 
-class PressedSensor(NamedTuple):
-    """Sensor that is touched.
-
-    Attributes:
-        design: of the sensor, with its support.
-        mechanics: materials.
-        model: way to the corrections of dents; None chooses.
-        grid: nominal values about which tables are solved.
-    """
-
-    design: SensorDesign
-    mechanics: Mechanics
-    model: TouchModel | None = None
-    grid: SensorGrid = OWN_GRID
-
-
-def dents(scenes: Sequence[tuple[Touch, ...]], sensor: PressedSensor) -> list[Dents]:
+def dents(
+    scenes: Sequence[tuple[Touch, ...]], sensor: PressedSensor
+) -> Sequence[Dents | BentPresses]:
     """Deformations of the gel by the touches of each scene, which do not depend on other scenes.
 
-    Raises ConfigurationError for presses beyond the range of the model.
+    Those of a sensor that plates have bent include its bend. Raises ConfigurationError for presses
+    beyond the range of the model.
     """
     dented = [_solve_dents(touches, sensor) for touches in scenes]
     summed = iter(_tabulated([each for each in dented if each.solved is None], sensor))
-    return [
-        Dents(
-            tuple(PlacedDent(t.x, t.y, dent) for t, dent, _ in one.acting),
-            next(summed) if one.solved is None else one.solved,
-        )
-        for one in dented
-    ]
+    corrected = [(one, next(summed) if one.solved is None else one.solved) for one in dented]
+    if (bend := sensor.bend) is None:
+        return [
+            Dents(tuple(PlacedDent(t.x, t.y, dent) for t, dent, _ in one.acting), fields)
+            for one, fields in corrected
+        ]
+    bent = []
+    for one, fields in corrected:
+        shape = bend if one.solved is None else sensor.state or bend
+        placed = ((sensor.frame(shape, t.x, t.y), dent) for t, dent, _ in one.acting)
+        bent.append(BentPresses(bend, tuple(placed), Dents((), fields)))
+    return bent
 
 
 def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
@@ -99,20 +91,6 @@ def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
     table = table.stretched(design.thickness / float(table.thickness))
     most = table.largest_force
     return Dents(tuple(PlacedDent(t.x, t.y, table.at_force(min(t.force, most))) for t in touches))
-
-
-def bent_dents(
-    touches: tuple[Touch, ...], sensor: PressedSensor, bend: Deformation, bent: BentState
-) -> BentPresses:
-    """Deformation of the gel by touches on a sensor in the state `bent`, its bend included.
-
-    Raises ConfigurationError for presses beyond the range of the model.
-    """
-    dented = _solve_dents(touches, sensor, bent)
-    stack = sensor.mechanics.stack(sensor.design)
-    placed = [(ContactFrame.at(bent, t.x, t.y, stack), dent) for t, dent, _ in dented.acting]
-    fields = next(_tabulated([dented], sensor)) if dented.solved is None else dented.solved
-    return BentPresses(bend, tuple(placed), Dents((), fields))
 
 
 class _DentedScene(NamedTuple):
@@ -136,15 +114,9 @@ class _DentedScene(NamedTuple):
 
 
 def _solve_dents(
-    touches: tuple[Touch, ...],
-    sensor: PressedSensor,
-    bent: BentState | None = None,
-    with_depths: bool = False,
+    touches: tuple[Touch, ...], sensor: PressedSensor, with_depths: bool = False
 ) -> _DentedScene:
-    """Dents of touches, and how deep indenters sink; corrections where they have no tables.
-
-    No table is of a bent stack.
-    """
+    """Dents of touches, and how deep indenters sink; corrections where they have no tables."""
     search = DepthSearch(touches, sensor.design)
     for _ in range(_MOST_SEARCHED):
         dented = [
@@ -158,7 +130,7 @@ def _solve_dents(
             presses = tuple(
                 Touch(t.x, t.y, indenter=t.indenter, depth=dent.depth) for t, dent, _ in acting
             )
-            solved = solved_presses(sensor.design, sensor.mechanics, presses, bent)
+            solved = solved_presses(sensor.design, sensor.mechanics, presses, sensor.state)
             one = one._replace(solved=(solved,))
             one.sunk[here] = solved.sunk
         elif acting and (with_depths or search.is_needed):
@@ -179,59 +151,102 @@ def _tabulated(
     pressed = [one for one in scenes if one.acting]
     if not pressed:
         return iter([()] * len(scenes))
-    design, mechanics, _, grid = sensor
-    table = corrections(design, mechanics, pressed[0].acting[0][0].indenter, grid)
-    components = 4 if mechanics.piezoresistivity.pressure else 3
-    sums = sums_on(design, len(scenes), components) if table.strip else None
-    fields, _ = _evaluate(scenes, sensor, sums)
-    summed = sums.fields(design.thickness, table.scales) if sums else [None] * len(scenes)
+    if sensor.bend is not None:
+        return iter([_turned_sum(one, sensor, sensor.bend) for one in scenes])
+    sums, scales = _sums_for(pressed[0], len(scenes), sensor)
+    fields: list[list[ColumnField]] = [[] for _ in scenes]
+    for owner, _, field in _evaluate(scenes, sensor, sums)[0]:
+        fields[owner].append(field)
+    summed = sums.fields(sensor.design.thickness, scales) if sums else [None] * len(scenes)
     return (
         (*own, *([total] if total is not None and one.acting else []))
         for one, own, total in zip(scenes, fields, summed, strict=True)
     )
 
 
+def _sums_for(
+    one: _DentedScene, slots: int, sensor: PressedSensor
+) -> tuple[NodeSums | None, Array]:
+    """Sums of fields of slots where there are such, and factors of their components."""
+    design, mechanics, _, grid, plates = sensor
+    table = corrections(design, mechanics, one.acting[0][0].indenter, grid)
+    components = 4 if mechanics.piezoresistivity.pressure else 3
+    wanted = table.strip or plates is not None
+    return sums_on(design, slots, components) if wanted else None, table.scales
+
+
+def _turned_sum(
+    one: _DentedScene, sensor: PressedSensor, bend: Deformation
+) -> tuple[ColumnField, ...]:
+    """Corrections of a scene on bent plates: those of a rigid base turned to the bent gel.
+
+    Each press and each pair is turned by itself, at its middle; what plates change is not turned.
+    """
+    places = np.array([(t.x, t.y) for t, *_ in one.acting])
+    if not len(places):
+        return ()
+    pairs = np.array([(a + b) / 2.0 for a, b in combinations(places, 2)]).reshape(-1, 2)
+    turns = [sensor.frame(bend, x, y).rotation for x, y in np.concatenate([places, pairs]).tolist()]
+    sums, scales = _sums_for(one, len(turns) + 1, sensor)
+    others = _evaluate([one], sensor, sums, apart=True)[0]
+    fields: list[ColumnField] = [field.turned(turns[slot]) for _, slot, field in others]
+    summed = sums.fields(sensor.design.thickness, scales) if sums else []
+    parts = [field.turned(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
+    total = np.sum([part.coefficients for part in parts], axis=0)
+    return (*fields, dataclasses.replace(parts[0], coefficients=total))
+
+
 def _evaluate(
-    scenes: list[_DentedScene], sensor: PressedSensor, sums: NodeSums | None
-) -> tuple[list[list[ColumnField]], Array]:
-    """Fields of each scene that are not in the sums, and by what acting presses sink deeper [m]."""
-    design, mechanics, _, grid = sensor
+    scenes: list[_DentedScene], sensor: PressedSensor, sums: NodeSums | None, apart: bool = False
+) -> tuple[list[tuple[int, int, Field]], Array]:
+    """Fields that are not in the sums, and by what acting presses sink deeper [m].
+
+    Each field comes with the numbers of its scene and of its slot in the sums. There each scene has
+    a slot. Presses and pairs `apart` have one each, the presses first, and a last one of what
+    plates change.
+    """
+    design, mechanics, _, grid, plates = sensor
     presses = [(k, t, dent) for k, one in enumerate(scenes) for t, dent, _ in one.acting]
-    owners = np.array([k for k, *_ in presses])
+    count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
-    fields: list[list[ColumnField]] = [[] for _ in scenes]
-    extra = np.zeros(len(presses))
+    both = [(a, b) for a, b in combinations(range(count), 2) if owners[a] == owners[b]]
+    slots = np.arange(count + len(both) + 1) if apart else owners
+    fields: list[tuple[int, int, Field]] = []
+    extra = np.zeros(count)
     # In an order that does not depend on other scenes.
     for indenter in sorted({t.indenter for _, t, _ in presses}, key=repr):
         here = np.flatnonzero([t.indenter == indenter for _, t, _ in presses])
         table = corrections(design, mechanics, indenter, grid)
-        found, extra[here] = table.evaluate(places[here], owners[here], sums)
-        for owner, each in zip(owners[here].tolist(), found, strict=True):
-            fields[owner] += each
+        found, extra[here] = table.evaluate(places[here], slots[here], sums)
+        for n, each in zip(here.tolist(), found, strict=True):
+            fields += [(int(owners[n]), int(slots[n]), field) for field in each]
+        if plates is not None:
+            last = np.full(len(here), count + len(both)) if apart else owners[here]
+            extra[here] += plates.evaluate(indenter, places[here], last, sums)
     # Between different indenters the change is that by those of the smaller one's kind.
-    pairs: dict[AnyIndenter, list[tuple[int, int]]] = {}
-    for first, second in combinations(range(len(presses)), 2):
-        if owners[first] == owners[second]:
-            both = (presses[n][1].indenter for n in (first, second))
-            pairs.setdefault(min(both, key=lambda i: i.rims[1]), []).append((first, second))
+    pairs: dict[AnyIndenter, list[tuple[int, int, int]]] = {}
+    for number, (first, second) in enumerate(both):
+        kinds = (presses[n][1].indenter for n in (first, second))
+        slot = count + number if apart else int(owners[first])
+        pairs.setdefault(min(kinds, key=lambda i: i.rims[1]), []).append((first, second, slot))
     for indenter, some in sorted(pairs.items(), key=lambda each: repr(each[0])):
-        first, second = np.array(some).T
+        one, other, slot_of = np.array(some).T
         changes = pair_corrections(design, mechanics, indenter, grid)
-        felt, deeper = changes.evaluate(places[first], places[second], owners[first], sums)
-        for end in (first, second):
+        felt, deeper = changes.evaluate(places[one], places[other], slot_of, sums)
+        for end in (one, other):
             np.add.at(extra, end, deeper)
-        for owner, change in zip(owners[first].tolist(), felt, strict=True):
-            fields[owner] += [] if change is None else [change]
+        owned = zip(owners[one].tolist(), slot_of.tolist(), felt, strict=True)
+        fields += [(owner, slot, change) for owner, slot, change in owned if change is not None]
     return fields, extra
 
 
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
     """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated."""
-    if touches and sensor.model == "tabulated" and not is_tabulable(sensor.design):
+    if touches and sensor.model == "tabulated" and not sensor.is_tabulable:
         outline = type(sensor.design.outline).__name__.lower()
         raise ConfigurationError(
             "presses are tabulated on plane outlines of at least twice the thickness of their "
-            f"stack, on the support 'rigid' or a substrate, got a {outline} on "
+            f"stack, on the support 'rigid', 'plates' or a substrate, got a {outline} on "
             f"{sensor.design.support}; leave the touch model out, or let it be 'solved'"
         )
 
@@ -241,40 +256,61 @@ def resolve_touch_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> To
     if sensor.model is not None:
         return sensor.model
     pairs = len(touches) > 1
-    shipped = [
-        corrections_ship(sensor, indenter, pairs) for indenter in {t.indenter for t in touches}
-    ]
-    return "tabulated" if all(shipped) else "solved"
+    shipped = [_corrections_ship(sensor, each, pairs) for each in {t.indenter for t in touches}]
+    return "tabulated" if all(shipped) and _plates_reach(touches, sensor) else "solved"
 
 
-def corrections_ship(sensor: PressedSensor, indenter: AnyIndenter, pairs: bool) -> bool:
+def _corrections_ship(sensor: PressedSensor, indenter: AnyIndenter, pairs: bool) -> bool:
     """Whether all tables of corrections come with the package, those of pairs if wanted."""
-    design, mechanics, _, grid = sensor
-    problems = correction_problems(design, mechanics, indenter, grid, pairs)
-    return bool(problems) and all(problem.is_shipped for problem in problems)
+    design, mechanics, _, grid, plates = sensor
+    if not sensor.is_tabulable:
+        return False
+    problems = list(correction_problems(design, mechanics, indenter, grid, pairs))
+    problems += [] if plates is None else [plates.problem(indenter)]
+    return all(problem.is_shipped for problem in problems)
+
+
+def _plates_reach(touches: tuple[Touch, ...], sensor: PressedSensor) -> bool:
+    """Whether touches are within the tables of their plates, where there are such.
+
+    Dents are at most as deep as their touches.
+    """
+    if sensor.plates is None:
+        return True
+    dented = [t if t.depth else _dent(t, 0.0, sensor)[0] for t in touches]
+    depths = [0.0 if each is None else each.depth or 0.0 for each in dented]
+    return all(
+        map(sensor.plates.reaches, [t.indenter for t in touches], [t.x for t in touches], depths)
+    )
 
 
 def pressed_touches(
     touches: tuple[Touch, ...],
     sensor: PressedSensor,
-    bent: BentState | None = None,
     bent_after: bool = False,
+    compared: bool = False,
 ) -> tuple[PressedTouch, ...]:
-    """Depth, contact and pressure of each touch, on a flat sensor or one in the state `bent`.
+    """Depth, contact and pressure of each touch, on a flat sensor or one bent by its plates.
 
-    `bent_after` says that the pressed sensor is bent, rolled or twisted afterwards.
+    `bent_after` says that the pressed sensor is bent, rolled or twisted afterwards, and `compared`
+    that this is like cases that were compared with presses of the bent sensor.
     """
     design, outline = sensor.design, sensor.design.outline
     flat = _FLAT if has_strip(design) else _POLYGON
-    error = None if bent_after else flat if bent is None else _BENT
+    gap = design.support.gap(outline) if isinstance(design.support, Plates) else (0.0, 0.0)
     found = []
-    dented = _solve_dents(touches, sensor, bent, with_depths=True)
+    dented = _solve_dents(touches, sensor, with_depths=True)
     for (touch, dent, force), sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
         edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
         neighbour = neighbour_distance(touch, touches)
         depth = dent.depth + sunk if dent is not None else 0.0
         cautions = _cautions(touch, edge, neighbour, depth, design)
-        cautions += [_NOT_VALIDATED_AFTER_BEND] * bent_after
+        error = flat
+        if bent_after:
+            error = _BENT_AFTER
+        elif isinstance(design.support, Plates):
+            error = _OVER_GAP if gap[0] < touch.x < gap[1] else _ON_PLATES
+        cautions += [_NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
         pressed = PressedTouch(
             touch=touch,
             force=force,

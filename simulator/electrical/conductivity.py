@@ -1,5 +1,6 @@
 """Conductivities as they are given, as checked entries of tensors."""
 
+import warnings
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -9,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS
+
+_MAX_JUMP = 1.5  # of a conductivity within a cell
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -50,6 +53,22 @@ def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) 
             f"{entries[..., :3].min():g} to {entries[..., :3].max():g}"
         )
     return entries
+
+
+def warn_of_edges(entries: Numbers) -> None:
+    """Warn where scalars (cells, q, 1) jump within cells, which no element can follow."""
+    if entries.shape[1] == 1 or entries.shape[2] > 1:
+        return
+    sizes = np.abs(entries[..., 0])
+    jumps = sizes.max(axis=1) / sizes.min(axis=1)
+    cells = int((jumps > _MAX_JUMP).sum())
+    if cells:
+        warnings.warn(
+            f"the conductivity changes by up to a factor of {jumps.max():.3g} in {cells} cells, "
+            "so that changes of the measurements may be off by 5 % (a factor of 2) to 25 % (100); "
+            "give its edges as ForwardModel(..., inclusions=[Inclusion(...)])",
+            stacklevel=4,
+        )
 
 
 def _numbers(given: ArrayLike) -> Numbers:

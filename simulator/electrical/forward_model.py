@@ -11,6 +11,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.files import shortened
 from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
 from eitskin.geometry.design.electrode import require_contact_impedance
+from eitskin.geometry.design.inclusion import Inclusion
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_body import MeshBody
@@ -23,7 +24,12 @@ from eitskin.simulator.electrical.cem_system import (
     impedance_matrix,
     zero_sums,
 )
-from eitskin.simulator.electrical.conductivity import Conductivity, Field, conductivity_entries
+from eitskin.simulator.electrical.conductivity import (
+    Conductivity,
+    Field,
+    conductivity_entries,
+    warn_of_edges,
+)
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
@@ -58,6 +64,9 @@ class Fields(NamedTuple):
     current_densities: Numbers
 
 
+ISOTROPIC = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # entries of the identity
+
+
 class ForwardModel:
     """Complete electrode model of one design on one mesh.
 
@@ -72,6 +81,13 @@ class ForwardModel:
         pattern: of the linear system, shared by all scenes.
         solver: of the linear system; `solver.name` names its order of elimination.
         factorisations: number of matrices factorised so far.
+
+    Example:
+        >>> from eitskin import Protocol, SensorDesign
+        >>> from eitskin.simulator import ForwardModel
+        >>> model = ForwardModel(SensorDesign.reference(), "coarse")
+        >>> Protocol.adjacent(8).measure(model.impedance()).shape
+        (40,)
     """
 
     def __init__(
@@ -81,6 +97,7 @@ class ForwardModel:
         breaks: Sequence[float] = (),
         cells: CellKind | None = None,
         solver: str | None = None,
+        inclusions: Sequence[Inclusion] = (),
     ) -> None:
         """Mesh the design.
 
@@ -92,14 +109,19 @@ class ForwardModel:
                 for other plane outlines and tetrahedra for surfaces.
             solver: order of elimination, "block Cholesky" or "nested dissection"; by the shape of
                 the body when omitted.
+            inclusions: parts of another conductivity, at whose rims a mesh of prisms has faces. A
+                later one lies over an earlier one.
 
         Raises:
-            ConfigurationError: for an unknown resolution, cells that do not suit the outline, or
-                an unknown solver.
+            ConfigurationError: for an unknown resolution, cells that do not suit the outline, an
+                unknown solver, or inclusions that do not lie inside.
         """
-        cells = cells or suited_cells(resolution, design, breaks)
+        cells = cells or ("prisms" if inclusions else suited_cells(resolution, design, breaks))
         order, grading = discretisation(resolution, design, cells)
-        self._begin(design, mesh_design(design, grading, cells, breaks), order, solver)
+        mesh = mesh_design(design, grading, cells, breaks, inclusions)
+        self._begin(design, mesh, order, solver)
+        middles = mesh.points[mesh.cells].mean(axis=1)
+        self._inclusions += [(each.contains(middles), each.conductivity) for each in inclusions]
 
     @classmethod
     def from_mesh(
@@ -149,6 +171,7 @@ class ForwardModel:
         self.design: Any = design
         self.mesh: Mesh = mesh
         self.factorisations = 0
+        self._inclusions: list[tuple[NDArray[np.bool_], complex]] = []
         self.assembly = Assembly(self.mesh, order)
         self.pattern = SystemPattern(self.assembly)
         positions = self.pattern.rows, self.pattern.columns
@@ -187,9 +210,9 @@ class ForwardModel:
         columns of Z sum to zero. Z is complex where the conductivity or a contact impedance is.
 
         Args:
-            conductivity: [S/m] a scalar, (cells,), (cells, 3, 3), or f(x) with x (..., 3) [m]
-                giving (...) or (..., 3, 3); the design's own when omitted. Complex for an
-                admittivity sigma + j omega epsilon, whose real part is positive.
+            conductivity: outside inclusions [S/m], a scalar, (cells,), (cells, 3, 3), or f(x) with
+                x (..., 3) [m] giving (...) or (..., 3, 3); the design's own when omitted. Complex
+                for an admittivity sigma + j omega epsilon, whose real part is positive.
             area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
                 the electrodes, (...); one when omitted.
             contact_impedance: of the electrodes, (electrodes,), or of all of them [ohm m2]; the
@@ -327,7 +350,7 @@ class ForwardModel:
         weights = assembly.cell_weights
         sigma = self._conductivity(conductivity)
         if sigma.shape[-1] == 1:
-            sigma = sigma * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+            sigma = sigma * ISOTROPIC
         flux = -(sigma[..., WHOLE_TENSOR] @ assembly.cell_gradients(u))
         mean = np.einsum("cq,cqae->cae", weights, flux) / weights.sum(axis=1)[:, None, None]
         elements = np.arange(len(cells)) // assembly.space.element.cells
@@ -425,4 +448,11 @@ class ForwardModel:
     def _conductivity(self, conductivity: Conductivity | None) -> Numbers:
         """Conductivity, the design's own where None, as `conductivity_entries` gives it."""
         own = self._own_conductivity if conductivity is None else conductivity
-        return conductivity_entries(own, self.assembly.points, len(self.mesh.cells))
+        entries = conductivity_entries(own, self.assembly.points, len(self.mesh.cells))
+        if conductivity is not None:
+            warn_of_edges(entries)
+        for inside, value in self._inclusions:
+            kind = np.result_type(entries, value)
+            entries = np.array(np.broadcast_to(entries, (len(inside), *entries.shape[1:])), kind)
+            entries[inside] = value * ISOTROPIC[: entries.shape[-1]]
+        return entries

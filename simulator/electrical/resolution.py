@@ -20,8 +20,9 @@ class _Named(NamedTuple):
     """Sizes of a named resolution, relative to lengths of the design.
 
     Attributes:
-        order: in the plane for the constant, linear, quadratic ... part along the height. Presses
-            shear the layer, which couples the parts, so that all parts need nearly the same order.
+        order: in the plane for the constant, linear, quadratic ... part along the height. A shear
+            of the whole layer couples the parts, so that all need nearly the same order; presses
+            and bends hardly do.
         finest: finest cell, relative to the smallest electrode.
         coarsest: coarsest cell, relative to the body's shorter side.
         growth: of the cells from the electrode edges.
@@ -42,6 +43,8 @@ _COLUMNS = {
     "standard": _Named((4, 4, 3, 2), 0.04, 0.11, 3.0, 0.68),
     "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
+# Electrodes on top of a rectangle, where currents turn within the layer.
+_PADS = _COLUMNS | {"fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
     "coarse": _Named((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
@@ -90,8 +93,7 @@ def suited_cells(
     `breaks`, further faces across x, have hexahedra.
     """
     kind = natural_cells(design)
-    on_sides = all(electrode.on == "side" for electrode in design.electrodes)
-    if kind != "hexahedra" or not isinstance(resolution, str) or breaks or not on_sides:
+    if kind != "hexahedra" or not isinstance(resolution, str) or breaks or not _on_sides(design):
         return kind
     extents = design.outline.length, design.outline.width
     along, across = (
@@ -99,6 +101,10 @@ def suited_cells(
         for lines, extent in zip(electrode_lines(design), extents, strict=True)
     )
     return "prisms" if along * across > _MOST_CROSSINGS.get(resolution, 0) else kind
+
+
+def _on_sides(design: SensorDesign) -> bool:
+    return all(electrode.on == "side" for electrode in design.electrodes)
 
 
 def discretisation(
@@ -126,6 +132,8 @@ def discretisation(
             f"resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
         )
     named = _NAMED[cells][resolution]
+    if cells == "hexahedra" and not _on_sides(design):
+        named = _PADS[resolution]
     extents = [e.width for e in design.electrodes]
     extents += [e.height for e in design.electrodes if e.height is not None]
     largest = named.coarsest * min(design.outline.length, design.outline.width)

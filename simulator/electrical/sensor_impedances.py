@@ -42,6 +42,7 @@ from eitskin.simulator.scene.scene import Scene, Touch
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 
+_AT_ONCE = 16  # scenes whose layers are made together
 _BASE: Tolerance = 1e-5  # of the change from the nominal sensor to one that others begin with
 
 
@@ -130,7 +131,7 @@ class SensorImpedances:
         resolution: Resolution | Discretisation,
         breaks: tuple[float, ...],
         nominal: SensorDesign | None,
-        layer_of: Callable[[Scene], DeformedLayer],
+        layers_of: Callable[[Sequence[Scene]], Sequence[DeformedLayer]],
     ) -> None:
         """Choose the meshes; those of the nominal sensor are taken where they suit.
 
@@ -138,10 +139,10 @@ class SensorImpedances:
             design: the sensor.
             resolution, breaks: as of `ForwardModel`.
             nominal: sensor whose meshes to take, if they suit.
-            layer_of: deformed layer of a scene.
+            layers_of: deformed layers of scenes.
         """
         self._design, self._resolution, self._breaks = design, resolution, breaks
-        self._layer_of = layer_of
+        self._layers_of = layers_of
         self._shift = None if nominal is None or breaks else _shift(nominal, design)
         self._shared = (
             self.own
@@ -170,7 +171,9 @@ class SensorImpedances:
             if model is not family.base:
                 for each in (model, family.base):
                     wanted.setdefault(each, {})[untouched(scene)] = None
-        solved = {model: self._solved(model, asked, tolerance) for model, asked in wanted.items()}
+        solved = {
+            model: self._solved(model, list(asked), tolerance) for model, asked in wanted.items()
+        }
         found = {}
         for scene, model in suited.items():
             found[scene] = solved[model][scene]
@@ -200,7 +203,7 @@ class SensorImpedances:
                     f"nominal one; got {z}"
                 )
             solver = self._shared.solver(model)
-            layers = [self._layer(scene) for scene in some]
+            layers = self._layers(some)
             fields = self._fields(layers, model)
             solutions = solver.solve(fields, z, base, tolerance, potentials=True)
             for scene, layer, solution in zip(some, layers, solutions, strict=True):
@@ -216,7 +219,7 @@ class SensorImpedances:
         return found
 
     def _solved(
-        self, model: ForwardModel, scenes: Iterable[Scene], tolerance: Tolerance
+        self, model: ForwardModel, scenes: Sequence[Scene], tolerance: Tolerance
     ) -> dict[Scene, Numbers]:
         """Impedances [ohm] of scenes on one of the meshes."""
         base = None if tolerance == EXACT else self._base(model)
@@ -226,13 +229,14 @@ class SensorImpedances:
         deformed: list[Scene] = []
 
         def layers() -> Iterator[DeformedLayer]:
-            for scene in scenes:
-                layer = self._layer(scene)
-                if layer.deformation is None:
-                    found[scene] = base.impedance
-                else:
-                    deformed.append(scene)
-                    yield layer
+            for start in range(0, len(scenes), _AT_ONCE):
+                some = scenes[start : start + _AT_ONCE]
+                for scene, layer in zip(some, self._layers(some), strict=True):
+                    if layer.deformation is None:
+                        found[scene] = base.impedance
+                    else:
+                        deformed.append(scene)
+                        yield layer
 
         fields, z = self._fields(layers(), model), self._design.contact_impedance
         solutions = self._shared.solver(model).solve(fields, z, base, tolerance)
@@ -246,7 +250,7 @@ class SensorImpedances:
         last = self._last.get((model, tolerance))
         if last is not None and last[0] == scene:
             return last[1]
-        layer = self._layer_of(scene) if tolerance == EXACT else self._layer(scene)
+        (layer,) = self._layers_of([scene]) if tolerance == EXACT else self._layers([scene])
         if layer.is_flat:
             return model.flat_impedance
         z = None if layer.shift is None else layer.contact_impedance
@@ -255,9 +259,10 @@ class SensorImpedances:
             self._last[model, tolerance] = scene, Z
         return Z
 
-    def _layer(self, scene: Scene) -> DeformedLayer:
-        """Deformed layer on the points of the shared meshes."""
-        return dataclasses.replace(self._layer_of(scene), shift=self._shift)
+    def _layers(self, scenes: Sequence[Scene]) -> list[DeformedLayer]:
+        """Deformed layers on the points of the shared meshes."""
+        layers = self._layers_of(scenes)
+        return [dataclasses.replace(layer, shift=self._shift) for layer in layers]
 
     def _fields(
         self, layers: Iterable[DeformedLayer], model: ForwardModel

@@ -84,6 +84,11 @@ class Instrument:
         measurement_time: time from one measurement of a frame to the next [s]; 10.6 ms computed.
         meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
             ideal one.
+
+    Example:
+        >>> from eitskin.simulator import Instrument
+        >>> Instrument.ad5940().gain
+        0.002
     """
 
     snr_db: float = 75.0

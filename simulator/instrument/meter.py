@@ -59,6 +59,11 @@ class FourTerminalMeter:
         step: distance between two codes, to which readings are rounded; 0 for none.
         reads: "complex" for both quadratures, "signed" for the real part, "magnitude" for the
             magnitude of both.
+
+    Example:
+        >>> from eitskin.simulator import FourTerminalMeter, Instrument
+        >>> Instrument(meter=FourTerminalMeter(sink=1e-3)).meter.sink
+        0.001
     """
 
     source: complex = 0.0

@@ -58,6 +58,16 @@ class MeterFit:
         tied: groups of parameters of which only a combination shows in the readings.
         predicted: the meter's flat frame, (measurements,).
         measured: mean of the frames that were fitted, (measurements,).
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import Protocol, SensorDesign
+        >>> from eitskin.simulator import ForwardModel, fit_meter
+        >>> protocol = Protocol.adjacent(8)
+        >>> impedance = ForwardModel(SensorDesign.reference(), "coarse").impedance()
+        >>> fit = fit_meter(impedance, protocol, 2.0 * protocol.measure(impedance)[None].real, ())
+        >>> round(float(abs(fit.meter.scale)), 3)
+        2.0
     """
 
     meter: FourTerminalMeter
@@ -132,6 +142,15 @@ def fit_meter(
     Raises:
         ConfigurationError: for an unknown term, or as many parameters as readings.
         DataError: for frames of another protocol, or that are not finite.
+
+    Example:
+        >>> from eitskin import Protocol, SensorDesign
+        >>> from eitskin.simulator import ForwardModel, fit_meter
+        >>> protocol = Protocol.adjacent(8)
+        >>> impedance = ForwardModel(SensorDesign.reference(), "coarse").impedance()
+        >>> fit = fit_meter(impedance, protocol, 2.0 * protocol.measure(impedance)[None].real, ())
+        >>> round(float(abs(fit.meter.scale)), 3)
+        2.0
     """
     measured = _mean_frame(frames, protocol)
     quantity: Quantity = reads or _quantity(measured)
@@ -188,6 +207,16 @@ def select_meter(
     (Akaike 1974). Terms left out have no effect: no load, no common mode.
 
     Arguments and errors as for `fit_meter`.
+
+    Example:
+        >>> from eitskin import Protocol, SensorDesign
+        >>> from eitskin.simulator import ForwardModel, select_meter
+        >>> protocol = Protocol.adjacent(8)
+        >>> impedance = ForwardModel(SensorDesign.reference(), "coarse").impedance()
+        >>> frames = protocol.measure(impedance)[None].real
+        >>> fit = select_meter(impedance, protocol, frames, ("sink",))
+        >>> fit.meter.sink
+        0.0
     """
     fit = partial(fit_meter, impedance, protocol, frames, reads=reads, seed=seed)
     best = fit(terms, starts=starts)

@@ -71,6 +71,15 @@ class Session:
         deviation: standard deviation of the white noise per quadrature [ohm].
         front_end: signal chain from excitation to ADC.
         meter: scale, offset, limits and codes of the readings; None for an ideal meter.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin import SensorDesign, Simulator
+        >>> from eitskin.simulator import Instrument
+        >>> sim = Simulator(SensorDesign.reference(), "coarse")
+        >>> session = Instrument().session(sim.protocol, sim.full_scale, np.random.default_rng(0))
+        >>> type(session).__name__
+        'Session'
     """
 
     pairs: NDArray[np.int64]

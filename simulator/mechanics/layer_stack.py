@@ -61,6 +61,11 @@ class Mechanics:
         bulk_ratio: kappa / mu of both materials.
         gel_relaxation, encapsulation_relaxation: Prony series of the two materials.
         piezoresistivity: change of the gel's conductivity with volume and pressure.
+
+    Example:
+        >>> from eitskin.simulator import Mechanics
+        >>> Mechanics(margin=0.004).gel.shear_modulus
+        20000.0
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))

@@ -57,6 +57,11 @@ class Cylinder(Indenter):
         radius: radius of the cylinder [m].
         edge: radius of the rounded rim over the radius of the cylinder. No rim is perfectly sharp,
             and squeezed-out material slides around the rim.
+
+    Example:
+        >>> from eitskin.simulator import Cylinder, Touch
+        >>> Touch(0.075, 0.030, indenter=Cylinder(radius=0.010)).indenter.radius
+        0.01
     """
 
     radius: float = 0.0075
@@ -87,6 +92,11 @@ class Sphere(Indenter):
     Attributes:
         radius: radius of the ball [m].
         shape: distinguishes a sphere from a cylinder in files.
+
+    Example:
+        >>> from eitskin.simulator import Sphere, Touch
+        >>> Touch(0.075, 0.030, depth=0.003, indenter=Sphere(0.008)).indenter.shape
+        'sphere'
     """
 
     radius: float
@@ -114,6 +124,11 @@ class Profile(Indenter):
     Attributes:
         radii: radii, rising from 0 [m].
         heights: heights over the lowest point, from 0, with rising slope [m].
+
+    Example:
+        >>> from eitskin.simulator import Profile
+        >>> Profile(radii=(0.0, 0.004, 0.008), heights=(0.0, 0.001, 0.004)).rough
+        True
     """
 
     radii: tuple[float, ...]

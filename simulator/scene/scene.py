@@ -30,6 +30,11 @@ class Touch:
         held: duration of the press until now or until its release [s]. When omitted the press is in
             its first moment, and nothing relaxes.
         released: time since the indenter was taken off [s]; only a fading dent is left.
+
+    Example:
+        >>> from eitskin import Touch
+        >>> Touch(x=0.050, y=0.020, force=8.0).force
+        8.0
     """
 
     x: float
@@ -121,6 +126,12 @@ class Scene:
         roll: curl of the sensor across its width, before the bend; flat when omitted.
         twist: torsion about the long axis, after roll and bend; none when omitted.
         support: what the sensor rests on; the design's support when omitted.
+
+    Example:
+        >>> from eitskin import Bend, Scene, Touch
+        >>> scene = Scene(bend=Bend(30.0), touches=(Touch(0.050, 0.020, force=10.0),))
+        >>> len(scene.touches)
+        1
     """
 
     bend: Bend = field(default_factory=lambda: Bend(0.0))

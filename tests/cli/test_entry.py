@@ -64,7 +64,7 @@ def test_a_full_disk_behind_the_output_is_no_fault_of_the_program(monkeypatch, t
 
 def test_sigterm_is_told_as_ctrl_c_by_every_command(capsys):
     stop = click.Command("stop", callback=lambda: os.kill(os.getpid(), signal.SIGTERM))
-    group = main.Commands(name="eitskin", commands={"stop": stop})
+    group = main.Program(name="eitskin", commands={"stop": stop})
     assert group.main(["stop"], standalone_mode=False) == entry.EXIT_INTERRUPTED
     assert "interrupted" in capsys.readouterr().err
 

@@ -25,7 +25,7 @@ from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.shard import shard_name, unsealed
 from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.geometry import Plates
+from eitskin.geometry import Free, Plates
 from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
 from eitskin.threads import one_thread
 
@@ -191,7 +191,7 @@ def test_occupied_folders_are_refused(whole, tmp_path):
         generate(RECIPE, tmp_path / "new", workers=0)
 
 
-def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
+def test_presses_on_a_membrane_are_solved_beside_tabulated_ones(monkeypatch):
     asked = set()
 
     def measured(self, scenes, **_):
@@ -200,9 +200,9 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
 
     monkeypatch.setattr(Simulator, "measure_all", measured)
     group = SceneGroup("touch", count=1)
-    on_plates = dataclasses.replace(group, support=Plates())
-    simulate_shard(Recipe("supports", scenes=(group, on_plates)), 0)
-    assert asked == {(None, "tabulated"), (Plates(), "solved")}
+    others = [dataclasses.replace(group, support=each) for each in (Plates(), Free())]
+    simulate_shard(Recipe("supports", scenes=(group, *others)), 0)
+    assert asked == {(None, "tabulated"), (Plates(), "tabulated"), (Free(), "solved")}
 
 
 # Worker processes that read shards: order, errors, Ctrl-C
@@ -290,7 +290,7 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkey
 
 def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_path, monkeypatch):
     """Sixteen frames, twice, would take half an hour."""
-    touched = SceneGroup("touch", count=30, angle_deg=(10.0, 20.0), support=Plates())
+    touched = SceneGroup("touch", count=30, support=Free())
     recipe = Recipe("slow", scenes=(SceneGroup("touch", count=30), touched))
     assert solved_frames(recipe) == 30
     clock, runs = [0.0], []

@@ -199,8 +199,6 @@ def test_patterns_of_a_file_make_the_protocol_and_divide_by_the_current(tmp_path
     assert np.array_equal(data.impedance, [[40, 40, 20, 20]])
     with pytest.raises(DataError, match="'s' is a MATLAB struct"):
         read_recording(tmp_path / "a.mat", RecordingNames("s"))
-    with pytest.raises(DataError, match=r"4 measurements.*1 channels.*--transpose"):
-        read_recording(tmp_path / "a.mat", RecordingNames("U"), protocol)
     np.savez(tmp_path / "a.npz", U=np.ones((1, 4)), I=np.ones((4, 2)), M=sense)
     with pytest.raises(DataError, match="drive patterns of one positive"):
         read_recording(tmp_path / "a.npz", names)

@@ -41,7 +41,7 @@ def among(ports, call, *arguments):
 URIS = {
     "ttyACM0": "expected a board as serial:PORT",
     "virtuel:": "did you mean 'virtual:'",
-    "serial:": "needs a port, such as serial:/dev/ttyACM0",
+    "serial:": "such as --board serial:/dev/ttyACM0",
     "serial:/dev/ttyACM0?usb=1": "not by both",
     "replay:": "needs a dataset's folder",
     "replay:x?speed=fast": "speed must be one of real, max",
@@ -60,7 +60,7 @@ CONFIGURATION = {
     "option before opening": (lambda: open_board("replay:nowhere", sped="max"), "'sped'.*speed"),
     "several USB ports": (
         lambda: among((BOARD, TWIN), connector, "", "text:"),
-        "such as text:.*there are 2.*ttyACM0.*ttyACM1",
+        "such as --board text:/dev/ttyACM0",
     ),
     "text without protocol": (lambda: open_text("/dev/no", "text:"), "protocol=pairwise:8"),
     "protocol": (lambda: open_text("/dev/no", "text:", "ring"), "a protocol: pairwise"),

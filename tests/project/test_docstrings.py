@@ -1,6 +1,7 @@
 """Docstrings: every public name has one, every array in it a shape or a unit, in plain words."""
 
 import ast
+import doctest
 import importlib
 import inspect
 import io
@@ -55,6 +56,25 @@ def test_every_public_name_has_a_docstring_whose_first_line_is_a_sentence():
         said = inspect.getdoc(thing)
         assert said, f"{name}: no docstring"
         assert re.fullmatch(r"\S.*[.:]", said.splitlines()[0]), f"{name}: {said.splitlines()[0]}"
+
+
+def test_every_public_class_and_function_has_an_example():
+    named = {name: thing for name, thing in NAMES.items() if name.count(".") == 1}
+    missing = [name for name, thing in named.items() if ">>>" not in (inspect.getdoc(thing) or "")]
+    assert len(named) > 110
+    assert set(missing) <= {"simulator.Tolerance"}  # a number
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_examples_of_docstrings_run(package, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+    for name, thing in NAMES.items():
+        if name.startswith(f"{package}.") and name.count(".") == 1:
+            text = inspect.getdoc(thing)
+            runner.run(doctest.DocTestParser().get_doctest(text, {}, name, None, 0))
+    assert runner.summarize(verbose=False).failed == 0
 
 
 def test_every_array_of_a_class_has_a_shape_or_a_unit():

@@ -81,5 +81,5 @@ def test_the_example_in_the_readme_finds_the_touch_that_it_simulates(capsys) -> 
     assert estimate.bend_angle_deg == pytest.approx(scene.bend.angle_deg, abs=1.0)
     (found,) = estimate.touches
     assert found[:2] == pytest.approx((touch.x, touch.y), abs=3e-3)
-    shown = "".join(f"    {line}\n" for line in capsys.readouterr().out.splitlines())
-    assert f"```\n\n{shown}\n" in page, "the page shows what the example prints"
+    shown = capsys.readouterr().out
+    assert f"```text\n{shown}```" in page, "the page shows what the example prints"

@@ -126,7 +126,12 @@ def require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
 
 
 def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
-    """Report of `Evaluation.of`."""
+    """Report of `Evaluation.of`.
+
+    Example:
+        >>> from eitskin.training import evaluate
+        >>> evaluate(pipeline, dataset).touches["1"].mean_error_mm  # doctest: +SKIP
+    """
     return Evaluation.of(pipeline, dataset).report
 
 
@@ -288,6 +293,11 @@ class PositionScore:
         guess_error_mm: mean distance of the mean training position from the true one [mm].
         error_ratio: root mean square of error over standard error; None without standard errors.
         faults: electrodes that failed, in words.
+
+    Example:
+        >>> from eitskin.training import PositionScore
+        >>> PositionScore(100, 1.5, 1.2, 47.3).mean_error_mm
+        1.5
     """
 
     frames: int
@@ -380,7 +390,13 @@ _FORMER: dict[str, Callable[[Pipeline], Any]] = {
 
 
 class RecordedTouches(Pipeline):
-    """Deprecated name of a `Pipeline` of the method "touch position"."""
+    """Deprecated name of a `Pipeline` of the method "touch position".
+
+    Example:
+        >>> from eitskin.training import Pipeline, RecordedTouches
+        >>> issubclass(RecordedTouches, Pipeline)
+        True
+    """
 
     KIND = POSITIONS
 

@@ -250,6 +250,10 @@ class Report:
         force: None for forces that are not known or not estimated.
         place_calibration: consistency of the standard errors of positions; None without any.
         estimates: quantities that the pipeline estimates; only these are judged.
+
+    Example:
+        >>> from eitskin.training import evaluate
+        >>> evaluate(pipeline, dataset).bend.rmse_deg  # doctest: +SKIP
     """
 
     frames: int

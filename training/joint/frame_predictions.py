@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.spatial.distance import pdist
 from scipy.special import ndtr
 
 from eitskin.errors import DataError
-from eitskin.training.joint.model_selection import REPORTED_SIGMA, FrameFit
+from eitskin.training.joint.model_selection import REPORTED_SIGMA, TOUCHED_SIGMA, FrameFit
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, misfit_sigma
 from eitskin.training.joint.specimen_model import AngleEstimate
 from eitskin.training.joint.touch_response import MOST_TOUCHES
@@ -19,6 +20,10 @@ from eitskin.training.method.predictions import FoundTouches
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 Array = NDArray[np.float64]
 
+FAINT_GAIN, FURTHER_GAIN, DIVISION_GAIN = 12.0, 18.0, (8.0, 10.0)
+"""Decrease of the misfit, by a touch where there is none, by a further one, and by two in place of
+the only one or of one of several, beyond which it is reported: chance exceeds each in one frame of
+a hundred."""
 REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count beside the known ones
@@ -52,11 +57,26 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
             f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
             "not rely on it, and begin a new session with the flat sensor"
         )
-    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+    if not touches:
+        return tuple(problems)
+    count = len(found.touches)
+    if misfit_sigma(found.misfit, found.degrees_of_freedom) >= TOUCHED_SIGMA[count]:
         problems.append(
             f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
             f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
             "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
+        )
+    elif not count and found.further > FAINT_GAIN:
+        problems.append("something may touch, too faintly to tell from noise in this frame")
+    elif count and (
+        found.further > FURTHER_GAIN
+        or (found.division[:, 0] > DIVISION_GAIN[count > 1]).any()
+        or np.sum(pdist(found.touches[:, :2]) < found.estimate.objective.prior.separation) > 1
+    ):
+        x, y = 1e3 * found.touches[:, :2].mean(axis=0)
+        problems.append(
+            f"more than {count} touches may explain this frame better, or a large contact about "
+            f"({x:.0f}, {y:.0f}) mm: do not rely on their number and places"
         )
     return tuple(problems)
 
@@ -194,7 +214,7 @@ class ErrorScale:
         """Scale that a pipeline stores; those of version 0.1 have one for all sensors."""
         values = stored.astype(float)
         if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
-            raise DataError("expected two factors of errors from 0 to 1e6; train it again")
+            raise DataError("expected two factors of standard errors, 0 to 1e6; train it again")
         return cls(*values.tolist()) if values.ndim else cls(float(values) ** 2)
 
     def of(self, features: Array) -> float:

@@ -295,6 +295,7 @@ class JointMethod(Method):
         places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         spread *= self.error_scale.of(specimen.features) * self.own_error_scale
+        spread = np.hypot(spread, np.sqrt(found.hidden))
         if self.touches:
             x, y = places.T[:, None]
             map_ = touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)

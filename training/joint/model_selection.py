@@ -34,6 +34,8 @@ from eitskin.training.joint.touch_response import MOST_TOUCHES
 from eitskin.training.joint.touch_search import (
     FINE,
     TouchCandidates,
+    divisions,
+    further_gain,
     initial_touches,
     pair_starts,
     pruned,
@@ -46,8 +48,11 @@ Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]
 
 ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
+DIVIDED_ODDS = 0.01  # that a touch is two, before it is seen, times the share of pairs that may be
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
 REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
+TOUCHED_SIGMA = (6.0, 4.5, 4.5, 4.0, 3.0)
+"""The same of 0, 1, ... touches: the more unknowns, the less of another kind of touch is left."""
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
 # Motion since the reference from which touches are fitted from there as well, where the first fit
 # explains the frame and where it does not.
@@ -68,6 +73,8 @@ class FrameFit:
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         faults: whose measurements were left out.
         rival: faults that explain the frame about as well as its touches, in words.
+        further: decrease of the misfit by a further touch, to first order.
+        division: two touches in place of each: the same, and how far from it they are (k, 2).
         touches: x [m], y [m] and force [N] of each (k, 3).
         angle_deg: bend angle [deg].
         angle_deviation_deg: standard error of its change since the reference [deg].
@@ -80,6 +87,8 @@ class FrameFit:
     evidence: float
     faults: tuple[ChannelFault, ...] = ()
     rival: str = ""
+    further: float = 0.0
+    division: Array = field(default_factory=lambda: np.zeros((0, 2)))
     touches: Array = field(init=False)
     angle_deg: float = field(init=False)
     angle_deviation_deg: float = field(init=False)
@@ -105,6 +114,13 @@ class FrameFit:
         """Fit without touches, of a frame whose `faults` were taken out."""
         nothing = Unknowns(np.zeros((0, 3)), objective.reference_deg)
         return cls(levenberg_marquardt(objective, nothing, *FINE), 0.0, faults)
+
+    @property
+    def hidden(self) -> Array:
+        """Variance of the place of each touch by what may be two touches (k,) [m2]."""
+        odds = DIVIDED_ODDS * np.exp(np.minimum(0.5 * self.division[:, 0], 50.0))
+        share: Array = odds / (1.0 + odds) * self.division[:, 1] ** 2
+        return share
 
     @property
     def improbability(self) -> float:
@@ -147,7 +163,8 @@ def fit_frame(
         alone = levenberg_marquardt(found.objective, nothing, *FINE)
         if alone.improbability < found.improbability:
             found, evidence = alone, 0.0
-    return FrameFit(found, evidence, tuple(faults))
+    further, division = further_gain(found, candidates), divisions(found, candidates)
+    return FrameFit(found, evidence, tuple(faults), "", further, division)
 
 
 def _likeliest(

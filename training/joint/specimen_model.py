@@ -47,6 +47,8 @@ LOG_ODDS = math.log(1.0 / 50.0)
 """Logarithm of the odds that a sensor bends as usual, before any of its frames is seen: the usual
 clamp counts as one of some fifty, however many of the training specimens it holds."""
 MOVED = 2.0  # standard errors below which no bend is claimed, and no fault looked for
+TEMPER = 0.7
+"""Power of the evidence for the usual clamp in standard errors: a clamp near it fits as well."""
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
 
 
@@ -294,15 +296,16 @@ class SpecimenModel:
         A contact that changes moves its channels as some clamp's bend does. Both are weighed by the
         evidence, the bend uniform over the angles learned.
         """
-        if bend.faults or abs(bend.angle_deg) < MOVED * bend.deviation_deg:
+        if abs(bend.angle_deg) < MOVED * bend.deviation_deg:
             return None
-        faulty = self.faults.alone(combined, np.zeros((1, len(combined.change))))
+        fewer = combined.without(bend.left_out) if bend.faults else combined
+        faulty = self.faults.alone(fewer, np.zeros((1, len(combined.change))))
         low, high = self.curve.angle_deg
         bent = bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low))
         if faulty.improbability > -2.0 * bent:
             return None
         found = self._angle(faulty.rest)
-        return replace(found, faults=(*faulty.faults, *found.faults))
+        return replace(found, faults=(*bend.faults, *faulty.faults, *found.faults))
 
     def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float] | None:
         """Angle of an untouched frame and its standard error [deg] by the networks, if any."""
@@ -323,11 +326,14 @@ class SpecimenModel:
         fewer = combined.without(usual.left_out) if usual.faults else combined
         other = self._angle_of_any(fewer)
         log_odds = LOG_ODDS - 0.5 * FAULT_THRESHOLD * len(usual.faults)
-        share = float(expit(usual.log_evidence - other.log_evidence + log_odds))
+        evidence = usual.log_evidence - other.log_evidence
+        share, doubted = expit(np.array([1.0, TEMPER]) * evidence + log_odds).tolist()
         if usual.faults and share < 0.5:
             return self._angle_of_any(combined)
         by_other, by_usual = ((each.angle_deg, each.deviation_deg) for each in (other, usual))
-        angle, deviation = mixture_moments(by_other, by_usual, share)
+        angle, _ = mixture_moments(by_other, by_usual, share)
+        mean, spread = mixture_moments(by_other, by_usual, doubted)
+        deviation = math.hypot(spread, mean - angle)
         likelier = usual if share > 0.5 else other
         return replace(likelier, angle_deg=angle, deviation_deg=deviation, usual=share)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 from scipy.spatial.distance import cdist
 
 from eitskin.training.joint.fit_kernels import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT
@@ -24,6 +25,9 @@ Array = NDArray[np.float64]
 
 LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
 RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
+DIVISION_STRIDE = 2  # the same of a pair in place of one touch
+FAINT = 2.5  # times the least force: least of either
+LEAST_OWN = 0.01  # share of its change that a further touch does not share with the others
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
@@ -130,6 +134,52 @@ def pair_starts(
         touches = [[*places[i], candidates.force * strength] for i, strength in pair]
         pairs.append((float(residual @ residual) - gain, unknowns.with_touches(np.array(touches))))
     return pairs
+
+
+def further_gain(found: MapEstimate, candidates: TouchCandidates) -> float:
+    """Most that one more touch lowers the misfit of an estimate, to first order.
+
+    Whatever the touches there are, and the angle, would explain as well does not count.
+    """
+    whole = candidates.change @ found.whitening.T
+    shapes, residual = _beside(found.white[1:], whole, found.white[0])
+    own, size = (np.einsum("nk,nk->n", each, each) for each in (shapes, whole))
+    gain = np.maximum(shapes @ residual, 0.0) ** 2 / np.maximum(own, LEAST_OWN * size)
+    return float(gain.max(initial=0.0))
+
+
+def divisions(found: MapEstimate, candidates: TouchCandidates) -> Array:
+    """Two touches in place of each of k, as near to it as a fit may take them for one (k, 2).
+
+    By how much the best pair of forces that touches have lowers the misfit, to first order, minus
+    infinity where there is none; and how far the farther of both is from the touch [m].
+    """
+    objective, found_so = found.objective, np.tile([-np.inf, 0.0], (len(found.at.touches), 1))
+    limits = objective.prior.low[2], objective.prior.high[2]
+    least, most = FAINT * limits[0] / candidates.force, limits[1] / candidates.force
+    rest = _beside(found.white[1:], np.zeros((0, found.white.shape[1])), found.white[0])[1]
+    for number, (touch, change) in enumerate(zip(found.at.touches, found.at.changes, strict=True)):
+        away = np.hypot(*(candidates.places - touch[:2]).T)
+        around = np.flatnonzero(away < objective.prior.separation)[::DIVISION_STRIDE]
+        places, free = candidates.places[around], np.ones(len(around), bool)
+        others = np.delete(found.white[1:], slice(1 + 3 * number, 4 + 3 * number), axis=0)
+        shapes = candidates.change[around] @ found.whitening.T
+        shapes, residual = _beside(others, shapes, found.white[0] + found.whitening @ change)
+        apart = cdist(places, places) > 0.5 * objective.prior.separation
+        gain, (one, _), (other, _) = _best_pair(
+            shapes @ shapes.T, shapes @ residual, apart, free, least, most
+        )
+        if gain > 0.0:
+            left = float(residual @ residual) - float(rest @ rest)
+            found_so[number] = gain - left, max(away[around[one]], away[around[other]])
+    return found_so
+
+
+def _beside(explained: Array, shapes: Array, residual: Array) -> tuple[Array, Array]:
+    """Shapes (n, K) and a residual (K,) less what other changes (m, K) explain as well."""
+    factors, tau, _, _ = lapack.dgeqrf(explained.T)
+    basis = lapack.dorgqr(factors[:, : len(tau)], tau)[0]
+    return shapes - (shapes @ basis) @ basis.T, residual - basis @ (basis.T @ residual)
 
 
 def _best_pair(

@@ -161,6 +161,11 @@ class InputSpec:
             `reference`, less a common factor, that is taken for a sensor of this design.
         extent: smallest and largest x and y of the touches trained with (2, 2) [m]; None where no
             method needs them.
+
+    Example:
+        >>> from eitskin import Pipeline
+        >>> Pipeline.load("reference.eitmodel").layout.protocol.n_electrodes
+        8
     """
 
     known_design: SensorDesign | None

@@ -168,6 +168,13 @@ class Method(ABC):
 
     A method of your own defines `fit`, `predict`, `targets`, `arrays` and `from_arrays`; the rest
     is optional. docs/how-to/own-method.md shows one.
+
+    Example:
+        >>> from eitskin.training import Method, Targets
+        >>> class Mine(Method):
+        ...     targets = Targets(force=False)
+        >>> Mine.targets.force
+        False
     """
 
     KIND: ClassVar[str]

@@ -32,6 +32,11 @@ class TouchLabel:
     Attributes:
         x, y: centre of the indenter, in coordinates of the flat sensor [m].
         force: normal force [N]; None where unknown.
+
+    Example:
+        >>> from eitskin.training import TouchLabel
+        >>> TouchLabel(0.075, 0.030, force=8.0).force
+        8.0
     """
 
     x: float
@@ -55,6 +60,11 @@ class FrameLabel:
     Attributes:
         angle_deg: bend angle [deg]; None where unknown.
         touches: all touches, none of an untouched sensor; None where unknown.
+
+    Example:
+        >>> from eitskin.training import FrameLabel, TouchLabel
+        >>> FrameLabel(angle_deg=0.0, touches=(TouchLabel(0.075, 0.030),)).angle_deg
+        0.0
     """
 
     angle_deg: float | None = 0.0

@@ -51,6 +51,11 @@ class Observations(StoredFields):
             frames with the noise of training: one of a quieter session counts as several.
         static_frames, dynamic_frames: number of frames averaged into the references (n,).
         age, dynamic_age: time since the static, the dynamic reference was renewed (n,) [s].
+
+    Example:
+        >>> from eitskin.training import Observations
+        >>> [*Observations.__dataclass_fields__][:2]
+        ['static', 'dynamic']
     """
 
     static: Array

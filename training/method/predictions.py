@@ -29,6 +29,12 @@ class TouchEstimate(tuple[float, float, float]):
         deviation: standard error of the position, sqrt(var x + var y) [m]; NaN where the method
             does not estimate it.
         strength: confidence or relative strength, 0 to 1.
+
+    Example:
+        >>> from eitskin.training import TouchEstimate
+        >>> x, y, strength = TouchEstimate(0.050, 0.020, force=8.0)
+        >>> x, y
+        (0.05, 0.02)
     """
 
     x: float
@@ -73,6 +79,13 @@ class FoundTouches:
         force: (k,) [N]; NaN where the method does not estimate it.
         deviation: standard error of the position, sqrt(var x + var y), (k,) [m]; NaN where the
             method does not estimate it.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.training import FoundTouches
+        >>> place, one = np.array([[0.05, 0.02]]), np.array([1.0])
+        >>> len(FoundTouches(place, one, 8.0 * one, 1e-3 * one).place)
+        1
     """
 
     place: Array
@@ -133,6 +146,13 @@ class Predictions:
             method does not estimate touches; no pixels for a method without a map.
         touches: of each frame; none where the method does not estimate touches.
         problems: of each frame, reasons to doubt its predictions, in words.
+
+    Example:
+        >>> from eitskin import Pipeline
+        >>> from eitskin.training import Predictions
+        >>> layout = Pipeline.load("reference.eitmodel").layout
+        >>> Predictions.of(2, layout, bend_angle_deg=[0.0, 10.0]).bend_angle_deg
+        array([ 0., 10.])
     """
 
     probabilities: Array
@@ -267,7 +287,13 @@ Perceived = Predictions
 
 
 class Zero(StrEnum):
-    """State of the sensor that estimates are relative to."""
+    """State of the sensor that estimates are relative to.
+
+    Example:
+        >>> from eitskin.training import Zero
+        >>> str(Zero.MOUNTED)
+        'as mounted'
+    """
 
     FIRST_FRAMES = "first frames"
     FLAT = "flat"
@@ -292,6 +318,13 @@ class Estimate:
         number: number of the frame.
         time: time of the frame [s].
         zero: state of the sensor that angle and touches are relative to.
+
+    Example:
+        >>> from eitskin import Pipeline, Scene, SensorDesign, Simulator
+        >>> frame = Simulator(SensorDesign.reference(), "coarse").measure(Scene())
+        >>> estimate = Pipeline.load("reference.eitmodel").process(frame)
+        >>> estimate.state.name, len(estimate.touches)
+        ('IDLE', 0)
     """
 
     state: State | None

@@ -74,6 +74,11 @@ class NetworkSettings:
         one_cycle: warm up to the learning rate and anneal to zero.
         noise: rms noise added to dV in every step, relative to the noise of the frames.
         fewest_steps: of the whole training; where frames are few, there are more epochs.
+
+    Example:
+        >>> from eitskin.training import NetworkSettings
+        >>> NetworkSettings(learning_rate=3e-3, epochs=100).batch
+        64
     """
 
     learning_rate: float
@@ -147,6 +152,11 @@ class TrainingSettings:
             `fractions`; see `hold_out`.
         options: hyper-parameters of a baseline or of a method of the user's own, by name, as JSON
             has them.
+
+    Example:
+        >>> from eitskin.training import TrainingSettings
+        >>> TrainingSettings.preset("joint", 0).method
+        'joint'
     """
 
     method: str = "paper"

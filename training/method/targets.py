@@ -32,6 +32,11 @@ class Targets:
         angle: whether the bend angle is one.
         touches: whether positions of touches are.
         force: whether forces of touches are.
+
+    Example:
+        >>> from eitskin.training import Targets
+        >>> Targets(angle=False).missing
+        ('the bend angle',)
     """
 
     states: tuple[str, ...] = STATE_NAMES
@@ -152,6 +157,11 @@ class TrainingFrames:
         spec: sensor, measurements and units.
         noise: rms relative difference of two frames of a still sensor, dimensionless.
         validation: other frames, to watch losses on, not to fit to; None without.
+
+    Example:
+        >>> from eitskin.training import TrainingFrames
+        >>> [name for name in TrainingFrames.__dataclass_fields__][:3]
+        ['observations', 'dataset', 'spec']
     """
 
     observations: Observations

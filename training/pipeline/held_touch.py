@@ -48,13 +48,16 @@ class HeldTouch:
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
 
-    def add(self, V: Voltages, flat: Voltages, held: bool) -> tuple[Voltages, int]:
+    def add(
+        self, V: Voltages, flat: Voltages, held: bool, most: int = LONGEST_HELD
+    ) -> tuple[Voltages, int]:
         """Mean of the frames that show the touch of frame V, and their number.
 
         Args:
             V: frame (measurements,) [ohm], NaN where a channel is bad.
             flat: reference (measurements,) [ohm] that changes are relative to.
             held: whether the frame before it was touched; else V stands for itself.
+            most: frames to be averaged.
         """
         change = relative_difference(V, flat)
         if len(self._changes) >= 2:  # neither offset nor slope is left in this difference
@@ -68,7 +71,7 @@ class HeldTouch:
             self._frames.clear()
             self._speed = 0.0
         self._frames.append(V)
-        count = self._still()
+        count = min(self._still(), most)
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 

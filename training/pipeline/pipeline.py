@@ -51,11 +51,8 @@ from eitskin.training.pipeline.session import COMMON, Session
 
 FLAT_SENSORS = "flat_sensors"
 USUAL = "healthy"
-FOREIGN = (
-    "layout.",
-    f"{FLAT_SENSORS}.",
-    f"{USUAL}.",
-)  # beginnings of names of arrays that are not the method's
+# Beginnings of names of arrays that are not the method's.
+FOREIGN = ("layout.", f"{FLAT_SENSORS}.", f"{USUAL}.")
 GOLDEN_PER_STATE = 2
 
 
@@ -77,8 +74,15 @@ class Pipeline:
         adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
         flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
             None where training had too few specimens.
-        usual: range of the readings of a healthy sensor, which a session's are followed by; of a
+        usual: range of the readings of a healthy sensor, by which failed electrodes are found; of a
             few frames where None is given.
+
+    Example:
+        >>> from eitskin import Pipeline, Scene, SensorDesign, Simulator
+        >>> pipeline = Pipeline.load("reference.eitmodel")
+        >>> frame = Simulator(SensorDesign.reference(), "coarse").measure(Scene())
+        >>> pipeline.process(frame).state.name
+        'IDLE'
     """
 
     layout: InputSpec
@@ -488,5 +492,11 @@ class Pipeline:
 
 
 def open_pipeline(path: str | Path, method: type[Method] | None = None) -> Pipeline:
-    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold."""
+    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold.
+
+    Example:
+        >>> from eitskin.training import open_pipeline
+        >>> open_pipeline("reference.eitmodel").targets.missing
+        ()
+    """
     return Pipeline.load(path, method)

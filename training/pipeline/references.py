@@ -84,6 +84,12 @@ class StoredReference:
         taken: time of writing, ISO 8601 with time zone.
         board: unique number of the board in hexadecimal digits; empty where unknown.
         source: URI or path that the frames came from; empty where unknown.
+
+    Example:
+        >>> from eitskin import Pipeline, Scene, SensorDesign, Simulator
+        >>> pipeline = Pipeline.load("reference.eitmodel")
+        >>> pipeline.tare([Simulator(SensorDesign.reference(), "coarse").measure(Scene())]).frames
+        1
     """
 
     impedance: NDArray[np.complex128]

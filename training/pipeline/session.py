@@ -15,7 +15,7 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
-from eitskin.training.pipeline.held_touch import HeldTouch
+from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch
 from eitskin.training.pipeline.references import (
     LONGEST_MEAN,
     RunningMean,
@@ -26,6 +26,7 @@ from eitskin.training.pipeline.references import (
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
+MOST_SUSPECTED = 3  # frames of what may be a touch, whose motion would not be seen, in a mean
 SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -318,9 +319,11 @@ class Session:
         an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
         elapsed = self._order.elapsed
-        held, count = self._held.add(voltages, self.bend, self.averages and self._suspected)
+        most = LONGEST_HELD if self.touched else MOST_SUSPECTED
+        held, count = self._held.add(voltages, self.bend, self.averages and self._suspected, most)
         weight = self._held.weight
-        self.static.noise = self.dynamic.noise = self._held.still
+        if self.averages:
+            self.static.noise = self.dynamic.noise = self._held.still
         rows = {
             "static": relative_difference(held, self.bend),
             "dynamic": relative_difference(held, self.touch),
@@ -349,7 +352,8 @@ class Session:
                 weighed together with it.
             directions: of changes (d, measurements) by a motion of its touches.
         """
-        self.touched, self._suspected = touched, touched or chance > SUSPECTED
+        self.touched = touched
+        self._suspected = touched or (self.averages and chance > SUSPECTED)
         self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if touched:
             self._opening = False

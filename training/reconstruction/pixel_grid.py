@@ -31,6 +31,12 @@ class PixelGrid:
     Attributes:
         outline: of the sensor.
         shape: number of rows and of columns.
+
+    Example:
+        >>> from eitskin.geometry import Rectangle
+        >>> from eitskin.training import PixelGrid
+        >>> PixelGrid.of(Rectangle(0.150, 0.060), 400).shape
+        (13, 32)
     """
 
     outline: PlaneOutline | MeshOutline
@@ -169,6 +175,11 @@ class FiguresOfMerit:
         resolution: square root of the blob's area over the sensor's; small is sharp.
         shape_deformation: share of the blob outside the circle, 0 to 1.
         ringing: values of the wrong sign outside the circle, relative to the sum within.
+
+    Example:
+        >>> from eitskin.training import FiguresOfMerit
+        >>> FiguresOfMerit(1.0, (0.0, 0.001), 0.2, 0.05, 0.1).resolution
+        0.2
     """
 
     amplitude: float
@@ -197,6 +208,16 @@ def figures_of_merit(
     Raises:
         DataError: for a picture without values of the target's sign, and for numbers that are not
             finite or too large or small to divide by.
+
+    Example:
+        >>> import numpy as np
+        >>> from eitskin.geometry import Disc
+        >>> from eitskin.training import PixelGrid, figures_of_merit
+        >>> grid = PixelGrid.of(Disc(0.050), 900)
+        >>> values = np.zeros(716)
+        >>> values[350:353] = 1.0
+        >>> figures_of_merit(values, grid, (0.050, 0.050), 0.005).amplitude > 0
+        True
     """
     given = np.array([*np.ravel(values), *centre], dtype=float)
     if not (np.all(np.abs(given) <= MOST) and LEAST <= abs(integral) <= MOST):

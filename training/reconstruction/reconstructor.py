@@ -60,6 +60,13 @@ class Reconstructor:
         difference: "relative" or "absolute".
         resolution: of the forward model.
         grid: pixels of the pictures.
+
+    Example:
+        >>> from eitskin import Protocol, Reconstructor, SensorDesign
+        >>> design, protocol = SensorDesign.reference(), Protocol.adjacent(8)
+        >>> maker = Reconstructor(design, protocol, "noser", pixels=400)
+        >>> maker.grid.shape
+        (13, 32)
     """
 
     def __init__(

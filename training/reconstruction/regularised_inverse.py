@@ -202,6 +202,11 @@ class Regularisation:
     Attributes:
         rule: its name.
         value: its number, positive.
+
+    Example:
+        >>> from eitskin.training import Regularisation
+        >>> Regularisation.named("snr:100").value
+        100.0
     """
 
     rule: RuleName = "noise-figure"

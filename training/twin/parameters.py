@@ -62,6 +62,11 @@ class TwinPrior:
         load: loads, leaks and leads of the meter, as the share Y Z / (1 + Y Z) of an admittance Y
             and the sensor's impedance Z; about none.
         common_mode: common mode of the meter, and offset over the sensor's impedance; about none.
+
+    Example:
+        >>> from eitskin.training import TwinPrior
+        >>> TwinPrior(conductivity=1.5).conductivity
+        1.5
     """
 
     conductivity: float = 3.0

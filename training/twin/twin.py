@@ -53,6 +53,10 @@ class Twin:
         posterior: of their coordinates.
         frames: labelled frames that were fitted.
         agreements: r and relative residual by kind of frame; kinds without frames are left out.
+
+    Example:
+        >>> from eitskin.training import Twin
+        >>> twin = Twin.fit(design, data, terms=("sink", "idle"))  # doctest: +SKIP
     """
 
     nominal: Specimen
@@ -175,6 +179,10 @@ class PressedTwin:
         protocol: of the measurements.
         resolution: of the simulator.
         nominal: sensor whose mesh and factors are shared, which halves the time; None for its own.
+
+    Example:
+        >>> from eitskin.training import PressedTwin
+        >>> PressedTwin.read("twin", protocol)  # doctest: +SKIP
     """
 
     specimen: Specimen

@@ -212,12 +212,12 @@ class Setup:
             self.dialogue.note(f"{name}: {what}")
             self.dialogue.note(f"{name}: {run()}")
             return
-        answer = self.dialogue.ask(f"{name}: {what}", {"": "begin", SKIP: "skip"})
+        answer = self.dialogue.ask(f"{name}: {what}", {"": "Start", SKIP: "Skip"})
         while answer != SKIP:
             try:
-                answer = self.dialogue.ask(f"{name}: {run()}", {"": "go on", REPEAT: "repeat"})
+                answer = self.dialogue.ask(f"{name}: {run()}", {"": "Continue", REPEAT: "Repeat"})
             except (ConfigurationError, DataError, DeviceError, PartialError) as error:
-                choices = {"": "go on without it", REPEAT: "repeat"}
+                choices = {"": "Continue without it", REPEAT: "Repeat"}
                 answer = self.dialogue.ask(f"{name}: {error}", choices)
             if answer != REPEAT:
                 return

@@ -100,12 +100,29 @@ function draw(data) {
     estimate && estimate.map, (estimate && estimate.touches) || [], truth ? truth.touches : [], picture(estimate));
   if (estimate) parts.sensor.show(estimate.points, estimate.map);
   parts.channels.show(data.channels, data.bad);
+  healthLine(data, estimate);
   numbers(data);
   // Channels that the board marked bad have a list of their own.
   const known = new RegExp("^channel (\\S+) is left out: board");
   const others = (estimate ? estimate.problems : []).filter((text) => !((known.exec(text) || [])[1] in data.bad));
   problems(data.problem ? [data.problem, ...others] : others);
   if (parts.controls && stage) parts.controls.show(stage);
+}
+
+// The line at the top: green while all is well; else which channels are lost, and the electrode
+// whose channels all are.
+function healthLine(data, estimate) {
+  const lost = Object.keys(data.bad), all = parts.channels.labels;
+  const count = (labels, electrode) => labels.filter((label) => label.split(/\D+/).includes(electrode)).length;
+  const electrodes = [...new Set(lost.join("-").split(/\D+/))].filter((each) =>
+    each && count(lost, each) > 1 && count(lost, each) === count(all, each));
+  const names = electrodes.length ? `: electrode ${electrodes.join(", ")} open` : "";
+  const others = data.problem ? 1 : estimate ? estimate.problems.length : 0;
+  const level = names || data.problem ? "bad" : lost.length || others ? "warn" : "good";
+  const text = lost.length ? `${lost.length} of ${all.length} channels lost${names}`
+    : others ? (data.problem || estimate.problems[0]) : `${all.length} of ${all.length} channels good`;
+  if (document.body.dataset.health !== level) document.body.dataset.health = level;
+  say($("health"), text);
 }
 
 // The picture to show, where one comes with the estimate and is chosen.
@@ -147,7 +164,7 @@ function numbers(data) {
   number("dropped", dropped || "0", true);
   number("reconnects", data.reconnections, true);
   number("session", data.session);
-  number("zero", data.estimate ? data.estimate.zero : "–");
+  number("reference", data.estimate ? data.estimate.zero : "–");
   number("frame", data.number);
 }
 

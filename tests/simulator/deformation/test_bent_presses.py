@@ -106,7 +106,9 @@ def test_the_frame_of_a_curved_top_is_that_of_the_place_touched() -> None:
 @pytest.fixture(scope="module")
 def bent_sensor() -> tuple[Simulator, Scene]:
     design = dataclasses.replace(DESIGN, support=Plates())
-    return Simulator(design, "fast"), Scene(Bend(5.0), (Touch(0.075, 0.030, 2.0),))
+    return Simulator(design, "fast", touch_model="solved"), Scene(
+        Bend(5.0), (Touch(0.075, 0.030, 2.0),)
+    )
 
 
 class Nothing:
@@ -140,7 +142,7 @@ def test_only_what_the_bend_of_a_pressed_sensor_needs_is_solved(bent_sensor, uns
     assert unsolved == [None]
     (found,) = sim.presses(scene)
     assert unsolved[1].angle_deg == 5.0
-    assert found.signal_error == 0.05
+    assert found.signal_error == 0.10
 
 
 @pytest.mark.usefixtures("unsolved")

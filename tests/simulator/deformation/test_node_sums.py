@@ -7,7 +7,8 @@ from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, Touch
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame, Polynomials
 from eitskin.simulator.deformation.node_sums import NodeSums, functions_from
-from eitskin.simulator.deformation.touches import PressedSensor, dents
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor
+from eitskin.simulator.deformation.touches import dents
 
 LENGTH, WIDTH, HEIGHT = 0.15, 0.06, 0.005
 SENSOR = PressedSensor(SensorDesign.reference(), Mechanics())

@@ -20,10 +20,11 @@ from eitskin.simulator.deformation.corrections import (
 from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.node_sums import _resampled
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance, sides_of
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
 from eitskin.simulator.deformation.stack_mesh import Fineness
-from eitskin.simulator.deformation.touches import PressedSensor, pressed_touches
+from eitskin.simulator.deformation.touches import pressed_touches
 
 HEIGHT, THICKNESS, DEPTH = 0.005, 0.012, 0.002
 MECHANICS, PUNCH = Mechanics(), Cylinder()

@@ -77,6 +77,7 @@ def test_impedance_matrix(design, factor) -> None:
 
 
 @few
+@pytest.mark.filterwarnings("ignore:the conductivity changes:UserWarning")
 @given(designs(), st.floats(0, 1), st.floats(0, 1), log_uniform(1e-3, 1e3))
 def test_resistance_falls_where_conductivity_rises(design, x, y, factor) -> None:
     """For every pattern of currents: the difference of the matrices is positive semidefinite."""

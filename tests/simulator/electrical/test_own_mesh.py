@@ -1,10 +1,13 @@
 """Models on meshes of one's own, against closed forms and models of designs."""
 
+import os
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import skfem
+from scipy.io import loadmat
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator import ForwardModel, Protocol
@@ -136,6 +139,23 @@ def test_files_are_read_by_meshio(tmp_path) -> None:
     Z = ForwardModel.from_mesh(tmp_path / "disc.vtu", contact_impedance=0.05).impedance()
     given = ForwardModel.from_mesh((points, cells), electrodes, contact_impedance=0.05).impedance()
     assert pytest.approx(given) == Z
+
+
+def test_the_mesh_of_a_real_tank_meets_its_voltages() -> None:
+    """As closely as the tank is a circle: with one conductivity, 8.5 % of the voltages are left."""
+    folder = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
+    if not (folder / "ktc2023_mesh_sparse.mat").is_file():
+        pytest.skip(f"{folder} has no ktc2023_mesh_sparse.mat; set EITSKIN_DATA to its folder")
+    mesh, tank = (
+        loadmat(folder / f"ktc2023_{name}.mat", simplify_cells=True)
+        for name in ("mesh_sparse", "ref")
+    )
+    faces = [np.asarray(each, dtype=int) for each in mesh["elfaces"]]
+    model = ForwardModel.from_mesh((mesh["g"], mesh["H"].astype(int)), faces, 1.0, 1e-6)
+    volts = (tank["Mpat"].T @ model.impedance() @ tank["Injref"]).T.ravel()
+    scale = volts @ tank["Uelref"] / (volts @ volts)
+    left = np.linalg.norm(scale * volts - tank["Uelref"])
+    assert left < 0.085 * np.linalg.norm(tank["Uelref"])
 
 
 @pytest.mark.parametrize(

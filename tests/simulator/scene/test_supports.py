@@ -77,11 +77,36 @@ def test_plates_as_far_apart_as_those_of_the_fixture_may_be_bent() -> None:
     made.check_scene(Scene(Bend(5.0), support=Plates(0.03)))
 
 
-@pytest.mark.parametrize("bend", [0.0, 5.0])
-def test_tables_of_presses_are_refused_on_plates(bend) -> None:
+@pytest.mark.parametrize(("angle", "x", "force"), [(55.0, 0.02, 8.0), (5.0, 0.075, 8.0)])
+def test_presses_on_plates_beyond_their_tables_are_solved_or_refused(angle, x, force) -> None:
+    scene = Scene(Bend(angle), (Touch(x, 0.030, force),), support=Plates())
+    assert Simulator(SensorDesign.reference(), "fast").solves_presses(scene)
     tabulated = Simulator(SensorDesign.reference(), "fast", touch_model="tabulated")
-    scene = Scene(Bend(bend), (TOUCH,), support=Plates())
-    with pytest.raises(ConfigurationError, match=r"got a rectangle on Plates\(span=0\.04\); leave"):
+    with pytest.raises(ConfigurationError, match="touches on plates are tabulated from -20 to 50"):
+        tabulated.presses(scene)
+
+
+def test_tables_of_presses_are_refused_on_a_membrane() -> None:
+    tabulated = Simulator(SensorDesign.reference(), "fast", touch_model="tabulated")
+    scene = Scene(touches=(TOUCH,), support=Free())
+    with pytest.raises(ConfigurationError, match=r"got a rectangle on Free\(\); leave"):
         tabulated.presses(scene)
     tabulated.check_scene(dataclasses.replace(scene, touches=()))
     tabulated.check_scene(dataclasses.replace(scene, support=None))
+
+
+def test_presses_on_the_plates_of_the_reference_ship() -> None:
+    """Far from the gap they are those on a rigid base; bent they turn with their plate."""
+    sim = Simulator(SensorDesign.reference(), "coarse")
+    touch = Touch(0.012, 0.030, 6.0)
+    scene = Scene(Bend(30.0), (touch,), support=Plates())
+    assert not sim.solves_presses(scene)
+    (held,), (rigid,) = sim.presses(scene), sim.presses(Scene(touches=(touch,)))
+    assert held.depth == pytest.approx(rigid.depth, rel=0.02)
+    under = np.array([0.012, 0.030, 0.005])
+    both = sim.deformation(scene).positions(under) - sim.deformation(
+        Scene(scene.bend, support=Plates())
+    ).positions(under)
+    flat = sim.deformation(Scene(touches=(touch,))).positions(under) - under
+    assert np.linalg.norm(both) == pytest.approx(np.linalg.norm(flat), rel=0.05)
+    assert np.degrees(np.arctan2(both[0], -both[2])) == pytest.approx(15.0, abs=2.0)

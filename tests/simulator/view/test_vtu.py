@@ -163,7 +163,7 @@ def test_the_command_writes_a_scene(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="not empty"):
         export(scene, *options)
     assert (out / BODY).read_bytes() == before
-    for wrong in (("--touch-model", "guess"), (*options[2:4], "--drive", 0, 9), ("--cell", 10)):
+    for wrong in ((*options[2:4], "--drive", 0, 9), ("--cell", 10)):
         with pytest.raises(ConfigurationError):
             export(scene, "--out", tmp_path / "other", *wrong)
     assert not (tmp_path / "other").exists()

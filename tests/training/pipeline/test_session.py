@@ -301,3 +301,17 @@ def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
             held.add(FLAT * (1 + 1e-4 * rng.standard_normal(28)), FLAT, held=False)
         weights.append(held.weight)
     assert weights == pytest.approx([2.0, 0.5], rel=0.25)
+
+
+def test_a_motion_along_the_directions_of_a_touch_is_seen_though_noise_hides_it_elsewhere():
+    """A force that fades by less than the noise of a channel at every frame."""
+    rng, along = np.random.default_rng(1), np.zeros(28)
+    along[3:6] = 1.0
+    counts = []
+    for directions in (np.zeros((0, 28)), along[None]):
+        held = HeldTouch(3e-4, directions=directions)
+        frames = FLAT * (1.0 + 2e-4 * rng.standard_normal((40, 28)))
+        frames[20:] *= 1.0 + 1e-4 * np.arange(20)[:, None] * along
+        counts.append([held.add(V, FLAT, held=n > 0)[1] for n, V in enumerate(frames)])
+    assert [max(each[15:20]) for each in counts] == [8, 8]
+    assert np.mean(counts[1][26:]) < 0.7 * np.mean(counts[0][26:])

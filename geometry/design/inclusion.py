@@ -1,0 +1,114 @@
+"""Parts of a layer whose conductivity is another, with edges that a mesh follows."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.bounds import LONGEST, require_within
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
+
+Array = NDArray[np.float64]
+
+_CHORDS = 48  # of a circle, whose polygon has the area of the circle
+_SAMPLES = 400  # places along a rim that must be apart from others
+_LEAST_DISTANCE = 1e-3  # of a rim from others, over its extent
+
+
+@dataclass(frozen=True, slots=True)
+class Inclusion:
+    """Part of a layer through its whole thickness.
+
+    Examples:
+        >>> from eitskin.geometry import Inclusion
+        >>> Inclusion.cylinder(0.05, 0.03, 0.01, conductivity=2.0).outline
+        Disc(radius=0.01)
+
+    Attributes:
+        outline: of the part.
+        x, y: middle of the outline's bounding box [m].
+        conductivity: inside, complex for an admittivity [S/m].
+    """
+
+    outline: PlaneOutline
+    x: float
+    y: float
+    conductivity: complex
+
+    def __post_init__(self) -> None:
+        """Check that the numbers are finite, and the conductivity's real part positive."""
+        require_within("inclusion x", self.x, -LONGEST, LONGEST, "m")
+        require_within("inclusion y", self.y, -LONGEST, LONGEST, "m")
+        if not (np.isfinite(self.conductivity) and np.real(self.conductivity) > 0.0):
+            raise ConfigurationError(
+                "inclusion conductivity must be finite with a positive real part, got "
+                f"{self.conductivity} S/m"
+            )
+
+    @classmethod
+    def cylinder(cls, x: float, y: float, radius: float, conductivity: complex) -> "Inclusion":
+        """Upright cylinder about (x, y) of a radius [m]."""
+        return cls(Disc(radius), x, y, conductivity)
+
+    @classmethod
+    def box(
+        cls, x: float, y: float, length: float, width: float, conductivity: complex
+    ) -> "Inclusion":
+        """Box about (x, y) of a length along x and a width along y [m]."""
+        return cls(Rectangle(length, width), x, y, conductivity)
+
+    @property
+    def meshed(self) -> PlaneOutline:
+        """Outline on whose rim the points of a mesh lie: of a disc a little larger.
+
+        The polygon of its chords has the disc's area.
+        """
+        if not isinstance(self.outline, Disc):
+            return self.outline
+        angle = 2.0 * math.pi / _CHORDS
+        return Disc(self.outline.radius * math.sqrt(angle / math.sin(angle)))
+
+    @property
+    def marks(self) -> Array:
+        """Arc lengths of required points of the meshed rim, besides corners [m]."""
+        whole = self.meshed.perimeter
+        return (
+            whole * np.arange(_CHORDS) / _CHORDS if isinstance(self.outline, Disc) else np.empty(0)
+        )
+
+    @property
+    def origin(self) -> Array:
+        """Least x and y of the meshed outline, (2,) [m]."""
+        return np.array([self.x, self.y]) - 0.5 * np.array([self.meshed.length, self.meshed.width])
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (..., 2 or 3) [m] are within the meshed outline, (...)."""
+        return self.meshed.contains(points[..., :2] - self.origin)
+
+
+def require_inside(inclusions: Sequence[Inclusion], outline: PlaneOutline) -> None:
+    """Raise ConfigurationError for rims that cross or touch each other or the layer's rim."""
+    rims = [
+        each.meshed.at(np.linspace(0.0, each.meshed.perimeter, _SAMPLES, endpoint=False))
+        + each.origin
+        for each in inclusions
+    ]
+    for number, (each, rim) in enumerate(zip(inclusions, rims, strict=True)):
+        least = _LEAST_DISTANCE * max(each.outline.length, each.outline.width)
+        if not outline.contains(rim, least).all():
+            raise ConfigurationError(
+                f"inclusion {number} must lie within the layer, clear of its rim by {least:.2g} m; "
+                "move it inwards, or make it smaller"
+            )
+    for (first, a), (second, b) in itertools.permutations(enumerate(inclusions), 2):
+        depth = a.meshed.nearest(rims[second] - a.origin)[1]
+        least = _LEAST_DISTANCE * max(b.outline.length, b.outline.width)
+        if depth.min() < least and depth.max() > -least:
+            raise ConfigurationError(
+                f"the rims of inclusions {first} and {second} must not cross or touch; move them "
+                "apart, or one into the other"
+            )
