@@ -39,7 +39,7 @@ def test_places_strength_and_standard_errors(learned):
     found, left_out = learned.locator.locate(ratio)
     error = np.linalg.norm(found.place - places, axis=1)
     assert np.median(error) < 1e-3
-    assert 0.4 < np.sqrt(np.mean((error / found.deviation) ** 2)) < 1.5
+    assert 0.35 < np.sqrt(np.mean((error / found.deviation) ** 2)) < 1.5
     assert not left_out.any()
     assert abs(learned.law.exponent - 1.5) < 0.1
     inner = np.abs(places).max(axis=1) < 0.04
