@@ -81,7 +81,7 @@ def command(
         data = read_recorded(recording, values, protocol)
         table = required_protocol(data)
         readings = hardware.check_readings(data.impedance, table, data.status)
-        found = SensorFindings(readings.findings, readings.laws)
+        found = SensorFindings((*readings.findings, *_failed(data)), readings.laws)
         _report({"recording": str(recording)}, found, table, len(data), output)
     else:
         if values or protocol:
@@ -114,6 +114,17 @@ def command(
             lambda: [pipeline.process(each) for each in taken][-1],
         )
         _report({"board": uri}, findings, taken[0].protocol, len(taken), output)
+
+
+def _failed(data: "datasets.Dataset") -> "tuple[Finding, ...]":
+    """Findings of electrodes that failed in a recording, by the range of its first readings."""
+    from eitskin.hardware.diagnosis.checked_frames import Finding, FindingKind
+    from eitskin.training.method.sensor_health import follow_recording
+
+    return tuple(
+        Finding(FindingKind.FAILED, (fault.electrode,), fault.channels, str(fault))
+        for fault in follow_recording(data, grows=False)[1]
+    )
 
 
 class SensorFindings(NamedTuple):

@@ -307,7 +307,13 @@ def evaluate(
             ("mean error", f"{score.mean_error_mm:.2f} mm"),
             ("median error", f"{score.median_error_mm:.2f} mm"),
             ("mean error of always the middle", f"{score.guess_error_mm:.1f} mm"),
+            (
+                "error over standard error",
+                "-" if (over := score.error_ratio) is None else f"{over:.2f}",
+            ),
         )
+        for fault in score.faults:
+            output.note(fault)
         table = table_of(("touch position", "here"), rows, title=f"{score.frames} frames")
         output.result(score.as_dict(), table)
         return
@@ -315,6 +321,8 @@ def evaluate(
     if len(frames) < len(data):
         held_out = f"{len(frames)} frames never seen, of {specimens_in_words(data.select(frames))}"
         output.note(f"trained on this dataset: only the {held_out}, count")
+    for fault in trained.followed(data.select(frames))[1]:
+        output.note(fault)
     evaluation = Evaluation.of(trained, data.select(frames))
     if out is not None:
         _save_report(evaluation, out, output)

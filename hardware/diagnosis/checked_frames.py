@@ -191,6 +191,7 @@ class FindingKind(StrEnum):
     STUCK = "stuck"
     NOISY = "noisy"
     MOVED = "moved"
+    FAILED = "failed"
     OPEN = "open"
     SHORT = "short"
     FACTOR = "factor"

@@ -220,20 +220,30 @@ class ChannelMaps:
     weights: Array
 
     @classmethod
-    def fit(cls, kernel: PlaceKernel, presses: Presses, noise: float) -> "ChannelMaps":
+    def fit(
+        cls, kernel: PlaceKernel, presses: Presses, noise: float, weight: float = 1.0
+    ) -> "ChannelMaps":
         """Learn the channels' covariances by expectation maximisation, then the maps.
 
         Args:
             kernel: prior covariance over the sheet.
             presses: what to learn from.
-            noise: prior guess of the noise variance, in units of the answers' variance; it counts
-                as much as one press per channel, as does the prior guess 1 of the signal.
+            noise: prior guess of the noise variance, in units of the answers' variance.
+            weight: of this guess, and of the guess 1 of the signal, in presses per channel.
         """
         features = KernelFeatures.of(kernel, presses.places)
         values, basis, answers, rest = _normal_equations(features, presses)
         w, (m, channels) = values[:, None], answers.shape
-        prior_signal, prior_noise = np.eye(channels), noise * np.eye(channels)
+        # Directions beyond those of fewer presses than channels are all alike: one stands for them.
+        turned = np.eye(channels)
+        if (rank := min(len(presses.strength), channels)) < channels:
+            turned = np.linalg.qr(presses.answers.T, mode="complete")[0]
+        seen_in = turned[:, : rank + 1]
+        answers, rest = answers @ seen_in, seen_in.T @ rest @ seen_in
+        prior, prior_signal = weight * channels, np.eye(answers.shape[1])
+        prior_noise = noise * prior_signal
         gain, whitening = _diagonalise(prior_signal, prior_noise)
+        signal, error = prior_signal, prior_noise
         for _ in range(ITERATIONS):
             back = np.linalg.inv(whitening)
             seen = answers @ whitening
@@ -244,12 +254,21 @@ class ChannelMaps:
             errors = (
                 off.T @ off + np.diag(np.sum(variance, axis=0)) + whitening.T @ rest @ whitening
             )
-            signal = (back.T @ maps @ back + channels * prior_signal) / (m + channels)
-            count = len(presses.strength) + channels
-            error = (back.T @ errors @ back + channels * prior_noise) / count
+            signal = (back.T @ maps @ back + prior * prior_signal) / (m + prior)
+            count = len(presses.strength) + prior
+            error = (back.T @ errors @ back + prior * prior_noise) / count
             gain, whitening = _diagonalise(0.5 * (signal + signal.T), 0.5 * (error + error.T))
         weights = gain * np.sqrt(w) * (answers @ whitening) / (gain * w + 1.0)
-        return cls(features, whitening, gain, basis, values, weights)
+        others = turned[:, rank + 1 :] / np.sqrt(error[-1, -1])
+        alike = np.full(others.shape[1], signal[-1, -1] / error[-1, -1])
+        return cls(
+            features,
+            np.hstack([seen_in @ whitening, others]),
+            np.concatenate([gain, alike]),
+            basis,
+            values,
+            np.hstack([weights, np.zeros((m, len(alike)))]),
+        )
 
     def at(self, places: ArrayLike) -> tuple[Array, Array]:
         """Mean and variance (n, C) each of the independent maps at places (n, 2) [m]."""

@@ -3,11 +3,12 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
 from eitskin.errors import DataError
 from eitskin.training.adaptation.channel_maps import PlaceKernel
@@ -18,10 +19,15 @@ Array = NDArray[np.float64]
 TAIL = 8.0  # degrees of freedom of the misfit: a frame that fits badly is trusted less
 FINE = 6  # parts of a cell's side around the best places
 MODES = 3
+UNKNOWN_SCALE = 1e12  # of a channel that was bad in training
+WIDE = 10.0  # cells that share the posterior, beyond which they are not divided
 ROUNDS = 2  # of strength against the variance that depends on it
 _SUPPORT = 6  # nodes of the interpolation between grid points
 MOST_LEFT_OUT = 4  # a channel in so many
 SUSPECTS = 3  # channels that are tried without
+MOST_SUSPECTED = 4  # channels of one frame
+MOST_WHOLE = 32  # channels, whose maps are all told one by one
+LEAST_MEAN = 1e-2  # mean square of a map, in units of the noise, from which it is told by itself
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +45,18 @@ class Places:
     deviation: Array
     strength: Array
     misfit: Array
+
+    def drawn_to(self, middle: Array, trust: float, extent: float) -> "Places":
+        """Places drawn to the middle (2,) [m] of all presses by a factor, their errors with them.
+
+        Args:
+            middle: that is right where nothing is known.
+            trust: factor of the distance from it, 0 to 1.
+            extent: standard deviation of places along an axis [m].
+        """
+        place = middle + trust * (self.place - middle)
+        spread = np.sqrt(trust * self.deviation**2 + (1.0 - trust) * 2.0 * extent**2)
+        return replace(self, place=place, deviation=spread)
 
 
 def mixture_places(each: Sequence[Places]) -> Places:
@@ -60,14 +78,18 @@ def mixture_places(each: Sequence[Places]) -> Places:
 class MapGrid(StoredFields):
     """Posterior maps of the channels on a regular grid.
 
+    The first K independent maps are told one by one; the mean of the others is zero, and their
+    variance that of their mean.
+
     Attributes:
         low: first grid point (2,) [m].
         step: of the grid [m].
-        mean: of the independent maps (rows along y, columns along x, C).
+        mean: of the independent maps (rows along y, columns along x, K).
         variance: of the independent maps, of the same shape.
         log_prior: of a touch at each grid point (rows, columns); -inf where none can be.
-        whitening: from channels to independent answers (C, C).
+        whitening: from channels to independent answers (C, I), those of the K maps first.
         strength: prior mean and standard deviation of the strength (2,).
+        rest: variance of each of the other I - K maps (rows, columns); None without any.
     """
 
     low: Array
@@ -77,6 +99,38 @@ class MapGrid(StoredFields):
     log_prior: Array
     whitening: Array
     strength: Array
+    rest: Array | None = None
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the region where touches can be (2,) [m]."""
+        row, column = np.nonzero(np.isfinite(self.log_prior))
+        middle: Array = self.low + self.step * np.array([column.mean(), row.mean()])
+        return middle
+
+    def shortened(self) -> "MapGrid":
+        """Grid whose maps of little mean, are told by one variance, unless there are few."""
+        size = np.mean(self.mean**2, axis=(0, 1))
+        order = np.argsort(-size, kind="stable")
+        kept = max(1, int(np.sum(size > LEAST_MEAN)))
+        if self.rest is not None or kept >= len(size) or len(size) <= MOST_WHOLE:
+            return self
+        first, others = order[:kept], order[kept:]
+        return replace(
+            self,
+            mean=self.mean[..., first],
+            variance=self.variance[..., first],
+            whitening=self.whitening[:, order],
+            rest=self.variance[..., others].mean(axis=-1),
+        )
+
+    def without(self, bad: NDArray[np.bool_]) -> "MapGrid":
+        """Grid of the channels that are not bad (C,), which the values of bad ones do not change.
+
+        Their noise stays what it was; the maps are made independent anew by their mean squares
+        over the grid, and covariances that are left at a single place are neglected.
+        """
+        return _without(self, bad.tobytes())
 
     def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
         """Place and strength of one touch in each frame.
@@ -91,23 +145,25 @@ class MapGrid(StoredFields):
         y = np.asarray(answers, dtype=float)
         out = np.zeros(y.shape, dtype=bool) if bad is None else bad
         found = [
-            self._locate(np.where(skip, 0.0, row), skip) for row, skip in zip(y, out, strict=True)
+            (self.without(skip) if skip.any() else self)._locate(np.where(skip, 0.0, row))
+            for row, skip in zip(y, out, strict=True)
         ]
         place, deviation, strength, misfit = (list(each) for each in zip(*found, strict=True))
         return Places(np.array(place), np.array(deviation), np.array(strength), np.array(misfit))
 
-    def _locate(self, answer: Array, bad: NDArray[np.bool_]) -> tuple[Array, float, float, Array]:
-        rows, columns, channels = self.mean.shape
-        seen, left = answer @ self.whitening, self.whitening[bad]
-        likelihood = partial(score, self.strength, seen, left)
+    def _locate(self, answer: Array) -> tuple[Array, float, float, Array]:
+        rows, columns, kept = self.mean.shape
+        seen = answer @ self.whitening
+        likelihood = partial(score, self.strength, seen)
         allowed = np.flatnonzero(np.isfinite(self.log_prior))
         log = np.full(rows * columns, -np.inf)
-        log[allowed], _ = likelihood(
-            self.mean.reshape(-1, channels)[allowed], self.variance.reshape(-1, channels)[allowed]
-        )
+        means, variances = (m.reshape(-1, kept)[allowed] for m in (self.mean, self.variance))
+        rest = None if self.rest is None else self.rest.ravel()[allowed]
+        log[allowed], _ = likelihood(means, variances, rest)
         log = (log + self.log_prior.ravel()).reshape(rows, columns)
         coarse, points, parts = log.copy(), [], []
-        for _ in range(MODES):
+        wide = np.exp(log - log.max()).sum() > WIDE  # of few presses: cells are fine enough
+        for _ in range(0 if wide else MODES):
             row, column = np.unravel_index(int(np.argmax(coarse)), coarse.shape)
             if not coarse[row, column] > log.max() - 12.0:
                 break
@@ -119,23 +175,22 @@ class MapGrid(StoredFields):
             points.append(fine)
             parts.append(likelihood(*self._between(fine))[0] + log_prior - 2 * np.log(FINE))
             coarse[near] = -np.inf
-        rest = np.argwhere(coarse > log.max() - 12.0)
-        points.append(rest[:, ::-1].astype(float))
-        parts.append(coarse[tuple(rest.T)])
+        left = np.argwhere(coarse > log.max() - 12.0)
+        points.append(left[:, ::-1].astype(float))
+        parts.append(coarse[tuple(left.T)])
         at, log_mass = np.concatenate(points), np.concatenate(parts)
         mass = np.exp(log_mass - log_mass.max())
         mass /= mass.sum()
         middle = mass @ at
         spread = mass @ np.sum((at - middle) ** 2, axis=1) + 1.0 / (6.0 * FINE**2)
         best = at[int(np.argmax(log_mass))]
-        mean, variance = self._between(best[None])
-        _, strength = likelihood(mean, variance)
-        misfit = np.where(bad, 0.0, self._misfit(seen, left, mean[0], variance[0], strength[0]))
+        maps = self._between(best[None])
+        strength = float(likelihood(*maps)[1][0])
         return (
             self.low + self.step * middle,
             self.step * float(np.sqrt(spread)),
-            float(strength[0]),
-            misfit,
+            strength,
+            self._misfit(seen, *maps, strength),
         )
 
     def _fine(self, near: tuple[slice, slice], free: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -148,8 +203,8 @@ class MapGrid(StoredFields):
         prior = np.repeat(self.log_prior[tuple(cells.T)], FINE**2)
         return np.clip(at, 0.0, [columns - 1.0, rows - 1.0]), prior
 
-    def _between(self, at: Array) -> tuple[Array, Array]:
-        """Mean, by polynomials, and variance, of the nearest point, at grid indices x, y (n, 2)."""
+    def _between(self, at: Array) -> tuple[Array, Array, Array | None]:
+        """Mean, by polynomials, and variances, of the nearest point, at indices x, y (n, 2)."""
         rows, columns, _ = self.mean.shape
         size = (min(_SUPPORT, columns), min(_SUPPORT, rows))
         starts = [
@@ -162,68 +217,87 @@ class MapGrid(StoredFields):
             for j in range(size[0]):
                 factor = (weights[1][:, i] * weights[0][:, j])[:, None]
                 mean += factor * self.mean[starts[1] + i, starts[0] + j]
-        nearest = np.rint(at).astype(int)
-        return mean, self.variance[nearest[:, 1], nearest[:, 0]]
+        column, row = np.rint(at).astype(int).T
+        return (
+            mean,
+            self.variance[row, column],
+            None if self.rest is None else self.rest[row, column],
+        )
 
     def _misfit(
-        self, seen: Array, left: Array, mean: Array, variance: Array, strength: float
+        self, seen: Array, mean: Array, variance: Array, rest: Array | None, strength: float
     ) -> Array:
         """Residual of each channel given all others, in standard deviations (C,)."""
-        precision = 1.0 / (strength**2 * variance + 1.0)
-        residual = precision * (seen - strength * mean)
-        weighted = self.whitening * precision
-        inverse = weighted @ self.whitening.T
-        pull = self.whitening @ residual
-        if len(left):
-            cross = weighted @ left.T
-            solved = np.linalg.solve((left * precision) @ left.T, cross.T)
-            inverse = inverse - cross @ solved
-            pull = pull - solved.T @ (left @ residual)
-        misfit: Array = pull / np.sqrt(np.maximum(np.diag(inverse), 1e-12))
+        kept = mean.shape[1]
+        spread = np.full(len(seen), 0.0 if rest is None else rest[0])
+        spread[:kept] = variance[0]
+        residual = seen.copy()
+        residual[:kept] -= strength * mean[0]
+        precision = 1.0 / (strength**2 * spread + 1.0)
+        size = np.sum(self.whitening**2 * precision, axis=1)
+        misfit: Array = self.whitening @ (precision * residual) / np.sqrt(np.maximum(size, 1e-12))
         return misfit
 
 
+@lru_cache(maxsize=16)
+def _back(grid: MapGrid) -> Array:
+    """Channels of the independent maps (I, C): the inverse of the whitening."""
+    return np.asarray(np.linalg.pinv(grid.whitening), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _without(grid: MapGrid, pattern: bytes) -> MapGrid:
+    """`MapGrid.without`, the bad channels as bytes; sessions have few patterns of them."""
+    good = np.flatnonzero(~np.frombuffer(pattern, dtype=bool))
+    kept, count = grid.mean.shape[2], grid.whitening.shape[1]
+    back = _back(grid)[:, good]
+    rest = np.zeros(grid.log_prior.shape) if grid.rest is None else grid.rest
+    size = np.full(count, float(rest.mean()))
+    size[:kept] = np.mean(grid.mean**2 + grid.variance, axis=(0, 1))
+    gain, own = eigh(back.T @ (size[:, None] * back), back.T @ back)
+    own = own[:, np.argsort(-gain, kind="stable")]
+    turn = back @ own
+    most = min(kept, len(good))
+    whitening = np.zeros((len(grid.whitening), len(good)))
+    whitening[good] = own
+    square = turn**2
+    variance = grid.variance @ square[:kept] + rest[..., None] * square[kept:].sum(axis=0)
+    return replace(
+        grid,
+        mean=grid.mean @ turn[:kept, :most],
+        variance=variance[..., :most],
+        whitening=whitening,
+        rest=variance[..., most:].mean(axis=-1) if most < len(good) else None,
+    )
+
+
 def score(
-    prior: Array, seen: Array, left: Array, mean: Array, variance: Array
+    prior: Array, seen: Array, mean: Array, variance: Array, rest: Array | None = None
 ) -> tuple[Array, Array]:
     """Log likelihood of places for one frame, with the strength at its best, and that (n,) each.
 
     Args:
         prior: mean and standard deviation of the strength (2,).
-        seen: independent answers (C,).
-        left: rows of the whitening of channels that are left out (b, C); an unknown offset of each
-            is marginalised, which leaves the channel out exactly.
-        mean, variance: of the maps at the places (n, C).
+        seen: independent answers (I,).
+        mean, variance: of the first K maps at the places (n, K).
+        rest: variance of the other maps, whose mean is zero (n,); None without any.
     """
     s = np.full(len(mean), prior[0])
-    weight = 1.0 / prior[1] ** 2
+    weight, kept = 1.0 / prior[1] ** 2, mean.shape[1]
+    first, others = seen[:kept], float(np.sum(seen[kept:] ** 2))
     for _ in range(ROUNDS):
         precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
-        yy, ym, mm, log = precision_products(seen, left, mean, precision)
+        weighted = precision * mean
+        ym, mm = weighted @ first, np.einsum("nk,nk->n", weighted, mean)
+        yy, log = precision @ first**2, np.log(precision).sum(axis=1)
+        if rest is not None:
+            alike = 1.0 / (s**2 * rest + 1.0)
+            yy, log = yy + alike * others, log + (len(seen) - kept) * np.log(alike)
         s = np.maximum((ym + prior[0] * weight) / (mm + weight), 0.05 * prior[0])
     square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
-    likelihood = -0.5 * (TAIL + len(seen) - len(left)) * np.log1p(square / TAIL) + 0.5 * log
+    likelihood = -0.5 * (TAIL + len(seen)) * np.log1p(square / TAIL) + 0.5 * log
     off = (s - prior[0]) ** 2 * weight
     return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
-
-
-def precision_products(
-    y: Array, left: Array, mean: Array, precision: Array
-) -> tuple[Array, Array, Array, Array]:
-    """y'Qy, y'Qm, m'Qm and log |Q| of the precision Q of the channels that are left (n,)."""
-    yy, ym = precision @ y**2, np.sum(precision * mean * y, axis=1)
-    mm, log = np.sum(precision * mean**2, axis=1), np.sum(np.log(precision), axis=1)
-    if not len(left):
-        return yy, ym, mm, log
-    lost = np.einsum("bc,nc,dc->nbd", left, precision, left, optimize=True)
-    a, b = (precision * y) @ left.T, (precision * mean) @ left.T
-    solved_a, solved_b = (np.linalg.solve(lost, v[..., None])[..., 0] for v in (a, b))
-    return (
-        yy - np.sum(a * solved_a, axis=1),
-        ym - np.sum(a * solved_b, axis=1),
-        mm - np.sum(b * solved_b, axis=1),
-        log - np.linalg.slogdet(lost)[1],
-    )
 
 
 def _lagrange(t: Array, size: int) -> Array:
@@ -330,12 +404,15 @@ class PressLocator(Locator):
 
     Attributes:
         grid: the maps.
-        others: further models of the maps, in the same units; places are means over all.
-        gain: of the channels (C,); log |V / ref| is divided by it.
+        gain: of the channels (C,), by which log |V / ref| is divided; 0 of those that were bad.
         channel_scale: root mean square of the log ratios (C,).
         centre: mean of the training places (2,) [m].
         error_factor: factor of the standard errors, from presses that were left out.
         misfit_limit: misfit of a channel beyond which a frame is located without it.
+        others: further models of the maps, in the same units; places are means over all.
+        trust: factor of distances from the middle, below 1 where presses tell little.
+        extent: standard deviation of the presses' places along an axis [m].
+        lost_factor: factor of the standard errors where channels are left out.
     """
 
     grid: MapGrid
@@ -345,22 +422,27 @@ class PressLocator(Locator):
     error_factor: float
     misfit_limit: float
     others: Annotated[tuple[MapGrid, ...], Stored("other")] = ()
+    trust: float = 1.0
+    extent: float = 0.0
+    lost_factor: float = 1.0
 
     def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
         """Place and strength of one touch in each frame, and the channels left out (n, C).
 
         Bad channels are left out. Where a channel departs by more than `misfit_limit` from what all
         others say, that of the worst ones is left out without which the rest agrees best, and so
-        on, at most one in `MOST_LEFT_OUT`.
+        on, at most one in `MOST_LEFT_OUT`, and `MOST_SUSPECTED` in all.
         """
         size = np.abs(np.asarray(ratio))
         logs = log_ratio(ratio)
         self.require_channels(logs.shape[-1])
-        bad = ~(np.isfinite(size) & (size > 0))
-        answers = logs / self.gain
+        bad = ~(np.isfinite(size) & (size > 0) & (self.gain != 0))
+        lost = (bad & (self.gain != 0)).sum(axis=1) > 1
+        answers = logs / np.where(self.gain == 0, 1.0, self.gain)
         found = self._located(answers, bad)
-        most = bad.sum(axis=1) + logs.shape[1] // MOST_LEFT_OUT
-        for _ in range(logs.shape[1] // MOST_LEFT_OUT):
+        rounds = min(logs.shape[1] // MOST_LEFT_OUT, MOST_SUSPECTED)
+        most = bad.sum(axis=1) + rounds
+        for _ in range(rounds):
             over = np.abs(found.misfit).max(axis=1) > self.misfit_limit
             again = np.flatnonzero(over & (bad.sum(axis=1) < most))
             if not len(again):
@@ -378,7 +460,9 @@ class PressLocator(Locator):
                 bad[again[better]] = less[better]
                 for each in fields(Places):
                     getattr(found, each.name)[again[better]] = getattr(other, each.name)[better]
-        return replace(found, deviation=found.deviation * self.error_factor), bad
+        found = found.drawn_to(self.grid.middle, self.trust, self.extent)
+        factor = self.error_factor * np.where(lost, self.lost_factor, 1.0)
+        return replace(found, deviation=found.deviation * factor), bad
 
     def _located(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
         """Places by all models from answers (n, C) without the bad ones (n, C)."""

@@ -18,6 +18,7 @@ from eitskin.training.adaptation.channel_maps import (
     concatenate,
 )
 from eitskin.training.adaptation.locator import (
+    UNKNOWN_SCALE,
     MapGrid,
     Places,
     PressLocator,
@@ -26,16 +27,18 @@ from eitskin.training.adaptation.locator import (
 )
 from eitskin.training.adaptation.sheet import MapChoice, SheetKnowledge
 from eitskin.training.method.known_frames import held_numbers
+from eitskin.training.method.sensor_health import ReadingRange, electrode_members, follow_recording
 from eitskin.training.method.settings import single_touches
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 FEWEST = 5  # labelled presses
-GRID_POINTS = 44  # along the longer side of the sheet
+GRID_POINTS, FEW_POINTS = 44, 28  # along the longer side; fewer, where few presses tell little
 FOLDS = 5
 MOST_TESTED = 20  # presses of a fold
 MISFIT = 6.0  # standard deviations; a channel that departs further is left out of the frame
 MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
+FEW_MARGIN = 20.0  # more, over the number of these: few do not tell the usual misfit
 PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
 # Presses at which learned covariances double the error variance, without the design and with it.
 COVARIANCE_PRESSES, WITH_DESIGN = 10.0, 4.0
@@ -52,7 +55,7 @@ class LabelledPresses:
     """n frames of presses of one sensor, in the order of time, and what is known of the sensor.
 
     Attributes:
-        ratios: |V / ref| (n, C), ref being untouched.
+        ratios: |V / ref| (n, C), ref being untouched; NaN where a channel is bad.
         places: of the touches (n, 2) [m].
         label: depth [m] or else force [N] of each (n,); None where not all are known.
         design: of the sensor; None where unknown.
@@ -66,17 +69,22 @@ class LabelledPresses:
     protocol: Protocol | None = None
 
     @classmethod
-    def of(cls, dataset: Dataset, frames: Rows | None = None) -> "LabelledPresses":
+    def of(
+        cls, dataset: Dataset, frames: Rows | None = None, usual: ReadingRange | None = None
+    ) -> "LabelledPresses":
         """Presses of a dataset: all of them, or those of `frames` (n,), of one touch each.
 
-        The reference is flat where the untouched sensor was not recorded.
+        The reference is flat where the untouched sensor was not recorded. Electrodes that failed
+        are left out, by the range of `usual` readings, or of the recording's first.
         """
+        dataset = follow_recording(dataset, usual)[0]
         rows = single_touches(dataset) if frames is None else frames
         free = dataset.touch_reference[rows]
         known = np.isfinite(free).all(axis=1, keepdims=True)
         reference = np.where(known, free, dataset.reference[dataset.specimen[rows]])
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.abs(dataset.impedance[rows] / reference).astype(float)
+        ratios[dataset.status[rows] != 0] = np.nan
         return cls(
             ratios,
             touch_places(dataset, rows),
@@ -226,6 +234,10 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
 
     Raises DataError for fewer than `FEWEST` presses, or presses all at one place.
     """
+    dead = 2 * np.isnan(labelled.ratios).sum(axis=0) > len(labelled)
+    whole = np.flatnonzero(np.isfinite(labelled.ratios[:, ~dead]).all(axis=1))
+    if 2 * len(whole) >= max(len(labelled), 2 * FEWEST):  # few are spoilt, as by a late fault
+        labelled = labelled.select(whole)
     logs, xy, design = log_ratio(labelled.ratios), labelled.places, labelled.design
     extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
     held = labelled.held
@@ -246,28 +258,47 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
         strength = law.strength(label)
     presses = replace(recorded, strength=strength)
     choices = known.choices(presses)
-    region = _Region.of(xy[first], design)
+    region = _Region.of(xy[first], design, GRID_POINTS if len(choices) == 1 else FEW_POINTS)
     grids, gains = _map_grids(known, choices, presses, region)
-    found, errors = _cross_validated(known, choices, presses, region)
+    members = electrode_members(labelled.protocol, logs.shape[1])
+    found, true, lost = _cross_validated(known, choices, presses, region, members)
+    middle = grids[0].middle
+    trust = _trust(found.place - middle, true - middle)
+    found = found.drawn_to(middle, trust, extent)
+    errors = np.linalg.norm(found.place - true, axis=1)
     off = errors / found.deviation
-    square = float(np.sum(np.minimum(off, 5.0) ** 2))
-    variance = (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
     few = COVARIANCE_PRESSES if known.span is None else WITH_DESIGN
-    variance *= 1.0 + few / count
+    variance = _mean_square(off) * (1.0 + few / count)
+    lost = lost.drawn_to(middle, trust, extent)
+    off_lost = np.linalg.norm(lost.place - true, axis=1) / lost.deviation
     usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
     locator = PressLocator(
         grids[0],
-        gains,
-        recorded.unit_scale,
+        np.where(dead, 0.0, gains),
+        np.where(dead, UNKNOWN_SCALE, recorded.unit_scale),
         xy.mean(axis=0),
         float(np.sqrt(variance)),
-        max(MISFIT, MISFIT_MARGIN * usual),
+        max(MISFIT, (MISFIT_MARGIN + FEW_MARGIN / len(off)) * usual),
         tuple(grids[1:]),
+        trust,
+        extent,
+        max(1.0, float(np.sqrt(_mean_square(off_lost) / _mean_square(off)))),
     )
     validated = CrossValidation(
         len(off), float(errors.mean()) * 1e3, float(np.sqrt(np.mean(off**2)))
     )
     return LearnedPlaces(locator, law, choices[0], validated)
+
+
+def _mean_square(off: Array) -> float:
+    """Mean square of errors over standard errors, outliers cut, few of them drawn to one."""
+    square = float(np.sum(np.minimum(off, 5.0) ** 2))
+    return (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
+
+
+def _trust(found: Array, true: Array) -> float:
+    """Factor of places about the middle (k, 2) that comes closest to the true ones, 0 to 1."""
+    return float(np.clip(np.sum(found * true) / max(np.sum(found**2), 1e-12), 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,11 +318,12 @@ class _Region:
     log_prior: Array
 
     @classmethod
-    def of(cls, places: Array, design: SensorDesign | None) -> "_Region":
+    def of(cls, places: Array, design: SensorDesign | None, longer: int) -> "_Region":
         """Region within reach of the presses' places (n, 2), and within the outline where known.
 
         Reach is 1.5 times the distance of neighbours, were the presses on a square grid over the
-        sheet, which a few of them span in part: over their span only where its size is not known.
+        sheet. Where its size is not known, n places leave a margin of a share 1 / (n - 1) of their
+        span on each side, as evenly distributed ones do.
         """
         outline = None if design is None else design.outline
         span = np.ptp(places, axis=0)
@@ -302,7 +334,13 @@ class _Region:
         if isinstance(outline, PlaneOutline):
             low = np.maximum(low, 0.0)
             high = np.minimum(high, [outline.length, outline.width])
-        step = float((high - low).max()) / (GRID_POINTS - 1)
+        else:
+            margin = span / (len(places) - 1)
+            low, high = (
+                np.maximum(low, places.min(axis=0) - margin),
+                np.minimum(high, places.max(axis=0) + margin),
+            )
+        step = float((high - low).max()) / (longer - 1)
         columns, rows = (int(n) for n in np.floor((high - low) / step + 1e-9).astype(int) + 1)
         x, y = np.meshgrid(np.arange(columns), np.arange(rows))
         points = low + step * np.stack([x.ravel(), y.ravel()], axis=1)
@@ -325,23 +363,34 @@ def _map_grids(
     for maps, gains in fits:
         mean, variance = (v.reshape(*prior.shape, -1) for v in maps.at(region.points))
         whitening = (units / gains)[:, None] * maps.whitening
-        grids.append(MapGrid(low, step, mean, variance, prior, whitening, strength))
+        grids.append(MapGrid(low, step, mean, variance, prior, whitening, strength).shortened())
     return grids, units
 
 
 def _cross_validated(
-    known: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
-) -> tuple[Places, Array]:
-    """Places of presses that are left out by blocks in time, and their errors (k,) [m]."""
+    known: SheetKnowledge,
+    choices: Sequence[MapChoice],
+    presses: Presses,
+    region: _Region,
+    members: NDArray[np.bool_],
+) -> tuple[Places, Array, Places]:
+    """Places of presses that are left out by blocks in time, and the true ones (k, 2) [m].
+
+    At last the places by the first choice without an electrode, another one in each block; members
+    are the channels of each (E, C).
+    """
     owners, first = np.unique(presses.owner, return_index=True)
     blocks = np.array_split(np.arange(len(owners)), min(FOLDS, len(owners)))
-    found, errors = [], []
-    for block in blocks:
+    found, true, lost = [], [], []
+    for number, block in enumerate(blocks):
         tested = first[block[:: -(-len(block) // MOST_TESTED)]]
         rest = presses.select(~np.isin(presses.owner, owners[block]))
         grids, gains = _map_grids(known, choices, rest, region)
         answers = presses.answers[tested] / gains
-        place = mixture_places([grid.locate(answers) for grid in grids])
-        found.append(place)
-        errors.append(np.linalg.norm(place.place - presses.places[tested], axis=1))
-    return concatenate(found), np.concatenate(errors)
+        found.append(mixture_places([grid.locate(answers) for grid in grids]))
+        true.append(presses.places[tested])
+        out = np.zeros(answers.shape, dtype=bool)
+        if len(members):
+            out |= members[number * len(members) // len(blocks)]
+        lost.append(grids[0].locate(answers, out))
+    return concatenate(found), np.concatenate(true), concatenate(lost)

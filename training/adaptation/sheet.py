@@ -34,11 +34,12 @@ LENGTHS = (1.0, 1.5, 2.2)  # of the presses' standard deviation along an axis
 SHARES = (0.0, 0.5, 0.9)
 COPIES = (0.0, 1 / 64, 1 / 256)
 AVERAGED_COPIES = (1 / 64, 1 / 16)
-NOISES = (0.01, 0.1)
+NOISES = (0.01, 0.1, 1.0)
+WEIGHTS = (1.0, 5.0)
 MOST_AVERAGED_BY = 8  # presses
 MOST_SHARED = 64  # presses; beyond that, own ones say more than those of other sectors
 MOST_CHOSEN_BY = 200
-MAX_LEFT_OUT = 40  # presses; with fewer, all is learned anew without those left out
+MAX_LEFT_OUT = 40  # presses, or two for each channel; fewer are left out of all that is learned
 FOLDS = 5
 
 
@@ -226,12 +227,14 @@ class MapChoice:
         share: of the design's span in the prior variance; zero without a design.
         copies: weight of a press's copies in other sectors; zero for none.
         noise: prior guess of the noise variance, relative to the answers'.
+        weight: of prior guesses of the channels' covariances, in presses per channel.
     """
 
     length: float = 1.5
     share: float = 0.0
     copies: float = 0.0
     noise: float = 0.1
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,7 +277,11 @@ class SheetKnowledge:
         scaled = replace(presses, answers=presses.answers / gains)
         if shared is not None:
             scaled = shared.shared(scaled, choice.copies)
-        return ChannelMaps.fit(self.kernel(choice), scaled, choice.noise), gains, scaled
+        return (
+            ChannelMaps.fit(self.kernel(choice), scaled, choice.noise, choice.weight),
+            gains,
+            scaled,
+        )
 
     def choices(self, presses: Presses) -> Sequence[MapChoice]:
         """Choices over which places are averaged: the best one, or several where presses are few.
@@ -285,7 +292,7 @@ class SheetKnowledge:
             return [self.choose(presses)]
         shares = SHARES[:2] if self.span is not None else (0.0,)
         copies = AVERAGED_COPIES if self.sectors is not None else (0.0,)
-        return [MapChoice(*each) for each in product(LENGTHS[:2], shares, copies, NOISES[::-1])]
+        return [MapChoice(*each) for each in product(LENGTHS[:2], shares, copies, NOISES[1::-1])]
 
     def choose(self, presses: Presses) -> MapChoice:
         """Best choice, one attribute after the other, by a clear margin: its standard error.
@@ -301,6 +308,7 @@ class SheetKnowledge:
             ("share", SHARES if self.span is not None else ()),
             ("copies", COPIES if shared else ()),
             ("noise", NOISES),
+            ("weight", WEIGHTS),
         )
         best = MapChoice(
             share=SHARES[1] if self.span is not None else 0.0, copies=COPIES[1] if shared else 0.0
@@ -328,7 +336,7 @@ class SheetKnowledge:
         """
         owners, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
         found = np.zeros(len(number))
-        if len(owners) > MAX_LEFT_OUT:
+        if len(owners) > max(MAX_LEFT_OUT, 2 * presses.answers.shape[1]):
             maps, gains, scaled = self.fit(choice, presses)
             found[:] = maps.left_out_density(scaled) - np.sum(np.log(np.abs(gains)))
         else:

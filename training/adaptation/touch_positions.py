@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
-from eitskin.training.adaptation.locator import PositionRegressor, PressLocator
+from eitskin.training.adaptation.locator import UNKNOWN_SCALE, PositionRegressor, PressLocator
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
@@ -62,16 +62,17 @@ class TouchPositions(Method):
         return _still_noise(self.locator.channel_scale)
 
     def predict(self, observations: Observations) -> Predictions:
-        """A touch in each frame that differs enough from the untouched sensor (`static`)."""
+        """A touch in each frame that differs enough from the untouched sensor."""
         count = len(observations)
-        ratio = 1.0 + observations.static
+        ratio = 1.0 + observations.dynamic
         strength = self.locator.strength(ratio)
         touched = np.flatnonzero(strength >= MIN_STRENGTH)
         touches = [FoundTouches.of((), ())] * count
         problems: list[tuple[str, ...]] = [()] * count
         if len(touched):
             places, left_out = self.locator.locate(ratio[touched])
-            misfits = left_out & np.isfinite(ratio[touched])
+            known = self.locator.channel_scale < UNKNOWN_SCALE
+            misfits = left_out & np.isfinite(ratio[touched]) & known
             for at, row in enumerate(touched):
                 size, deviation = min(float(strength[row]), 1.0), places.deviation[at]
                 touches[row] = FoundTouches.of(places.place[at], size, deviation=deviation)
@@ -91,7 +92,7 @@ class TouchPositions(Method):
 
     def outputs(self, observations: Observations) -> Arrays:
         """Position (n, 2) [m] of one touch in each frame, however weak."""
-        return {"place": self.locator.apply(1.0 + observations.static)}
+        return {"place": self.locator.apply(1.0 + observations.dynamic)}
 
     def examples(self, train: Dataset) -> Observations:
         """A few of the touches in `train`, by which a saved copy is checked."""
@@ -110,7 +111,7 @@ class TouchPositions(Method):
 
 def _still_noise(channel_scale: NDArray[Any]) -> float:
     """Largest rms change of a still sensor, by the root mean square log ratios of touches (C,)."""
-    return STILL * float(np.sqrt(np.mean(channel_scale**2)))
+    return STILL * float(np.sqrt(np.mean(channel_scale[channel_scale < UNKNOWN_SCALE] ** 2)))
 
 
 def _observations(ratio: NDArray[np.float64]) -> Observations:

@@ -16,6 +16,7 @@ from eitskin.datasets.store.schema import State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import DataError
 from eitskin.frame import Frame
+from eitskin.training.adaptation.locator import Places
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.evaluation.scores import (
@@ -92,6 +93,7 @@ class Evaluation:
         pipeline.layout.require_same_measurements(dataset.protocol, dataset.frequency)
         require_on_sheet(dataset, pipeline.layout.outline)
         dataset, targets = with_implied_labels(dataset), pipeline.targets
+        dataset = pipeline.followed(dataset)[0]
         pieces = (slice(start, start + PIECE) for start in range(0, len(dataset), PIECE))
         predictions = Predictions.joined([pipeline.perceive(dataset.select(p)) for p in pieces])
         matches = Matches.of(dataset, predictions)
@@ -289,6 +291,8 @@ class PositionScore:
         frames: number of frames.
         mean_error_mm, median_error_mm: mean and median distance from the true position [mm].
         guess_error_mm: mean distance of the mean training position from the true one [mm].
+        error_ratio: root mean square of error over standard error; None without standard errors.
+        faults: electrodes that failed, in words.
 
     Example:
         >>> from eitskin.training import PositionScore
@@ -300,15 +304,22 @@ class PositionScore:
     mean_error_mm: float
     median_error_mm: float
     guess_error_mm: float
+    error_ratio: float | None = None
+    faults: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, pipeline: Pipeline, dataset: Dataset) -> "PositionScore":
         """Score on the held-out frames of `dataset`; raises DataError where there are none."""
-        true, found = held_out_positions(pipeline, dataset)
+        true, places = _held_out_places(pipeline, dataset)
+        found = places.place
         error = np.linalg.norm(found - true, axis=1)
         guess = np.linalg.norm(_method(pipeline).locator.centre - true, axis=1)
-        means = (1e3 * float(value) for value in (error.mean(), np.median(error), guess.mean()))
-        return cls(len(true), *means)
+        values = (error.mean(), np.median(error), guess.mean())
+        mean, middle, guessed = (1e3 * float(value) for value in values)
+        over = float(np.sqrt(np.mean((error / places.deviation) ** 2)))
+        faults = pipeline.followed(dataset)[1]
+        ratio = None if np.isnan(over) else over
+        return cls(len(true), mean, middle, guessed, ratio, faults)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -335,6 +346,12 @@ def held_out_positions(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Arr
     Raises DataError where no frame is held out, or for a pipeline of another method, and FrameError
     for a dataset of another protocol, where both are known.
     """
+    true, found = _held_out_places(pipeline, dataset)
+    return true, found.place
+
+
+def _held_out_places(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Places]:
+    """True positions (k, 2) [m] of `held_out_positions`, and the places that are estimated."""
     locator, protocol = _method(pipeline).locator, dataset.protocol
     if pipeline.layout.known_protocol is not None and protocol is not None:
         pipeline.layout.require_same_measurements(protocol, pipeline.layout.frequency)
@@ -343,8 +360,8 @@ def held_out_positions(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Arr
         raise DataError(
             "expected frames with exactly one touch to evaluate on, got none; record more"
         )
-    presses = LabelledPresses.of(dataset, frames)
-    return presses.places, locator.apply(presses.ratios)
+    presses = LabelledPresses.of(dataset, frames, pipeline.usual)
+    return presses.places, locator.locate(presses.ratios)[0]
 
 
 def _method(pipeline: Pipeline) -> TouchPositions:

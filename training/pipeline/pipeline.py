@@ -22,6 +22,7 @@ from eitskin.training.method.interface import Adaptation, Calibration, Method
 from eitskin.training.method.known_frames import FrameLabel, KnownFrames, TwinPresses
 from eitskin.training.method.observations import Observations, fingerprint, least_spread
 from eitskin.training.method.predictions import Estimate, Predictions, Zero
+from eitskin.training.method.sensor_health import ReadingRange, follow_recording
 from eitskin.training.method.settings import (
     POSITIONS,
     Progress,
@@ -49,7 +50,9 @@ from eitskin.training.pipeline.saved_form import (
 from eitskin.training.pipeline.session import COMMON, Session
 
 FLAT_SENSORS = "flat_sensors"
-FOREIGN = ("layout.", f"{FLAT_SENSORS}.")  # beginnings of names of arrays that are not the method's
+USUAL = "healthy"
+# Beginnings of names of arrays that are not the method's.
+FOREIGN = ("layout.", f"{FLAT_SENSORS}.", f"{USUAL}.")
 GOLDEN_PER_STATE = 2
 
 
@@ -71,6 +74,8 @@ class Pipeline:
         adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
         flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
             None where training had too few specimens.
+        usual: range of the readings of a healthy sensor, by which failed electrodes are found; of a
+            few frames where None is given.
 
     Example:
         >>> from eitskin import Pipeline, Scene, SensorDesign, Simulator
@@ -89,10 +94,13 @@ class Pipeline:
     metrics: dict[str, Any] = field(default_factory=dict)
     adaptation: dict[str, Any] = field(default_factory=dict)
     flat_sensors: FlatSensors | None = None
+    usual: ReadingRange | None = None
     _session: Session = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """A session without references."""
+        if self.usual is None and self.settings.method != POSITIONS:
+            self.usual = ReadingRange.of(1.0 + self.examples.static, reference=True).doubled()
         self.use(None)
 
     @classmethod
@@ -150,6 +158,7 @@ class Pipeline:
             },
             examples,
             flat_sensors=FlatSensors.of(train),
+            usual=ReadingRange.of(1.0 + frames.observations.static, reference=True),
         )
 
     @classmethod
@@ -157,7 +166,7 @@ class Pipeline:
         cls, dataset: Dataset, settings: TrainingSettings, progress: Progress
     ) -> Self:
         """Positions of touches alone, of the recorded sensor alone."""
-        train = dataset.select(settings.split(dataset)[0])
+        train = follow_recording(dataset.select(settings.split(dataset)[0]))[0]
         places = touch_places(train)
         layout = InputSpec(
             dataset.design,
@@ -174,7 +183,9 @@ class Pipeline:
             "source": dataset.source,
             **method.learned,
         }
-        return cls(layout, method, method.noise, settings, trained_on, method.examples(train))
+        usual = ReadingRange.of_recording(train) if train.has_touch_reference.any() else None
+        examples = method.examples(train)
+        return cls(layout, method, method.noise, settings, trained_on, examples, usual=usual)
 
     @property
     def targets(self) -> Targets:
@@ -215,6 +226,8 @@ class Pipeline:
                 sensor, or a method that does not adapt; the pipeline is unchanged then.
         """
         self.method.require_adaptable()
+        if isinstance(frames, Dataset):
+            frames = self.followed(frames)[0]
         known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
         adapted, said = self.method.adapt(known)
         said.require_fit(known)
@@ -323,7 +336,9 @@ class Pipeline:
             self.layout.require_same_sensor(reference.impedance)
         bends = self.targets.angle or "bend" in self.targets.states
         scales = self.method.noise_scale, min(COMMON, 0.5 * least_spread(self.examples))
-        self._session = Session(self.noise, self.method.AVERAGES, reference, bends, *scales)
+        self._session = Session(
+            self.noise, self.method.AVERAGES, reference, bends, *scales, self.usual
+        )
 
     def doubt(self, impedance: ArrayLike) -> str:
         """Reason why an impedance (measurements,) [ohm] is not that of a flat, untouched sensor.
@@ -363,6 +378,7 @@ class Pipeline:
                 session.doubt = self.doubt(voltages)
             voltages, stepped = session.without_gain_step(voltages)
             voltages = session.with_same_sign(voltages)
+            voltages, failed = session.without_failed(frame, voltages)
             perceived = self.method.predict(observed := session.observed(voltages))
         except Exception:
             if first:
@@ -371,7 +387,12 @@ class Pipeline:
         if (touched := perceived.touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None
             session.renew(voltages, touched, perceived.probabilities[0, State.TOUCH], along)
-        problems += (*stepped, *perceived.problems[0], *session.problems(frame.protocol.labels))
+        problems += (
+            *stepped,
+            *failed,
+            *perceived.problems[0],
+            *session.problems(frame.protocol.labels),
+        )
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:
             return estimate.of_unknown_start()
@@ -379,13 +400,18 @@ class Pipeline:
             return replace(estimate, bend_deviation_deg=None)  # trained on bends of flat sensors
         return estimate
 
+    def followed(self, dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+        """Dataset with the channels of electrodes marked that failed in it, and these in words."""
+        marked, faults = follow_recording(dataset, self.usual)
+        return marked, tuple(map(str, faults))
+
     def perceive(self, dataset: Dataset) -> Predictions:
-        """Estimates for all frames of a dataset, each by itself.
+        """Estimates for all frames of a dataset, each by itself, without electrodes that failed.
 
         The static reference of a frame is its specimen's flat reference, the dynamic one its own
         `touch_reference`. The session of `process` is unchanged.
         """
-        return self.method.predict(Observations.of(dataset))
+        return self.method.predict(Observations.of(self.followed(dataset)[0]))
 
     def save(self, path: str | Path) -> Path:
         """Write the folder NAME.eitmodel, replacing a pipeline there; returns its path.
@@ -400,6 +426,8 @@ class Pipeline:
             weights["layout.reference"] = self.layout.reference
         if self.flat_sensors is not None:
             weights |= arrays_as(FLAT_SENSORS, self.flat_sensors.arrays())
+        if self.usual is not None:
+            weights |= arrays_as(USUAL, self.usual.arrays())
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),
@@ -438,7 +466,7 @@ class Pipeline:
             reference = examples.flat[0] if positions else weights["layout.reference"]
             layout = InputSpec.from_document(document["layout"], reference)
             arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}
-            flat = arrays_under(FLAT_SENSORS, weights)
+            flat, usual = (arrays_under(name, weights) for name in (FLAT_SENSORS, USUAL))
             code = method_class(document["method"], method)
             with nullcontext() if method is None else told_errors(code.KIND):
                 restored = code.from_arrays(arrays, layout, settings)
@@ -453,6 +481,7 @@ class Pipeline:
                 dict(document["metrics"]),
                 saved.adaptation,
                 FlatSensors.from_arrays(flat) if flat else None,
+                ReadingRange.from_arrays(usual) if usual else None,
             )
             saved.require_golden(outputs, restored.FITTED)
         except (DataError, MethodCodeError):

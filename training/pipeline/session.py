@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
+from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Zero
+from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
 from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch
 from eitskin.training.pipeline.references import (
     LONGEST_MEAN,
@@ -168,6 +170,7 @@ class Session:
         bends: whether the sensor is one that bends, so that its dynamic reference gets out of date.
         noise_scale: noise that the method weighs frames by, relative to `noise`.
         common: spread of the channels over their mean below which a step is not of the sensor.
+        usual: range of the readings of a healthy sensor; None where it is not known.
         static, dynamic: references.
         touched: whether the latest frame was touched.
         doubt: reason why the first frame is not that of a flat, untouched sensor; empty without.
@@ -179,10 +182,12 @@ class Session:
     bends: bool = True
     noise_scale: float = 1.0
     common: float = COMMON
+    usual: ReadingRange | None = None
     static: RunningMean = field(init=False)
     dynamic: RunningMean = field(init=False)
     touched: bool = field(init=False)
     doubt: str = field(init=False)
+    _health: SensorHealth | None = field(init=False)
     _order: SessionOrder = field(init=False, default_factory=SessionOrder)
 
     def __post_init__(self) -> None:
@@ -202,7 +207,7 @@ class Session:
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
-        self._reversed = np.zeros(0, np.intp)
+        self._reversed, self._health = np.zeros(0, np.intp), None
         self._gain, self._latest = 1.0 + 0.0j, np.zeros(0, np.complex128)
 
     @property
@@ -290,6 +295,22 @@ class Session:
             )
         self._reversed = np.flatnonzero(reversed_)
         return np.where(reversed_, np.nan, voltages)
+
+    def without_failed(self, frame: Frame, voltages: Voltages) -> tuple[Voltages, tuple[str, ...]]:
+        """Values (measurements,) [ohm] of a frame, NaN of failed electrodes, and these in words.
+
+        Raises UnusableFrameError where too few are left.
+        """
+        if self.usual is None:
+            return voltages, ()
+        if self._health is None:
+            self._health = SensorHealth(self.usual, frame.protocol)
+            self._health.begin(np.abs(self.bend))
+        bad = self._health.follow(np.abs(voltages), frame.number, frame.time)
+        said = self._health.problems(frame.protocol.labels)
+        left = np.where(bad, np.nan, voltages)
+        require_usable(np.isfinite(left), *said)
+        return left, said
 
     def observed(self, voltages: Voltages) -> Observations:
         """Relative differences of a frame (measurements,) [ohm] to both references.
