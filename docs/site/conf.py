@@ -122,7 +122,8 @@ def read_page(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG00
     """Add the navigation to the first page, and the scripts to the gallery."""
     if page == root_doc:
         source[0] += _contents("Begin", ["docs/index"]) + navigation()
-        source[0] += _contents("The project", ["CHANGELOG", "CONTRIBUTING", "SECURITY"])
+        project = ["CHANGELOG", "CONTRIBUTING", "SECURITY", "hardware/firmware/README"]
+        source[0] += _contents("The project", project)
     if page == "docs/gallery/README":
         source[0] = with_scripts(source[0])
 
