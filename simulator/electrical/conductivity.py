@@ -65,7 +65,7 @@ def warn_of_edges(entries: Numbers) -> None:
     if cells:
         warnings.warn(
             f"the conductivity changes by up to a factor of {jumps.max():.3g} in {cells} cells, "
-            "so that changes of the measurements may be off by 5 % (a factor of 2) to 25 % (100); "
+            "so that changes of the measurements may be several percent off, or more; "
             "give its edges as ForwardModel(..., inclusions=[Inclusion(...)])",
             stacklevel=4,
         )
