@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.extras import require
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry import Mesh, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind
-from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.linalg.elimination_order import OrderName
 

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.results import Progress
-from eitskin.datasets.generation.generate import generate
-from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
-from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.datasets import Dataset, Recipe, generate, open_dataset
+from eitskin.training import Pipeline
 
 
 def generate_missing(

@@ -15,8 +15,8 @@ import msgspec
 
 from eitskin.benchmarks.results import Results
 from eitskin.benchmarks.transfer import WORLDS
-from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file, read_bytes
+from eitskin.geometry import ConfigurationError, DataError
 from eitskin.provenance import Provenance
 
 _MOST_BYTES = 1 << 24

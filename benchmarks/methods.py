@@ -15,13 +15,11 @@ import numpy as np
 
 from eitskin.benchmarks.frames import frame_times, generate_missing
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
-from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets import Dataset, Recipe
+from eitskin.training import Method, Pipeline, TrainingSettings
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
-from eitskin.training.method.interface import Method
-from eitskin.training.method.settings import BASELINES, TrainingSettings
-from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.method.settings import BASELINES
 from eitskin.training.pipeline.saved_form import SHIPPED
 
 FRAMES, SPECIMENS = 2000, 40

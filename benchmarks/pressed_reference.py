@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.world import PUBLISHED, ReferenceCase, cases
 from eitskin.extras import require, require_all
 from eitskin.files import atomic_file
+from eitskin.geometry import Free, Plates, Substrate
 from eitskin.geometry.deformation.kinematics import Displaced
-from eitskin.geometry.design.sensor import Free, Plates, Substrate
 from eitskin.provenance import Provenance
+from eitskin.simulator import Simulator
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.scene.indenters import Indenter
-from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

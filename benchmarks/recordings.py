@@ -24,20 +24,15 @@ from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
-from eitskin.datasets.recordings.recorded_file import RecordingForm, RecordingNames
-from eitskin.datasets.recordings.recording import read_recording
-from eitskin.errors import DataError, FrameError
+from eitskin.datasets import RecordingForm, RecordingNames, read_recording
 from eitskin.extras import require
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry import DataError, Disc, Electrode, FrameError, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation
+from eitskin.training import Pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth, electrode_members
-from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

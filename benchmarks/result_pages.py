@@ -18,7 +18,7 @@ from eitskin.benchmarks.leaderboard import (
     write_leaderboard,
 )
 from eitskin.benchmarks.results import NUMBER, Results, found_results
-from eitskin.errors import ConfigurationError
+from eitskin.geometry import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "benchmarks" / "published"

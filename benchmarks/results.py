@@ -18,9 +18,9 @@ from typing import Any
 import msgspec
 
 from eitskin.datasets.store.folder import make_folder
-from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.files import atomic_file
+from eitskin.geometry import DataError
 from eitskin.provenance import Provenance
 
 NUMBER = re.compile(r"[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[-+]?\d+)?")

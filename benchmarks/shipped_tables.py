@@ -15,20 +15,16 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 
-from eitskin.geometry.deformation.fixtures import Clamp
-from eitskin.geometry.design.outline import Polygon
+from eitskin.geometry import Clamp, Plates, Polygon, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.provenance import Provenance
+from eitskin.simulator import Cylinder, Mechanics, SensorGrid
 from eitskin.simulator.bends.bend_table import bend_problems
 from eitskin.simulator.bends.pressed_plates import held_by_plates
 from eitskin.simulator.deformation.corrections import correction_problems
 from eitskin.simulator.deformation.press_table import press_problems
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import Problem, cache_folder, prepare
-from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.scene.indenters import Cylinder
 
 _VARIED = 1.02  # values that need all next neighbours, relative to the nominal ones
 _FARTHER = (0.5, 2.0)  # moduli of the encapsulation two steps away, relative to the nominal one

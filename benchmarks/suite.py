@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.benchmarks.results import RESULTS, read_results
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import ConfigurationError, DataError
 
 EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
 Start = Callable[[Sequence[str]], int]

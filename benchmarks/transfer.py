@@ -18,20 +18,15 @@ from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.paper.scores import scene_of
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import specimen
-from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.errors import DataError, EitskinError
-from eitskin.geometry.design.sensor import Plates
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.meter import FourTerminalMeter
+from eitskin.geometry import DataError, EitskinError, Plates
+from eitskin.simulator import FourTerminalMeter, Instrument
+from eitskin.training import Pipeline, Predictions
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.evaluation.scores import match, root_mean_square
-from eitskin.training.method.predictions import Predictions
-from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]

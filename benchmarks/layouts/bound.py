@@ -18,17 +18,11 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.folder import make_folder
 from eitskin.datasets.store.worker_processes import run_tasks
-from eitskin.errors import ConfigurationError
 from eitskin.files import remove_leftovers, write_file
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
+from eitskin.geometry import Bend, ConfigurationError, Electrode, SensorDesign
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.scene.scene import Scene, Touch
-from eitskin.simulator.simulator import Simulator
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, Steps, scene_derivatives
 
 Array = NDArray[np.float64]

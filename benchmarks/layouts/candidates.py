@@ -16,11 +16,8 @@ from typing import Literal
 import numpy as np
 
 from eitskin.benchmarks.layouts.bound import Judge, Layout, Sampling
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry import ConfigurationError, Electrode, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid, uniform
-from eitskin.geometry.design.sensor import SensorDesign
 
 PAPER = "paper: 8 on the rim"
 COUNTS = (6, 8, 10, 12, 16, 32)

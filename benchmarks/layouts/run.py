@@ -24,9 +24,8 @@ from eitskin.benchmarks.layouts.candidates import (
     with_electrodes,
 )
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
-from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry import ConfigurationError, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware.protocol.frame_parts import PER_PACKET
 

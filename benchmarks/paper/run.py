@@ -18,13 +18,11 @@ from eitskin.benchmarks.paper import scores as paper_scores
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.paper.sets import Sets, make
 from eitskin.benchmarks.results import Progress, Report, ReportTable, measured, plot_errors
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.datasets import Dataset
+from eitskin.geometry import ConfigurationError, DataError
+from eitskin.training import Method, Pipeline, TrainingSettings
 from eitskin.training.evaluation.scores import GATE, SSIM_DEFINITION
-from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import fingerprint
-from eitskin.training.method.settings import TrainingSettings
-from eitskin.training.pipeline.pipeline import Pipeline
 
 REFERENCE = Path(__file__).parents[2] / "training" / "reference.eitmodel"
 """The pipeline that comes with the package."""

@@ -8,12 +8,10 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.frames import frame_times
 from eitskin.benchmarks.paper.sets import episodes, in_episode
-from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.simulator.scene.scene import Scene, Touch
-from eitskin.simulator.simulator import Simulator
+from eitskin.datasets import Dataset, Recipe, State
+from eitskin.geometry import Bend
+from eitskin.simulator import Scene, Simulator, Touch
+from eitskin.training import Estimate, Pipeline
 from eitskin.training.evaluation.cramer_rao import SceneDerivatives, scene_derivatives
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.scores import (
@@ -22,8 +20,6 @@ from eitskin.training.evaluation.scores import (
     match_distances,
     root_mean_square,
 )
-from eitskin.training.method.predictions import Estimate
-from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.frames import generate_missing
 from eitskin.benchmarks.results import Progress
+from eitskin.datasets import Dataset, Recipe
 from eitskin.datasets.recipe.episode import Episodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import specimen
-from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimen, Specimens
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry import ConfigurationError, SensorDesign
 
 SPECIMENS = {"indentation": 8, "touch": 40, "states": 40, "bending": 10, "demo": 1}
 """Experiments, and how many unseen sensors each is made with."""

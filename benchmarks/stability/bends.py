@@ -17,15 +17,21 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import sector
 from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge, Roll, Twist
+from eitskin.geometry import (
+    Bend,
+    ConfigurationError,
+    Electrode,
+    FreeArc,
+    Hinge,
+    Roll,
+    SensorDesign,
+    Twist,
+)
+from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back_entries
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.deformation.touches import sketched_dents
-from eitskin.simulator.scene.scene import Scene, Touch
-from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 

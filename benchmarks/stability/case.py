@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from eitskin.errors import ConfigurationError
+from eitskin.geometry import ConfigurationError
 
 Outcome = Literal["ok", "refused", "left out", "wrong"]
 QUANTITIES = ("residual", "invariant", "error")

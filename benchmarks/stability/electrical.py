@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Polygon, Rectangle
-from eitskin.geometry.design.sensor import Layer, SensorDesign
+from eitskin.geometry import Electrode, Layer, Polygon, Rectangle, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import check_quality, quality
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
-from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.linalg.elimination_order import OrderName
 

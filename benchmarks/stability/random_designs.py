@@ -8,15 +8,26 @@ import numpy as np
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge, Roll, Twist
+from eitskin.geometry import (
+    Bend,
+    Disc,
+    Electrode,
+    FreeArc,
+    Hinge,
+    Layer,
+    PlaneOutline,
+    Polygon,
+    Rectangle,
+    Roll,
+    SensorDesign,
+    Twist,
+)
+from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.deformation.kinematics import Composed
-from eitskin.geometry.design.electrode import Electrode, On, Shape
-from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
-from eitskin.geometry.design.sensor import Layer, SensorDesign
+from eitskin.geometry.design.electrode import On, Shape
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.deformation.touches import sketched_dents
-from eitskin.simulator.scene.scene import Scene, Touch
-from eitskin.simulator.simulator import Simulator
 
 
 def draw(rng: np.random.Generator) -> tuple[SensorDesign, Fixture, Scene]:

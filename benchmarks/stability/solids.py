@@ -14,21 +14,30 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import punched_layer
-from eitskin.geometry.deformation.fixtures import Bend, Clamp
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry import (
+    Bend,
+    Clamp,
+    Free,
+    Plates,
+    Rectangle,
+    Rigid,
+    SensorDesign,
+    Substrate,
+    Support,
+)
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.geometry.meshing.grading import Grading, graded_lines
+from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.mixed_solid import STIFFEST, Solid
-from eitskin.simulator.scene.indenters import Cylinder, Indenter, Sphere
+from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
-from eitskin.errors import DataError
+from eitskin.geometry import DataError
 from eitskin.training.adaptation.channel_maps import PlaceKernel
 from eitskin.training.method.stored_fields import Stored, StoredFields
 

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import DataError
-from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
+from eitskin.datasets import Dataset
+from eitskin.geometry import DataError, PlaneOutline, SensorDesign
+from eitskin.simulator import Protocol
 from eitskin.training.adaptation.channel_maps import (
     ChannelMaps,
     PlaceKernel,

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
+from eitskin.geometry import Disc, PlaneOutline, Rectangle, SensorDesign
+from eitskin.simulator import Protocol
 from eitskin.training.adaptation.channel_maps import (
     ChannelMaps,
     DesignSpan,

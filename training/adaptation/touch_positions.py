@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
+from eitskin.datasets import Dataset, State
 from eitskin.training.adaptation.locator import UNKNOWN_SCALE, PositionRegressor, PressLocator
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 from eitskin.training.method.input_spec import InputSpec

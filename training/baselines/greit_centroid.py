@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.schema import State
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.datasets import State
+from eitskin.geometry import ConfigurationError, DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import MissingChannels, Observations

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.geometry import ConfigurationError
 from eitskin.threads import one_torch_thread
 from eitskin.training.baselines.table import Array, TableMethod
 from eitskin.training.method.settings import NetworkSettings, Progress

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import from_dict
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.errors import DataError
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.geometry import DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import MissingChannels, Observations

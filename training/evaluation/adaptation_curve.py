@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.errors import DataError
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
 from eitskin.extras import require
+from eitskin.geometry import DataError
 from eitskin.training.adaptation.press_fit import (
     FEWEST,
     LabelledPresses,

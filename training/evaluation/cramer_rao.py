@@ -13,11 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ellipe
 
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.simulator import Simulator
+from eitskin.geometry import Bend, ConfigurationError
+from eitskin.simulator import Instrument, Scene, Simulator
 
 Array = NDArray[np.float64]
 

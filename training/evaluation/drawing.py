@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import NearestNDInterpolator
 
 from eitskin.extras import require
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc, PlaneOutline
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.surface import Surface
+from eitskin.geometry import Disc, Electrode, PlaneOutline, SensorDesign, Surface
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
 
 Array = NDArray[np.float64]

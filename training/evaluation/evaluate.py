@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.errors import DataError
-from eitskin.frame import Frame
+from eitskin.datasets import Dataset, State, touch_maps
+from eitskin.geometry import DataError
+from eitskin.simulator import Frame
 from eitskin.training.adaptation.locator import Places
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.adaptation.touch_positions import TouchPositions

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
+from eitskin.datasets import Dataset, State
 from eitskin.extras import require
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.surface import Surface
+from eitskin.geometry import SensorDesign, Surface
 from eitskin.training.evaluation.drawing import (
     BLUE,
     DARK,

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets import Dataset
 from eitskin.datasets.store.summary import specimens_in_words
-from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
+from eitskin.geometry import ConfigurationError, PartialError
 from eitskin.training.evaluation.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.evaluate import Evaluation, PositionScore, held_out_positions
 from eitskin.training.evaluation.figures import (

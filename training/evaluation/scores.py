@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
-from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets import Dataset
 from eitskin.extras import require
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.targets import Targets

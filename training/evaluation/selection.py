@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.errors import DataError
+from eitskin.datasets import Dataset, State
+from eitskin.geometry import DataError
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.scores import GATE, ospa
 from eitskin.training.method.settings import Progress, TrainingSettings, silent

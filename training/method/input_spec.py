@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.config import from_dict, to_dict
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import ConfigurationError, DataError, FrameError, UnusableFrameError
-from eitskin.frame import Frame
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.surface import Surface
-from eitskin.protocol import Protocol
+from eitskin.datasets import Dataset
+from eitskin.geometry import (
+    ConfigurationError,
+    DataError,
+    FrameError,
+    SensorDesign,
+    Surface,
+    UnusableFrameError,
+)
+from eitskin.simulator import Frame, Protocol
 
 Array = NDArray[np.float64]
 

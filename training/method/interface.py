@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import ConfigurationError, DataError
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.observations import Observations

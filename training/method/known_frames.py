@@ -9,11 +9,9 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.errors import ConfigurationError, DataError
-from eitskin.frame import Frame
-from eitskin.geometry.design.surface import Surface
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.geometry import ConfigurationError, DataError, Surface
+from eitskin.simulator import Frame
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
 

@@ -14,7 +14,7 @@ import torch  # noqa: TID253  see above
 from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.errors import ConfigurationError
+from eitskin.geometry import ConfigurationError
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings
 

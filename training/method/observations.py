@@ -6,9 +6,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.errors import DataError
+from eitskin.datasets import Dataset, State
+from eitskin.geometry import DataError
 from eitskin.training.method.stored_fields import StoredFields
 
 Array = NDArray[np.float64]

@@ -9,9 +9,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.frame import Frame
+from eitskin.datasets import UNKNOWN_STATE, State, touch_maps
+from eitskin.simulator import Frame
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets, most_probable
 

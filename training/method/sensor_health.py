@@ -12,10 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import State
-from eitskin.frame import Status
-from eitskin.protocol import Protocol
+from eitskin.datasets import Dataset, State
+from eitskin.simulator import Protocol, Status
 from eitskin.training.method.stored_fields import StoredFields
 
 Array = NDArray[np.float64]

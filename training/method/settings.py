@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.bounds import require_seed
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import ConfigurationError
+from eitskin.datasets import Dataset
+from eitskin.geometry import ConfigurationError
 
 HELD_OUT_SHARE = 0.2  # of the specimens, or of the frames of one
 BASELINES = ("ridge", "mlp", "extra-trees", "greit")

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.errors import DataError
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.geometry import DataError, SensorDesign
+from eitskin.simulator import Protocol
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations, frame_noise

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.errors import DataError
+from eitskin.geometry import DataError
 from eitskin.training.method.stored_fields import StoredFields
 
 FOLDS = 5

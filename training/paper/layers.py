@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.errors import DataError
+from eitskin.geometry import DataError
 
 Maps = NDArray[np.float32]  # (n, channels, rows, columns)
 Arrays = Mapping[str, NDArray[Any]]

@@ -8,9 +8,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State, touch_maps
 from eitskin.training.method.input_spec import InputSpec, mirrors
 from eitskin.training.method.interface import Adaptation, Calibration, LearningCurve, Method
 from eitskin.training.method.known_frames import KnownFrames

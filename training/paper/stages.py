@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from eitskin.datasets.store.schema import State
-from eitskin.errors import ConfigurationError
+from eitskin.datasets import State
 from eitskin.extras import require
+from eitskin.geometry import ConfigurationError
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
 from eitskin.training.method.stored_fields import GIVEN, Arrays, Stored, StoredFields

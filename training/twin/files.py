@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import to_toml, write_toml
-from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, RANGES, Specimens, clearance
 from eitskin.datasets.store.folder import new_folder
 from eitskin.files import atomic_folder
-from eitskin.geometry.deformation.fixtures import Clamp
-from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.sensor import Free
+from eitskin.geometry import Clamp, Free, Rectangle
+from eitskin.simulator import Instrument
 from eitskin.simulator.deformation.corrections import is_tabulable
-from eitskin.simulator.instrument.instrument import Instrument, decibels
+from eitskin.simulator.instrument.instrument import decibels
 from eitskin.training.twin.labelled_frames import KINDS
 from eitskin.training.twin.twin import Twin
 

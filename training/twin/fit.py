@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.specimen import Specimen
-from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.geometry import ConfigurationError, EitskinError
+from eitskin.simulator import FourTerminalMeter, Scene, Simulator
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_with
-from eitskin.simulator.instrument.meter import FourTerminalMeter
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.simulator import Simulator
 from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
 from eitskin.training.twin.parameters import MECHANICAL, with_numbers
 

@@ -8,16 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE, State
-from eitskin.errors import ConfigurationError, DataError
-from eitskin.frame import Status
-from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.protocol import Protocol
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.geometry import Bend, ConfigurationError, DataError
+from eitskin.simulator import Cylinder, Protocol, Scene, Status, Touch
 from eitskin.simulator.instrument.instrument import white_noise
 from eitskin.simulator.instrument.meter import Quantity
-from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.scene import Scene, Touch
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

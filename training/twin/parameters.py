@@ -15,12 +15,9 @@ from eitskin.datasets.recipe.specimen import (
     scaled_thickness,
     with_wider_gap,
 )
-from eitskin.errors import ConfigurationError
+from eitskin.geometry import Clamp, ConfigurationError, FreeArc, Rectangle, SensorDesign
 from eitskin.geometry.deformation.electrode_shift import electrode_shift
-from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
-from eitskin.geometry.design.outline import Rectangle
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.deformation.sensor_grid import SensorGrid
+from eitskin.simulator import SensorGrid
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 

@@ -7,22 +7,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.datasets import Dataset
 from eitskin.datasets.recipe.specimen import Specimen
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.surface import Surface
-from eitskin.protocol import Protocol
+from eitskin.geometry import Bend, Clamp, ConfigurationError, SensorDesign, Surface
+from eitskin.geometry.deformation.fixtures import Fixture
+from eitskin.simulator import (
+    Cylinder,
+    FourTerminalMeter,
+    Instrument,
+    Mechanics,
+    Protocol,
+    Scene,
+    Touch,
+    fit_meter,
+)
 from eitskin.simulator.deformation.sensor_grid import read_fixed
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.fit_parameters import Parameter
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.meter import FourTerminalMeter
-from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_meter
-from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.indenters import Cylinder
-from eitskin.simulator.scene.scene import Scene, Touch
+from eitskin.simulator.instrument.meter_fit import Agreement, agreement
 from eitskin.training.twin.fit import Laplace, TwinProblem
 from eitskin.training.twin.labelled_frames import LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
