@@ -6,7 +6,7 @@ of any method.
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from eitskin.geometry import DataError, EitskinError, Plates
 from eitskin.simulator import FourTerminalMeter, Instrument
 from eitskin.training import Pipeline, Predictions
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
-from eitskin.training.evaluation.scores import match, root_mean_square
+from eitskin.training.evaluation.scores import Matches, root_mean_square
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]
@@ -211,33 +211,22 @@ class Labelled:
         return [int(flat[0]), *order[: self.angles].tolist(), *presses.tolist()]
 
 
-def judge(data: Dataset, said: Predictions) -> dict[str, Array]:
-    """Judge predictions of one sensor's frames.
-
-    Returns, of the n untouched frames, whether the state is "right", the error of the "angle"
-    [deg], "angle_ratio", the same over its standard error, and how many touches are "false"; of the
-    found touches the error of the "place" [m] and "place_ratio"; and "touches" of each frame.
-    Ratios are NaN without a standard error.
-    """
-    free = data.state != State.TOUCH
-    angle = said.bend_angle_deg[free] - data.bend_angle_deg[free]
-    errors, ratios = [], []
-    for row in np.flatnonzero(~free):
-        true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-        true = true[np.isfinite(true[:, 0])]
-        rows, columns = match(true, said.touches[row].place)
-        distance = np.linalg.norm(true[rows] - said.touches[row].place[columns], axis=1)
-        errors.append(distance)
-        ratios.append(distance / said.touches[row].deviation[columns])
-    return {
-        "right": said.state[free] == data.state[free],
-        "angle": angle,
-        "angle_ratio": angle / said.bend_deviation_deg[free],
-        "false": np.array([len(said.touches[row]) for row in np.flatnonzero(free)]),
-        "place": np.concatenate(errors),
-        "place_ratio": np.concatenate(ratios),
-        "touches": data.touch_count[~free],
+def judge(data: Dataset, said: Predictions) -> Figures:
+    """Figures of predictions: states, angles and false touches are those of untouched frames."""
+    matches, free = Matches.of(data, said), data.state != State.TOUCH
+    angle = (said.bend_angle_deg - data.bend_angle_deg)[free]
+    figures = {
+        "untouched states right": float((said.state == data.state)[free].mean()),
+        "angle, rms [deg]": root_mean_square(angle),
+        "angle, error over standard error": root_mean_square(angle / said.bend_deviation_deg[free]),
+        "touches in untouched frames": float(matches.false[free].mean()),
+        "touches found": float(len(matches.error) / data.touch_count.sum()),
     }
+    if len(matches.error):
+        ratio = root_mean_square(matches.error / matches.deviation)
+        figures["place, mean [mm]"] = 1e3 * float(matches.error.mean())
+        figures["place, error over standard error"] = ratio
+    return figures
 
 
 def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
@@ -250,7 +239,7 @@ def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
         world: the sensors.
         labelled: numbers of the frames to adapt by; of none, the pipeline stays as trained.
     """
-    judged, refused = [], 0
+    parts, predictions, refused = [], [], 0
     for number in np.unique(world.frames.specimen):
         own = replace(pipeline)
         if labelled.angles or labelled.presses:
@@ -259,21 +248,11 @@ def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
                 own.adapt(mine.select(labelled.rows(mine)))
             except EitskinError:
                 refused += 1
-        data = world.frames.select(world.frames.specimen == number)
-        judged.append(judge(data, own.perceive(data)))
-    return dict(_judged_figures(judged)) | {"sensors refused": refused / len(judged)}
-
-
-def _judged_figures(judged: list[dict[str, Array]]) -> Iterator[tuple[str, float]]:
-    of = {name: np.concatenate([each[name] for each in judged]) for name in judged[0]}
-    yield "untouched states right", float(of["right"].mean())
-    yield "angle, rms [deg]", root_mean_square(of["angle"])
-    yield "angle, error over standard error", root_mean_square(of["angle_ratio"])
-    yield "touches in untouched frames", float(of["false"].sum() / len(of["right"]))
-    yield "touches found", float(len(of["place"]) / of["touches"].sum())
-    if len(of["place"]):
-        yield "place, mean [mm]", 1e3 * float(of["place"].mean())
-        yield "place, error over standard error", root_mean_square(of["place_ratio"])
+        parts.append(np.flatnonzero(world.frames.specimen == number))
+        predictions.append(own.perceive(world.frames.select(parts[-1])))
+    data = world.frames.select(np.concatenate(parts))
+    figures = judge(data, Predictions.joined(predictions))
+    return figures | {"sensors refused": refused / len(parts)}
 
 
 TOUCHED, BENT = 4, 4  # frames of each sensor, evenly among its frames

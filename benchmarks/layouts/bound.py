@@ -8,8 +8,8 @@ the press. docs/results/layouts.md gives bounds.
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import msgspec
@@ -19,11 +19,17 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.folder import make_folder
 from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.files import remove_leftovers, write_file
-from eitskin.geometry import Bend, ConfigurationError, Electrode, SensorDesign
+from eitskin.geometry import Bend, ConfigurationError, SensorDesign
 from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
-from eitskin.training.evaluation.cramer_rao import SceneDerivatives, Steps, scene_derivatives
+from eitskin.training.evaluation.cramer_rao import (
+    FORCE_STEP,
+    PLACE_STEP,
+    SceneDerivatives,
+    scene_derivatives,
+)
+from eitskin.training.method.input_spec import mirrors
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -31,9 +37,7 @@ Numbers = NDArray[np.int64]
 FORCE = 10.0  # of the press [N]
 _VERSION = 1  # of what a stored file means; raised when the calculation changes
 _COMPARED = 15  # singular values: further ones depend on how many places there are
-_DIGITS = 9  # of places in metres, to recognise an electrode in the mirror
 _PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
-_MIRRORS = ((False, False), (True, False), (False, True), (True, True))
 _STENCIL = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
 
@@ -150,8 +154,8 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
     sim = Simulator(layout.design, judged_discretisation(layout.design, sampling.resolution))
     x, y = sampling.grid(layout.design)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    mirrors = list(own_mirrors(layout.design))
-    images = np.array([mirrored_places(len(x), len(y), *mirror) for mirror, _ in mirrors])
+    symmetries = mirrors(layout.design, layout.protocol)
+    images = np.array([mirrored_places(len(x), len(y), *each.flips) for each in symmetries])
     first = images.min(axis=0)
     solved = np.unique(first)
     instrument, full_scale = Instrument(snr_db=sampling.snr_db), sim.full_scale
@@ -171,8 +175,8 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
         raise ConfigurationError(f"layout '{layout.name}': {error}") from error
     maps = np.array(rows)[np.searchsorted(solved, first)].T.reshape(-1, len(y), len(x))
     whole = np.empty((len(places), len(noise)))
-    for image, (_, order) in zip(images, mirrors, strict=True):
-        whole[np.ix_(image[solved], order)] = white
+    for image, symmetry in zip(images, symmetries, strict=True):
+        whole[np.ix_(image[solved], symmetry.order)] = white
     spectrum: Array = np.asarray(np.linalg.svd(whole / math.sqrt(len(places)), compute_uv=False))
     place, place_known, force, angle, change = maps
     return SheetBound(
@@ -190,12 +194,8 @@ def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discr
 def touch_derivatives(
     sim: Simulator, untouched: SceneDerivatives, angle_deg: float, places: Array
 ) -> list[SceneDerivatives]:
-    """Derivatives at a press of 10 N at each position (n, 2) [m], and by the untouched angle.
-
-    Steps are those of `training.cramer_rao`.
-    """
-    steps = Steps()
-    step = np.array([steps.place, steps.place, steps.force * FORCE])
+    """Derivatives at a press of 10 N at each position (n, 2) [m], and by the untouched angle."""
+    step = np.array([PLACE_STEP, PLACE_STEP, FORCE_STEP * FORCE])
     moved = np.array([(x, y, FORCE) for x, y in places])[:, None] + np.array(_STENCIL) * step
     scenes = [
         Scene(Bend(angle_deg), (Touch(x, y, force),))
@@ -209,27 +209,6 @@ def touch_derivatives(
         SceneDerivatives(level, slope[None], untouched.by_angle)
         for level, slope in zip(pressed, slopes, strict=True)
     ]
-
-
-def own_mirrors(design: SensorDesign) -> Iterator[tuple[tuple[bool, bool], Numbers]]:
-    """Mirrors along x and y that leave a rectangular sensor as it is, the identity first.
-
-    Each with the number that each measurement of every pair has in the mirror, (measurements,).
-    """
-
-    def rounded(electrode: Electrode, along: bool, across: bool) -> Electrode:
-        x = design.outline.length - electrode.x if along else electrode.x
-        y = design.outline.width - electrode.y if across else electrode.y
-        return replace(electrode, x=round(x, _DIGITS) + 0.0, y=round(y, _DIGITS) + 0.0)
-
-    known = {rounded(e, False, False): number for number, e in enumerate(design.electrodes)}
-    pairs = [row[:2] for row in Protocol.pairwise(len(known)).table]
-    number_of = {frozenset(pair): number for number, pair in enumerate(pairs)}
-    for mirror in _MIRRORS:
-        seen = [rounded(each, *mirror) for each in design.electrodes]
-        if all(each in known for each in seen):
-            order = [number_of[frozenset((known[seen[a]], known[seen[b]]))] for a, b in pairs]
-            yield mirror, np.array(order)
 
 
 def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:

@@ -18,6 +18,11 @@ from eitskin.simulator import Instrument, Scene, Simulator
 
 Array = NDArray[np.float64]
 
+PLACE_STEP = 1e-3
+"""Step of the finite differences in x and y of a touch [m]."""
+FORCE_STEP = 0.02
+"""Step of a force, relative to the force."""
+_ANGLE_STEP = 0.5  # deg
 _SINGULAR = 1e-12  # least eigenvalue of a Fisher information scaled to a unit diagonal
 # Difference stencils of second order: offsets in steps, and weights of the derivative.
 _STENCILS = (
@@ -25,21 +30,6 @@ _STENCILS = (
     ((0.0, 1.0, 2.0), (-1.5, 2.0, -0.5)),
     ((0.0, -1.0, -2.0), (1.5, -2.0, 0.5)),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """Steps of the finite differences; docs/results/studies.md has bounds.
-
-    Attributes:
-        place: step of a touch's x and y [m].
-        force: step of a force, relative to the force.
-        angle_deg: step of the bend angle [deg].
-    """
-
-    place: float = 1e-3
-    force: float = 0.02
-    angle_deg: float = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +77,6 @@ class SceneDerivatives:
         reference_frames: float = 1.0,
         *,
         angle_known: bool = False,
-        factor_known: bool = True,
     ) -> SceneBound:
         """Cramer-Rao bound for one frame against a reference.
 
@@ -97,8 +86,6 @@ class SceneDerivatives:
             reference_frames: number of frames whose mean the reference is; math.inf for a
                 reference without noise.
             angle_known: whether the bend angle is known.
-            factor_known: whether the gain is the reference's; else all resistances have drifted by
-                one unknown common factor since.
 
         Raises:
             ConfigurationError: for noise that is not positive, without parameters to estimate, and
@@ -118,7 +105,6 @@ class SceneDerivatives:
         rows = [
             *(row for touch in self.by_touch for row in touch),
             *([] if angle_known else [self.by_angle]),
-            *([] if factor_known else [np.ones(len(self.by_angle))]),
         ]
         least = cramer_rao_bound(rows, noise * math.sqrt(1.0 + 1.0 / reference_frames))
         parts = [slice(start, start + 3) for start in range(0, 3 * touches, 3)]
@@ -181,7 +167,6 @@ def mean_distance(covariance: Array) -> Array:
 def scene_derivatives(
     simulator: Simulator,
     scene: Scene,
-    steps: Steps | None = None,
     instrument: Instrument | None = None,
 ) -> SceneDerivatives:
     """Derivatives of a scene's measurements by central differences, one-sided next to a limit.
@@ -189,7 +174,6 @@ def scene_derivatives(
     Args:
         simulator: of the sensor.
         scene: bend and touches, each with a force.
-        steps: of the differences; the defaults when omitted.
         instrument: whose circuit the sensor is part of; an ideal meter when omitted.
 
     Raises:
@@ -200,14 +184,17 @@ def scene_derivatives(
         raise ConfigurationError(
             "expected touches with forces, got a touch with a depth; give a force instead"
         )
-    by = steps or Steps()
     parameters: list[tuple[int | None, str, float]] = [
         (number, name, step)
         for number, touch in enumerate(scene.touches)
-        for name, step in (("x", by.place), ("y", by.place), ("force", by.force * touch.force))
+        for name, step in (
+            ("x", PLACE_STEP),
+            ("y", PLACE_STEP),
+            ("force", FORCE_STEP * touch.force),
+        )
     ]
     scenes, weights = [scene], []
-    for number, name, step in (*parameters, (None, "angle_deg", by.angle_deg)):
+    for number, name, step in (*parameters, (None, "angle_deg", _ANGLE_STEP)):
         changed, factors = _stencil(simulator, scene, number, name, step)
         weights.append((slice(len(scenes), len(scenes) + len(changed)), np.array(factors) / step))
         scenes += changed
