@@ -12,9 +12,7 @@ from eitskin.benchmarks.layouts.bound import (
     Sampling,
     SheetBound,
     judge_layouts,
-    own_mirrors,
     sheet_bound,
-    touch_derivatives,
 )
 from eitskin.benchmarks.layouts.candidates import (
     SearchPlan,
@@ -29,10 +27,10 @@ from eitskin.benchmarks.results import read_results
 from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
+from eitskin.training.method.input_spec import mirrors
 
 FEW = Sampling(0.0675)  # 3 x 2 places
 FEWEST = Sampling(0.135, resolution="coarse")  # 2 x 2 places
-ALONE = ((False, False),)
 
 
 def moved(first=0.02):
@@ -61,35 +59,12 @@ def few():
 
 
 @pytest.mark.slow
-def test_derivatives_agree_with_a_difference_of_fourth_order_of_whole_solutions(sim):
-    places = np.array([[0.045, 0.020], [0.110, 0.035]])
-    derivatives = touch_derivatives(sim, scene_derivatives(sim, Scene()), 0.0, places)
-    rows = {"x": (0, 0, 1.5e-3), "y": (1, 1, 1.5e-3), "force": (0, 2, 0.3)}
-    for name, (place, row, h) in rows.items():
-        touch = Touch(*places[place].tolist(), 10.0)
-        logs = [
-            np.log(sim.measure(Scene(touches=(replace(touch, **{name: v}),))).impedance.real)
-            for v in getattr(touch, name) + h * np.array([-2, -1, 1, 2])
-        ]
-        slope = (logs[0] - 8 * logs[1] + 8 * logs[2] - logs[3]) / (12 * h)
-        error = np.abs(derivatives[place].by_touch[0, row] - slope).max() / np.abs(slope).max()
-        assert error < 0.05, name  # `fast` leaves 1 % of signals and more of their slopes
-
-
-@pytest.mark.slow
 def test_a_layout_is_judged_as_each_scene_is(few, sim):
     found = scene_derivatives(sim, Scene(touches=(Touch(few.x[1], few.y[1], 10.0),)))
     least = found.bound(found.noise(Instrument(), sim.full_scale))
     assert few.place[1, 1] == pytest.approx(least.place[0], rel=0.02)
     assert few.force[1, 1] == pytest.approx(least.force[0], rel=0.02)
     assert few.angle_deg[1, 1] == pytest.approx(least.angle_deg, rel=0.03)
-
-
-def test_mirrors_of_layouts():
-    half_turn = at_arcs("turned", (0.02, 0.05, 0.10, 0.18, 0.23, 0.26, 0.31, 0.39))
-    mirrors = [[mirror for mirror, _ in own_mirrors(each.design)] for each in (half_turn, moved())]
-    assert mirrors == [[*ALONE, (True, True)], [*ALONE]]
-    assert [len(list(own_mirrors(layout.design))) for layout in sweeps()["count"]] == [4] * 6
 
 
 def test_figures_of_a_bound():
@@ -115,16 +90,14 @@ def test_figures_of_a_bound():
 
 
 @pytest.mark.parametrize(
-    ("wanted", "mirrors"),
+    ("wanted", "count"),
     [
         ((0.075 + 0.03375, 0.075 + 0.0675), 4),
         # Both on one side of the lower middle and with their mirror images too near to them.
         ((0.0330, 0.1250), 2),
     ],
 )
-def test_search_finds_the_best_layout_and_leaves_mirrors_where_a_half_turn_is_better(
-    wanted, mirrors
-):
+def test_search_finds_the_best_layout_and_leaves_mirrors_where_a_half_turn_is_better(wanted, count):
     outline = Rectangle(0.150, 0.060)
 
     def judge(questions):
@@ -137,9 +110,9 @@ def test_search_finds_the_best_layout_and_leaves_mirrors_where_a_half_turn_is_be
         return bounds
 
     mirrored, turned = search(judge, SearchPlan())
-    assert len(list(own_mirrors(at_arcs("", mirrored.arcs).design))) == 4
-    assert len(list(own_mirrors(at_arcs("", turned.arcs).design))) == mirrors
-    if mirrors == 4:
+    found = (at_arcs("", each.arcs) for each in (mirrored, turned))
+    assert [len(mirrors(each.design, each.protocol)) for each in found] == [4, count]
+    if count == 4:
         assert mirrored.score == pytest.approx(1e-3, abs=1e-12)
         assert turned == mirrored
     else:

@@ -1,6 +1,5 @@
 """`eitskin bench transfer`: worlds apart from training, scores by hand, and the command."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,12 +10,12 @@ from command_line import printed_json
 from eitskin.benchmarks import transfer
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import Labelled, judge
+from eitskin.datasets import Dataset, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.store.schema import State
 from eitskin.errors import DataError
 from eitskin.geometry.design.sensor import Plates
-from eitskin.training.method.predictions import FoundTouches
+from eitskin.training import FoundTouches, Predictions
 
 
 @pytest.mark.parametrize("world", transfer.WORLDS)
@@ -72,29 +71,38 @@ def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
 
 
 def test_predictions_are_judged_by_hand():
-    nan = math.nan
-    data = SimpleNamespace(
-        state=np.array([State.IDLE, State.BEND, State.TOUCH]),
-        bend_angle_deg=np.array([0.0, 10.0, 0.0]),
-        touch_x=np.array([[nan, nan], [nan, nan], [0.02, 0.09]]),
-        touch_y=np.array([[nan, nan], [nan, nan], [0.03, 0.03]]),
-        touch_count=np.array([0, 0, 2]),
+    places = np.full((2, 3, 4), np.nan)
+    places[:, 2, :2] = [[0.02, 0.09], [0.03, 0.03]]
+    data = Dataset.from_arrays(
+        np.ones((3, 6)),
+        np.ones(6),
+        specimen=np.zeros(3),
+        state=[State.IDLE, State.BEND, State.TOUCH],
+        bend_angle_deg=[0.0, 10.0, 0.0],
+        touch_x=places[0],
+        touch_y=places[1],
     )
     none, wrong = FoundTouches.of([], []), FoundTouches.of([[0.05, 0.03]], [1.0])
     near = FoundTouches.of([[0.02, 0.034]], [1.0], deviation=[0.002])
-    said = SimpleNamespace(
-        state=np.array([State.IDLE, State.TOUCH, State.TOUCH]),
-        bend_angle_deg=np.array([1.0, 7.0, 0.0]),
-        bend_deviation_deg=np.array([0.5, 3.0, 1.0]),
-        touches=(none, wrong, near),
+    predictions = Predictions(
+        np.eye(3)[[State.IDLE, State.TOUCH, State.TOUCH]],
+        np.array([1.0, 7.0, 0.0]),
+        np.array([0.5, 3.0, 1.0]),
+        np.zeros((3, 0, 0), np.float32),
+        (none, wrong, near),
+        ((),) * 3,
     )
-    judged = judge(data, said)
-    assert judged["right"].tolist() == [True, False]
-    assert judged["angle"].tolist() == [1.0, -3.0]
-    assert judged["angle_ratio"].tolist() == [2.0, -1.0]
-    assert (judged["false"].sum(), judged["touches"].sum()) == (1, 2)
-    assert judged["place"].tolist() == pytest.approx([0.004])
-    assert judged["place_ratio"].tolist() == pytest.approx([2.0])
+    assert judge(data, predictions) == pytest.approx(
+        {
+            "untouched states right": 0.5,
+            "angle, rms [deg]": 5.0**0.5,
+            "angle, error over standard error": 2.5**0.5,
+            "touches in untouched frames": 0.5,
+            "touches found": 0.5,
+            "place, mean [mm]": 4.0,
+            "place, error over standard error": 2.0,
+        }
+    )
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from eitskin.training import Pipeline, PositionScore, TrainingSettings
 from eitskin.training.adaptation.locator import (
     MapGrid,
     Places,
-    PositionRegressor,
     PressLocator,
     mixture_places,
 )
@@ -64,25 +63,6 @@ def test_a_channel_that_jumps_is_left_out(learned):
     assert left_out[:, [3, 5]].all()
     assert left_out.sum() == 16
     assert np.median(np.linalg.norm(found.place - places, axis=1)) < 2e-3
-
-
-def test_a_left_out_channel_is_as_if_it_had_never_been(learned):
-    """An unknown offset is marginalised: the values of a bad channel do not matter."""
-    ratio = toy_presses(3, seed=3)[0]
-    bad = np.zeros(ratio.shape, dtype=bool)
-    bad[:, 2] = True
-    answers = np.log(ratio) / learned.locator.gain
-    one = learned.locator.grid.locate(answers, bad)
-    answers[:, 2] += 7.0
-    other = learned.locator.grid.locate(answers, bad)
-    np.testing.assert_allclose(one.place, other.place, atol=1e-9)
-    np.testing.assert_allclose(one.deviation, other.deviation, rtol=1e-6)
-
-
-def test_arrays_restore_the_locator(learned):
-    ratio = toy_presses(5, seed=4)[0]
-    restored = PressLocator.from_arrays(learned.locator.arrays())
-    np.testing.assert_array_equal(restored.apply(ratio), learned.locator.apply(ratio))
 
 
 def test_few_presses_are_explained_in_several_ways():
@@ -210,32 +190,3 @@ def test_mixed_places_have_the_moments_of_the_mixture():
     spread = np.sqrt(points.var(axis=0).sum(axis=1))
     np.testing.assert_allclose(mixed.deviation, spread, rtol=0.01)
     assert mixture_places(each[:1]) is each[0]
-
-
-def regressor(channels=8, count=30, seed=0):
-    rng = np.random.default_rng(seed)
-    directions = rng.standard_normal((count, channels))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    weights = rng.standard_normal((count, 2)) * 0.01
-    return PositionRegressor(np.full(channels, 0.02), directions, weights, np.zeros(2), 0.7, 1.5)
-
-
-def test_positions_are_scikit_learns_prediction():
-    from sklearn.gaussian_process.kernels import Matern
-
-    stage = regressor()
-    ratio = np.exp(0.02 * np.random.default_rng(1).standard_normal((5, 8)))
-    logs = np.log(ratio)
-    directions = logs / np.linalg.norm(logs, axis=1, keepdims=True)
-    covariance = 1.5 * Matern(0.7, nu=2.5)(directions, stage.directions)
-    np.testing.assert_allclose(stage.apply(ratio), covariance @ stage.weights, atol=1e-12)
-    np.testing.assert_allclose(stage.apply(ratio**3), stage.apply(ratio), atol=1e-9)
-
-
-def test_bad_channels_and_other_numbers_of_them():
-    stage = regressor()
-    ratio = np.ones((2, 8))
-    ratio[0, 0] = np.nan
-    assert np.isfinite(stage.apply(ratio)).all()
-    with pytest.raises(DataError, match="8 channels, got 7"):
-        stage.apply(ratio[:, :7])

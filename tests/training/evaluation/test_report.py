@@ -238,15 +238,9 @@ def test_sensors_of_any_outline_are_drawn_to_scale():
     assert np.mean(electrode, axis=0) == pytest.approx([100.0, 50.0], abs=0.5)
 
 
-@pytest.fixture
-def few_pictures(monkeypatch):
-    """Two quick ones, of which there is one to draw."""
-    names = ("confusion.png", "bend_sequence.png")
-    monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})
-
-
-@pytest.mark.usefixtures("few_pictures")
 def test_an_earlier_report_is_replaced_whole_or_not_at_all(evaluation, tmp_path, monkeypatch):
+    names = ("confusion.png", "bend_sequence.png")  # quick ones, of which there is one to draw
+    monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})
     folder = write_report(evaluation, tmp_path, {})
     (folder / "bend_sequence.png").write_bytes(b"of an earlier report")
     (folder / "notes.txt").write_text("mine")

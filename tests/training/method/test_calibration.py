@@ -60,21 +60,15 @@ def test_a_sensor_of_another_gain_is_calibrated(saved, sensor, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("angles", "error", "message"),
-    [
-        ((0.0, 10.0), ConfigurationError, r"2 labels.*3 frames"),
-        ((5.0, 10.0, 20.0), ConfigurationError, "flat"),
-        ((0.0, 0.0, 0.0), ConfigurationError, r"bent.*3 flat"),
-        ((0.0, float("nan"), 1.0), DataError, "angle up to 360"),
-        ((0.0, 50.0, -20.0), DataError, r"do not fit.* for angles of"),
-    ],
-)
-def test_angles_that_cannot_be_are_refused(saved, sensor, angles, error, message):
+def test_angles_that_cannot_be_are_refused(saved, sensor):
     pipeline = Pipeline.load(saved)
     method = pipeline.method
-    with pytest.raises(error, match=message):
-        pipeline.calibrate(frames(sensor, (0.0, -20.0, 50.0)), angles)
+    for angles, error, message in (
+        ((0.0, 0.0, 0.0), ConfigurationError, r"bent.*3 flat"),
+        ((0.0, 50.0, -20.0), DataError, r"do not fit.* for angles of"),
+    ):
+        with pytest.raises(error, match=message):
+            pipeline.calibrate(frames(sensor, (0.0, -20.0, 50.0)), angles)
     assert pipeline.method is method
     assert not pipeline.calibration
 
@@ -96,21 +90,6 @@ def bends(sensor, folder, angles=ANGLES[2:]):
     )
     save_dataset(data, folder)
     return folder
-
-
-@pytest.mark.slow
-def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
-    """The virtual board's sensor stays flat at every angle that a person is asked for."""
-    out = tmp_path / "mine.eitmodel"
-    board = "virtual:?speed=max&instrument=ideal"
-    done = run(
-        saved, "--board", board, "--angles", "10,20", "--frames", 2, "--out", out, input="\n\n\n"
-    )
-    assert "flat" in done.output
-    assert "20 deg" in done.output
-    assert isinstance(done.exception, DataError)
-    assert "10 to 20 deg" in str(done.exception)
-    assert not out.exists()
 
 
 @pytest.mark.slow

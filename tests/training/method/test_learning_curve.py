@@ -7,7 +7,6 @@ import torch
 from eitskin.errors import ConfigurationError
 from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
-from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
 
 INPUTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
@@ -64,9 +63,3 @@ def test_losses_fall_to_those_of_the_trained_network():
 def test_divergence_is_refused():
     with pytest.raises(ConfigurationError, match=r"epoch \d+.*learning_rate"):
         fit(rate=1e30, epochs=30)
-
-
-def test_history_survives_as_arrays():
-    history = LearningCurve((0.5, 0.25), (0.75,))
-    assert LearningCurve.from_arrays(history.arrays()) == history
-    assert LearningCurve.from_arrays({}) == LearningCurve()

@@ -100,11 +100,10 @@ def frames(states, angles=None, touched=(), force=np.nan, **known):
 def test_targets_are_what_frames_have_labels_for(data, targets, missing):
     assert Targets.of(data) == targets
     assert targets.missing == missing
+    assert targets.positions_only == (data.touch_count > 0).all()
 
 
-def test_positions_alone_and_nothing_at_all():
-    assert Targets.of(frames([1, 1], touched=[0, 1])).positions_only
-    assert not Targets.of(frames([0, 1], touched=[1])).positions_only
+def test_frames_without_any_target_are_refused():
     with pytest.raises(DataError, match="3 idle, 0 touch"):
         require_targets(frames([0, 0, 0]))
 

@@ -17,25 +17,11 @@ def jacobian():
     return np.random.default_rng(0).normal(size=(12, 128)) * np.geomspace(0.4, 1, 128)
 
 
-@pytest.fixture(scope="module")
-def sensor_jacobian():
-    return linear_model(SensorDesign.reference(), Protocol.pairwise(8), (32, 80)).relative
-
-
 def test_push_through_form_is_the_formula_of_the_paper(jacobian):
     made = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE)
     prior = np.diag(np.sum(jacobian**2, axis=0))
     gram = jacobian.T @ jacobian + made.regularisation**2 * prior
     np.testing.assert_allclose(made.matrix, np.linalg.solve(gram, jacobian.T), rtol=1e-7)
-
-
-def test_regularisation_gives_a_touch_the_size_that_the_prior_expects(jacobian):
-    """With lambda = n / s, pictures drawn from the prior have an rms signal of snr times n."""
-    made = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE)
-    noise, rng = 1e-3, np.random.default_rng(1)
-    s = noise / made.regularisation
-    pictures = rng.normal(size=(4000, 128)) * s / np.sqrt(np.sum(jacobian**2, axis=0))
-    assert np.std(pictures @ jacobian.T) == pytest.approx(20.0 * noise, rel=0.02)
 
 
 def test_noise_of_channels_weighs_them_as_in_the_map_estimate(jacobian):
@@ -68,14 +54,15 @@ def test_dark_pixels_are_not_favoured(jacobian):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", [(0.075, 0.030), (0.045, 0.045), (0.110, 0.015)])
-def test_picture_is_lowest_where_the_sensor_is_pressed(sensor_jacobian, place):
-    x, y = np.meshgrid((np.arange(80) + 0.5) * 0.150 / 80, (np.arange(32) + 0.5) * 0.060 / 32)
-    pressed = np.where(np.hypot(x - place[0], y - place[1]) < 0.0075, -0.2, 0.0)
-    made = Reconstruction.fit(sensor_jacobian, snr=30.0, shape=(32, 80))
-    picture = made.apply(sensor_jacobian @ pressed.ravel())
-    iy, ix = np.unravel_index(picture.argmin(), picture.shape)
-    assert np.hypot(x[iy, ix] - place[0], y[iy, ix] - place[1]) < 0.008
+def test_picture_is_lowest_where_the_sensor_is_pressed():
+    J = linear_model(SensorDesign.reference(), Protocol.pairwise(8), (16, 40)).relative
+    x, y = np.meshgrid((np.arange(40) + 0.5) * 0.150 / 40, (np.arange(16) + 0.5) * 0.060 / 16)
+    made = Reconstruction.fit(J, snr=30.0, shape=(16, 40))
+    for place in ((0.075, 0.030), (0.045, 0.045), (0.110, 0.015)):
+        pressed = np.where(np.hypot(x - place[0], y - place[1]) < 0.0075, -0.2, 0.0)
+        picture = made.apply(J @ pressed.ravel())
+        iy, ix = np.unravel_index(picture.argmin(), picture.shape)
+        assert np.hypot(x[iy, ix] - place[0], y[iy, ix] - place[1]) < 0.008
 
 
 def test_signal_to_noise_takes_the_noise_off():
