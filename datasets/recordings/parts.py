@@ -1,5 +1,6 @@
 """Columns of complex values in two parts, and electrodes, by the names of columns."""
 
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any, Final, Literal
@@ -26,7 +27,13 @@ _PARTS: Final = tuple(
     (part, re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{words})(?![a-z])"))
     for part, words in _WORDS
 )
-_UNIT: Final = re.compile(r"\s*[\[(][^\[(\d]*[\])]$|[\s_.-]*(?:deg|rad|degrees|radians|°)$", re.I)
+_UNIT: Final = re.compile(
+    r"\s*[\[(][^\[(\d]*[\])]$|[\s_.-]*(?:deg|rad|degrees|radians|°|[kmµu]?(?:ohms?|Ω|Ω)|[mµu]?V)$",
+    re.I,
+)
+_PREFIXED: Final = re.compile(r".*[\s_.(\[-]([kmuµM]?)(?:[oO]hms?|Ω|Ω|V)[)\]]?")
+_FACTORS: Final = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "M": 1e6}
+_READING: Final = re.compile(r"impedance|resistance|reading|value|voltage|magn|ohm|^[zrv]$", re.I)
 _RADIANS, _DEGREES = (re.compile(rf"(?<![a-z])({w})", re.I) for w in ("rad", "deg|°"))
 
 
@@ -47,6 +54,11 @@ def _stems(header: Sequence[str], word: re.Pattern[str]) -> dict[str, int]:
     """Number of each column by its name without the word."""
     names = (word.subn("*", _UNIT.sub("", name)) for name in header)
     return {stem.casefold(): column for column, (stem, n) in enumerate(names) if n == 1}
+
+
+def is_reading(name: str) -> bool:
+    """Whether a name is one of a measured quantity."""
+    return bool(_READING.search(name))
 
 
 def is_phase(name: str) -> bool | None:
@@ -83,18 +95,35 @@ def joined(first: NDArray[Any], second: NDArray[Any], unit: str) -> NDArray[Any]
     return np.asarray(first * np.exp(1j * angle))
 
 
-def protocol_of_names(names: Sequence[str]) -> Protocol | None:
-    """Protocol of names with four electrodes each, as E1_E9_E2_E10; None for other names.
+def unit_factor(names: Sequence[str]) -> float:
+    """Factor that makes ohm or volt of values whose names all end in one unit, as Z0_kohm; or 1."""
+    prefixes = {unit[1] if unit else "" for unit in map(_PREFIXED.fullmatch, names)}
+    return _FACTORS[prefixes.pop()] if len(prefixes) == 1 else 1.0
 
-    Electrodes count from 1 where no name has a 0.
+
+def electrodes_of_name(name: str) -> tuple[int, ...]:
+    """Numbers in the name of a column, without its unit."""
+    return tuple(map(int, re.findall(r"\d{1,3}", _UNIT.sub("", name))))
+
+
+def protocol_of_names(names: Sequence[str]) -> Protocol | None:
+    """Protocol of names with electrodes; None for other names.
+
+    Either four electrodes each, as E1_E9_E2_E10, or all pairs of electrodes, as Z1-2. Electrodes
+    count from 1 where no name has a 0.
     """
-    rows = [tuple(map(int, re.findall(r"\d{1,3}", _UNIT.sub("", name)))) for name in names]
-    if not rows or {len(row) for row in rows} != {4} or len(set(rows)) < len(rows):
+    rows = [electrodes_of_name(name) for name in names]
+    widths = {len(row) for row in rows}
+    if widths not in ({4}, {2}) or len(set(rows)) < len(rows):
         return None
     base = int(min(map(min, rows)) > 0)
     count = max(map(max, rows)) + 1 - base
+    if widths == {2} and {frozenset(row) for row in rows} != {
+        frozenset(pair) for pair in itertools.combinations(range(base, base + count), 2)
+    }:
+        return None  # other numbers, such as those of a sensor and its channel
     try:
-        shifted = ([electrode - base for electrode in row] for row in rows)
+        shifted = ([electrode - base for electrode in row * (4 // len(row))] for row in rows)
         return Protocol.from_rows(shifted, count) if count <= MOST_ELECTRODES else None
     except ConfigurationError:
         return None

@@ -24,6 +24,7 @@ from eitskin.datasets.recordings.parts import (
     PhaseUnit,
     protocol_of_names,
     require_protocol_of_names,
+    unit_factor,
 )
 from eitskin.datasets.recordings.patterns import protocol_of_patterns
 from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
@@ -207,6 +208,8 @@ class RecordedFile:
             )
         usual = source.usual(len(self.protocol) if self.protocol else 0)
         values = [source.require(names.values or usual or "", "values")]
+        factor = unit_factor(source.titles(values[0])) if form.scale == 1.0 else form.scale
+        self._form, self._scale = (form := replace(form, scale=factor)), factor
         named = protocol_of_names(source.titles(values[0]))
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
@@ -253,7 +256,7 @@ class RecordedFile:
         )
         parts = (part.strip() for name in values for part in name.split(","))
         used = {*values, *parts, *labels, *(names.patterns or ())}
-        self.unused = tuple(name for name in source.names if name not in used)
+        self.unused = source.unused(used)
         if names.patterns:
             self._read_patterns(*names.patterns)
 
@@ -285,6 +288,8 @@ class RecordedFile:
         found = {"--values": self._wanted.values[0]}
         if self._whole is not None and (name := self._whole.abbreviated()):
             found["--protocol"] = name
+        if self._form.scale != 1.0:
+            found["--scale"] = f"{self._form.scale:g}"
         return found
 
     @property

@@ -165,13 +165,14 @@ class Recording:
             protocol = f"{self.protocol}, electrodes counted from 0"
             order = f"reciprocal readings differ by {misfit:.2%} (median)"
             order = order if np.isfinite(misfit) else "no reciprocal readings that tell"
+        scale = file.understood.get("--scale", 1)
         said = {
             "frames": str(self.frames),
             "values": f"{channels} channels of {file.understood['--values']}: {first} ...",
             "protocol": protocol,
             "order": order,
             "labels": ", ".join(f"{k} = {v}" for k, v in file.labels.items()) or "none",
-            "units": f"lengths in {self._form.length_unit}, values times {self._form.scale:g}",
+            "units": f"lengths in {self._form.length_unit}, values times {scale}",
             "not read": ", ".join(self.unused) or "nothing",
         }
         return {name: text for name, text in said.items() if text}, file.understood

@@ -5,7 +5,7 @@ import dataclasses
 import difflib
 import itertools
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,9 @@ from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.recordings.arrays import Hdf5Reader, NumpyReader, open_mat
 from eitskin.datasets.recordings.field_files import FIELD, FieldReader, field_reader
 from eitskin.datasets.recordings.parts import (
+    electrodes_of_name,
     is_phase,
+    is_reading,
     joined,
     pair_columns,
     phase_unit,
@@ -108,11 +110,13 @@ class Source:
         usual, header = self.usual_values, self.contents.header
         if not usual or usual in self.names or "," in usual:
             return usual
-        if "c" in self._columns and len(self._columns["c"]) == len(header) >= count:
-            return f"c{len(header) - count}..c{len(header) - 1}" if count else "c"
-        named = [name for name in header if protocol_of_names([name])]
-        if len(named) > 1:
-            return f"{named[0]}..{named[-1]}"
+        numbered = [header[column] for column in self._columns.get("c", ())]
+        if self.contents.remark and len(numbered) > max(count - 1, 0):
+            return f"{numbered[-count]}..{numbered[-1]}" if count else "c"
+        for width in (4, 2):
+            named = [name for name in header if len(electrodes_of_name(name)) == width]
+            if len(named) > 1 and protocol_of_names(named):
+                return f"{named[0]}..{named[-1]}"
         fitting = [name for name, columns in self._columns.items() if len(columns) == count > 1]
         return fitting[0] if len(fitting) == 1 else usual
 
@@ -146,6 +150,15 @@ class Source:
         columns = self._columns.get(self._joined.get(name, (name, name))[1], ())
         return [self.contents.header[column] for column in columns]
 
+    def unused(self, used: Collection[str]) -> tuple[str, ...]:
+        """Tables that are not among the used ones, nor share a column with them."""
+        columns = {column for name in used for column in self._columns.get(name, ())}
+        return tuple(
+            name
+            for name in self.names
+            if name not in used and not columns & set(self._columns.get(name, ()))
+        )
+
     def require(self, name: str, meaning: str) -> str:
         """Return `name`, the table with that meaning; raises ConfigurationError for no such one."""
         first, dots, last = name.partition("..")
@@ -176,7 +189,8 @@ class Source:
         near = near or difflib.get_close_matches(name, self.names, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         if meaning == "values" and not near and self._columns:
-            hint = f"; try --values {max(self._columns, key=lambda key: len(self._columns[key]))}"
+            likely = max(self._columns, key=lambda key: (len(self._columns[key]), is_reading(key)))
+            hint = f"; try --values {likely}"
         raise ConfigurationError(
             f"cannot find the {meaning}: there is no '{name}'; {self.holds()}{hint}"
         )
@@ -209,9 +223,7 @@ def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG
             return
         for block in reader.blocks(Wanted(**argument["wanted"])):
             yield Answer(0, block)
-    except UnicodeDecodeError as error:
-        raise DataError(f"cannot read it: {error}; save it as text in UTF-8") from error
-    except (OSError, csv.Error) as error:
+    except (OSError, UnicodeError, csv.Error) as error:
         raise DataError(f"cannot read it: {error}") from error
 
 

@@ -1,5 +1,6 @@
 """Recordings as tables with a column for each channel and label: text, Excel and Parquet files."""
 
+import codecs
 import csv
 import io
 import itertools
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 OPENEIT: Final = "magnitudes"
 EXTRA: Final = "recordings"
 _DELIMITERS: Final = ",;\t"
+MIN_NUMBERED: Final = 3  # columns that are named by numbers in turn
+_BLOCK_BYTES: Final = 1 << 20
 _SAMPLE: Final = 1000  # lines, among which the header is
 _BRACKETS: Final = re.compile(r"\s*[\[{]+([^\[\]{}]*)[\]}]*\s*[,;]?\s*")
 _DECIMAL_COMMA: Final = re.compile(r"\d,\d")
@@ -70,6 +73,7 @@ class TextReader(TableReader):
 
     def __init__(self, path: Path, header_row: int | None = None) -> None:
         super().__init__(path)
+        self._encoding = _encoding(path)
         self._delimiter, self._decimal, self._first = ",", ".", 0
         self._openeit = path.suffix.lower() == ".txt" and self._has_magnitudes()
         sample = list(itertools.islice(self._lines(), _SAMPLE))
@@ -83,12 +87,16 @@ class TextReader(TableReader):
         header, remark = rows[0][:width] if rows else [], ""
         if self._openeit:
             header = [f"{OPENEIT}{column}" for column in range(len(header))]
-        elif any(header) and all(is_number(cell) for cell in header if cell):
+        elif _are_values(header):
             remark = " (the file has no header, so columns are numbered)"
             names = self._cells(self._last_comment())
-            numbered = [f"c{column}" for column in range(len(header))]
+            numbered = [
+                f"c{column}" if is_number(cell) or not cell else f"text{column}"
+                for column, cell in enumerate(header)
+            ]
             header = names if len(names) == len(header) else numbered
         else:
+            header = [f"v{cell}" if cell.isdecimal() else cell for cell in header]
             begin += 1
             begin += bool(rows[1:]) and all(map(_UNITS.fullmatch, filter(None, rows[1])))
         self._first = sample[begin][0] if begin < len(sample) else 0
@@ -136,7 +144,7 @@ class TextReader(TableReader):
 
     def _lines(self) -> Iterator[tuple[int, str]]:
         """Lines that hold cells, each with its number in the file from 1."""
-        with self.path.open(encoding="utf-8-sig") as file:
+        with self.path.open(encoding=self._encoding) as file:
             for number, line in enumerate(file, 1):
                 text = line.rstrip("\r\n")
                 if self._openeit:
@@ -148,12 +156,12 @@ class TextReader(TableReader):
                     yield number, text
 
     def _has_magnitudes(self) -> bool:
-        with self.path.open(encoding="utf-8-sig") as file:
+        with self.path.open(encoding=self._encoding) as file:
             return any(line.partition(":")[0].strip() == OPENEIT for line in file)
 
     def _last_comment(self) -> str:
         """Last comment before the first cells, without its sign."""
-        with self.path.open(encoding="utf-8-sig") as file:
+        with self.path.open(encoding=self._encoding) as file:
             lines = (line.strip() for line in file)
             above = list(itertools.takewhile(lambda line: not line or line[0] in "#%", lines))
         return next((line.lstrip("#%").strip() for line in reversed(above) if line), "")
@@ -280,6 +288,31 @@ def find_header(rows: list[list[str]], numbers: Sequence[int], given: int | None
         return numbers.index(given)
     filled = [sum(map(bool, row)) for row in rows]
     return next((place for place, n in enumerate(filled) if 2 * n > max(filled)), 0)
+
+
+def _encoding(path: Path) -> str:
+    """Encoding of a text file: by its byte order mark, UTF-8, or Latin-1 where it is neither."""
+    with path.open("rb") as file:
+        if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+            return "utf-16"
+        file.seek(0)
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        try:
+            while block := file.read(_BLOCK_BYTES):
+                decoder.decode(block)
+        except UnicodeDecodeError:
+            return "latin-1"
+    return "utf-8-sig"
+
+
+def _are_values(row: Sequence[str]) -> bool:
+    """Whether most cells of a row are numbers, other than 0, 1, 2 ... or 1, 2, 3 ... as names."""
+    cells = [cell for cell in row if cell]
+    numbers = [cell for cell in cells if is_number(cell)]
+    counted = [str(number) for number in range(len(numbers) + 1)]
+    return 2 * len(numbers) > len(cells) and (
+        len(numbers) < MIN_NUMBERED or numbers not in (counted[:-1], counted[1:])
+    )
 
 
 def _without_empty_end(row: list[str]) -> list[str]:

@@ -192,6 +192,11 @@ COMPLEX = FRAMES * np.exp(0.3j)
 NAMED = [f"E{a + 1}_E{b + 1}_E{c + 1}_E{d + 1}" for a, b, c, d in ADJACENT.table]
 GERMAN = [line.replace(".", ",") for line in numbered(separator=";")]
 ROTATED = in_order(ADJACENT, "rotated").measure(Z)
+PAIRS = Protocol.pairwise(N)
+PAIRED = PAIRS.measure(Z)
+BETWEEN = ";".join(["Zeit [s]", *(f"Z{a + 1}-{b + 1}" for a, b, *_ in PAIRS.table)])
+KOHM = ",".join(f"R_{a}_{b}_kohm" for a, b, *_ in PAIRS.table)
+LATIN = [BETWEEN, *(f"0,{k};{r}".replace(".", ",") for k, r in enumerate(rows(PAIRED, ";")))]
 S16 = Protocol.adjacent(16)
 RAW16 = Protocol.adjacent(16, shared=True).measure(SIXTEEN)
 P8 = "--protocol adjacent:8"
@@ -228,6 +233,14 @@ FORMS = [
     Form("first to last column", "a.csv", text([",".join(map("n{}x".format, range(40))), *rows()]),
          P8 + " --values n0x..n39x"),
     Form("names of electrodes from 1", "a.csv", text([",".join(NAMED), *rows()])),
+    Form("Latin-1, names of pairs from 1", "a.csv",
+         lambda p: p.write_text("\n".join(["Gerät 3", *LATIN]), "latin-1"), "", PAIRED, PAIRS),
+    Form("UTF-16, names of pairs from 0, kohm", "a.csv",
+         lambda p: p.write_text("\n".join([KOHM, *rows(PAIRED / 1e3)]), "utf-16"), "",
+         PAIRED, PAIRS),
+    Form("pandas, columns and rows named by numbers", "a.csv",
+         text(["," + names("", 40), *(f"{k},{r}" for k, r in enumerate(rows()))]), P8),
+    Form("no names, words first", "a.csv", text([f"idle,{r}" for r in rows()]), P8),
     Form("magnitudes and phases", "a.csv", text([",".join(f"mag_{k},phase_{k}" for k in range(40)),
          *polar(COMPLEX)]), P8, COMPLEX),
     Form("real and imaginary parts", "a.csv", text([",".join(f"re{k},im{k}" for k in range(40)),
