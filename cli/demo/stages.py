@@ -349,8 +349,8 @@ def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     learned.save(demo.out / "presses.eitmodel")
     score = learned.metrics
     stage.numbers["presses"] = {"presses": len(recording), **score}
-    true, found = held_out_positions(learned, recording)
-    figure = draw_error_vectors(None, true, found).figure
+    true, places = held_out_positions(learned, recording)
+    figure = draw_error_vectors(None, true, places.place).figure
     caption = (
         f"{path.name}: the last {len(true)} presses of a robot on a real, round hydrogel skin, "
         "left out of the training; to scale. Lines from true to estimated positions."

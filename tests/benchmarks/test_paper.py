@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 from typer.testing import CliRunner
 
 from eitskin.benchmarks.leaderboard import read_leaderboard
@@ -49,21 +50,16 @@ def dataset(frames, seed=0, episode=None):
     rng = np.random.default_rng(seed)
     n = len(frames)
     angle, count = np.array(frames, float).T
-    xy = np.full((2, n, 4), np.nan)
-    for row, touches in enumerate(count.astype(int)):
-        xy[:, row, :touches] = np.array(PLACES[:touches]).reshape(-1, 2).T
-    there = np.isfinite(xy[0])
+    there = np.arange(4) < count[:, None]
     free = FLAT * (1 + angle[:, None] * BEND) * (1 + NOISE * rng.normal(size=(n, 28)) / 8**0.5)
     signal = (count > 0)[:, None] * SIGNAL + NOISE * rng.normal(size=(n, 28))
-    made = Dataset.from_arrays(
+    made = touched_dataset(
         FLAT * (1 + angle[:, None] * BEND + signal),
         FLAT,
+        [PLACES[:touches] for touches in count.astype(int)],
         touch_reference=free,
-        specimen=np.zeros(n),
         state=np.where(count > 0, State.TOUCH, np.where(angle != 0, State.BEND, State.IDLE)),
         bend_angle_deg=angle,
-        touch_x=xy[0],
-        touch_y=xy[1],
         touch_force=np.where(there, 10.0, np.nan),
         touch_radius=np.where(there, 0.0075, np.nan),
         time=0.3 * np.arange(n),

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import printed_json
+from touched_dataset import touched_dataset
 
 from eitskin.benchmarks import transfer
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import Labelled, judge
-from eitskin.datasets import Dataset, State
+from eitskin.datasets import State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import DataError
@@ -71,17 +72,9 @@ def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
 
 
 def test_predictions_are_judged_by_hand():
-    places = np.full((2, 3, 4), np.nan)
-    places[:, 2, :2] = [[0.02, 0.09], [0.03, 0.03]]
-    data = Dataset.from_arrays(
-        np.ones((3, 6)),
-        np.ones(6),
-        specimen=np.zeros(3),
-        state=[State.IDLE, State.BEND, State.TOUCH],
-        bend_angle_deg=[0.0, 10.0, 0.0],
-        touch_x=places[0],
-        touch_y=places[1],
-    )
+    labels = {"state": [State.IDLE, State.BEND, State.TOUCH], "bend_angle_deg": [0.0, 10.0, 0.0]}
+    places = [[], [], [(0.02, 0.03), (0.09, 0.03)]]
+    data = touched_dataset(np.ones((3, 6)), np.ones(6), places, **labels)
     none, wrong = FoundTouches.of([], []), FoundTouches.of([[0.05, 0.03]], [1.0])
     near = FoundTouches.of([[0.02, 0.034]], [1.0], deviation=[0.002])
     predictions = Predictions(

@@ -80,7 +80,7 @@ def test_a_replayed_recording_gives_the_same_session(saved):
 
 def test_touch_positions_are_the_same(saved):
     presses = open_dataset(saved / "presses")
-    found = held_out_positions(open_pipeline(saved / "positions.eitmodel"), presses)[1]
+    found = held_out_positions(open_pipeline(saved / "positions.eitmodel"), presses)[1].place
     assert same(found, EXPECTED["positions"])
     with pytest.warns(DeprecationWarning, match="use Pipeline"):
         old = RecordedTouches.load(saved / "positions.eitmodel")

@@ -191,21 +191,6 @@ def learned_strength(kernel: PlaceKernel, presses: Presses) -> Array:
     return strength
 
 
-@dataclass(frozen=True, slots=True)
-class CrossValidation:
-    """Errors of places in presses that were left out, in blocks of neighbours in time.
-
-    Attributes:
-        presses: number that was tested.
-        mean_error_mm: mean distance from the true place [mm].
-        error_ratio: root mean square of error over standard error, before it is corrected by it.
-    """
-
-    presses: int
-    mean_error_mm: float
-    error_ratio: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedPlaces:
     """Locator of touches that presses taught, and how good it is.
@@ -214,13 +199,15 @@ class LearnedPlaces:
         locator: of touches.
         law: between strength and depth or force; None where neither was known.
         choice: how the maps are modelled; the first where several ways are averaged over.
-        validated: errors in presses that were left out.
+        validated: figures of presses that were left out, in blocks of neighbours in time: their
+            number `presses`, the mean error `mean_error_mm` of places [mm], and the root mean
+            square `error_ratio` of error over standard error, before it is corrected by it.
     """
 
     locator: PressLocator
     law: StrengthLaw | None
     choice: MapChoice
-    validated: CrossValidation
+    validated: dict[str, float]
 
 
 def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
@@ -282,9 +269,11 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
         extent,
         max(1.0, float(np.sqrt(_mean_square(off_lost) / _mean_square(off)))),
     )
-    validated = CrossValidation(
-        len(off), float(errors.mean()) * 1e3, float(np.sqrt(np.mean(off**2)))
-    )
+    validated = {
+        "presses": len(off),
+        "mean_error_mm": float(errors.mean()) * 1e3,
+        "error_ratio": float(np.sqrt(np.mean(off**2))),
+    }
     return LearnedPlaces(locator, law, choices[0], validated)
 
 

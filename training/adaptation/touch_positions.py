@@ -51,7 +51,7 @@ class TouchPositions(Method):
         facts = {
             "law": learned.law and asdict(learned.law),
             "choice": asdict(learned.choice),
-            "validated": asdict(learned.validated),
+            "validated": learned.validated,
         }
         return cls(learned.locator, frames.spec.labels, facts)
 

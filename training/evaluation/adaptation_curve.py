@@ -6,8 +6,7 @@ from some frames of the others: neighbours in time are too similar to learn from
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,10 +56,6 @@ class CurvePoint:
     angle_deg: float | None = None
     place_mm: float | None = None
     found: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return asdict(self)
 
 
 Errors = tuple[Array, Array]

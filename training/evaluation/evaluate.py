@@ -308,9 +308,8 @@ class PositionScore:
     @classmethod
     def of(cls, pipeline: Pipeline, dataset: Dataset) -> "PositionScore":
         """Score on the held-out frames of `dataset`; raises DataError where there are none."""
-        true, places = _held_out_places(pipeline, dataset)
-        found = places.place
-        error = np.linalg.norm(found - true, axis=1)
+        true, places = held_out_positions(pipeline, dataset)
+        error = np.linalg.norm(places.place - true, axis=1)
         guess = np.linalg.norm(_method(pipeline).locator.centre - true, axis=1)
         values = (error.mean(), np.median(error), guess.mean())
         mean, middle, guessed = (1e3 * float(value) for value in values)
@@ -338,18 +337,12 @@ class PositionScore:
         return asdict(self)
 
 
-def held_out_positions(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Array]:
-    """True and estimated positions in the held-out frames of `dataset`, (k, 2) [m] each.
+def held_out_positions(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Places]:
+    """True (k, 2) [m] and estimated positions in the held-out frames of `dataset`.
 
     Raises DataError where no frame is held out, or for a pipeline of another method, and FrameError
     for a dataset of another protocol, where both are known.
     """
-    true, found = _held_out_places(pipeline, dataset)
-    return true, found.place
-
-
-def _held_out_places(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Places]:
-    """True positions (k, 2) [m] of `held_out_positions`, and the places that are estimated."""
     locator, protocol = _method(pipeline).locator, dataset.protocol
     if pipeline.layout.known_protocol is not None and protocol is not None:
         pipeline.layout.require_same_measurements(protocol, pipeline.layout.frequency)
@@ -418,7 +411,8 @@ class RecordedTouches(Pipeline):
 
     def found(self, dataset: Dataset) -> tuple[Array, Array]:
         """`held_out_positions`, (k, 2) [m] each."""
-        return held_out_positions(self, dataset)
+        true, estimated = held_out_positions(self, dataset)
+        return true, estimated.place
 
     def evaluate(self, dataset: Dataset) -> PositionScore:
         """`PositionScore.of`."""

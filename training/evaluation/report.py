@@ -140,7 +140,8 @@ def write_position_report(
     Raises DataError where no frame is held out, and errors as `write_report`.
     """
     score = PositionScore.of(touches, dataset).as_dict()
-    true, found = held_out_positions(touches, dataset)
+    true, places = held_out_positions(touches, dataset)
+    found = places.place
     errors = np.linalg.norm(found - true, axis=1)
     caption = f"Localisation errors of {len(true)} touches; the largest are in the last bin."
     drawings = {

@@ -20,46 +20,23 @@ from eitskin.training.method.network_training import (
     train_network,
 )
 from eitskin.training.method.settings import NetworkSettings
-from eitskin.training.paper.layers import Layer
+from eitskin.training.paper.layers import Layer, coordinates
 
 Flips = Sequence[tuple[bool, bool]]
 
 
-class LayerNetwork(nn.Module):
-    """Network of a table of layers.
-
-    Where asked for, the `coordinates` of each pixel are further channels of its inputs.
-    """
-
-    def __init__(self, layers: Sequence[Layer], placed: tuple[int, int] | None = None) -> None:
-        """Build the layers, with weights drawn from torch's own generator.
-
-        Args:
-            layers: table of the layers.
-            placed: rows and columns of maps that get the coordinates; None for none.
-        """
-        super().__init__()
-        self.place: Tensor | None = None
-        if placed is not None:
-            y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in placed), indexing="ij")
-            self.place = torch.stack([y, x])[None]
-        modules: list[nn.Module] = []
-        for layer in layers:
-            if layer.kind == "dense" and not isinstance(modules[-1], nn.ReLU | nn.Flatten):
-                modules.append(nn.Flatten())
-            tail: list[nn.Module] = [nn.BatchNorm2d(layer.outputs)] if layer.normed else []
-            tail += [nn.ReLU()] if layer.rectified else []
-            tail += [nn.MaxPool2d(2)] if layer.pooled else []
-            parts = [_weights(layer), *tail]
-            modules += [nn.Sequential(*parts)] if layer.normed else parts
-        self.layers = nn.Sequential(*modules)
-
-    def forward(self, maps: Tensor) -> Tensor:
-        """Logits of maps (n, channels, rows, columns)."""
-        if self.place is not None:
-            maps = torch.cat([maps, self.place.expand(len(maps), -1, -1, -1)], dim=1)
-        logits: Tensor = self.layers(maps)
-        return logits
+def layer_network(layers: Sequence[Layer]) -> nn.Sequential:
+    """Network of a table of layers, with weights drawn from torch's own generator."""
+    modules: list[nn.Module] = []
+    for layer in layers:
+        if layer.kind == "dense" and not isinstance(modules[-1], nn.ReLU | nn.Flatten):
+            modules.append(nn.Flatten())
+        tail: list[nn.Module] = [nn.BatchNorm2d(layer.outputs)] if layer.normed else []
+        tail += [nn.ReLU()] if layer.rectified else []
+        tail += [nn.MaxPool2d(2)] if layer.pooled else []
+        parts = [_weights(layer), *tail]
+        modules += [nn.Sequential(*parts)] if layer.normed else parts
+    return nn.Sequential(*modules)
 
 
 def _weights(layer: Layer) -> nn.Module:
@@ -108,7 +85,11 @@ def train_layers(
             and whether y is reversed.
     """
 
-    def samples(difference: ArrayLike, truth: NDArray[np.generic], rms: ArrayLike) -> Samples:
+    place = torch.as_tensor(coordinates(shape))
+
+    def samples(
+        difference: ArrayLike, truth: NDArray[np.generic], rms: ArrayLike, flips: Flips = ()
+    ) -> Samples:
         dV, matrix, deviation = (
             torch.as_tensor(np.asarray(values, dtype=np.float32))
             for values in (difference, embedding, rms)
@@ -122,14 +103,20 @@ def train_layers(
             maps = torch.einsum("nm,kpm->nkp", rows, matrix).reshape(len(rows), -1, *shape)
             return torch.asinh(maps) if compress else maps, targets[chosen]
 
-        return Samples(batch, len(targets))
+        shown = mirrored(batch, flips)
 
-    network = seeded_network(lambda: LayerNetwork(layers, shape if placed else None), seed)
-    fitted = samples(*frames, settings.noise * np.asarray(noise))
+        def located(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+            maps, wanted = shown(chosen, generator)
+            return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1), wanted
+
+        return Samples(located if placed else shown, len(targets))
+
+    network = seeded_network(lambda: layer_network(layers), seed)
+    fitted = samples(*frames, settings.noise * np.asarray(noise), flips)
     unseen = None if validation is None else samples(*validation, 0.0)
-    batch, count = mirrored(fitted.batch, flips), fitted.count
+    batch, count = fitted.batch, fitted.count
     history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
-    return weights_of(network.layers), history
+    return weights_of(network), history
 
 
 def mirrored(batch: Batch, flips: Flips) -> Batch:

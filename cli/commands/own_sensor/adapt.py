@@ -1,6 +1,7 @@
 """`eitskin adapt`, `eitskin calibrate`: a pipeline for one sensor, from its labelled frames."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,7 +84,7 @@ def command(
     adapted = adapt(before, data, twin)
     saved = adapted.save(out)
     told = said(adapted)
-    result = {"out": str(saved), "errors": [point.as_dict() for point in curve], **told}
+    result = {"out": str(saved), "errors": [asdict(point) for point in curve], **told}
     output.result(result, f"{saved}: {in_words(adapted)}")
     output.note("use it with this sensor only")
 

@@ -5,10 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
 from eitskin.cli.commands.live import command as live
-from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.datasets import State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame, Protocol
@@ -29,11 +30,9 @@ def pressed(places, strength=1.0):
 def recording(**known):
     """Presses alone: no untouched frame, no bend, no force."""
     places = np.random.default_rng(0).uniform(-0.04, 0.04, (60, 2))
-    x, y = np.full((2, 60, 4), np.nan)
-    x[:, 0], y[:, 0] = places.T
-    labels = {"state": np.full(60, State.TOUCH), "specimen": np.zeros(60)}
-    labels |= {"touch_x": x, "touch_y": y, "time": np.arange(60.0), "episode": np.zeros(60)}
-    return Dataset.from_arrays(pressed(places), FLAT, **labels | {"protocol": PROTOCOL} | known)
+    labels = {"state": np.full(60, State.TOUCH), "time": np.arange(60.0), "episode": np.zeros(60)}
+    known = labels | {"protocol": PROTOCOL} | known
+    return touched_dataset(pressed(places), FLAT, places, **known)
 
 
 @pytest.fixture(scope="module")

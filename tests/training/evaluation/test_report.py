@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State, touch_maps
+from eitskin.datasets import State, touch_maps
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import Disc, Electrode, SensorDesign
 from eitskin.simulator import Protocol
@@ -96,18 +97,12 @@ def perceived():
 
 
 def frames(**changes):
-    n = len(FRAMES)
-    xy = np.full((2, n, 4), np.nan)
-    for i, (_, _, places, *_) in enumerate(FRAMES):
-        xy[:, i, : len(places)] = 1e-3 * np.array(places, float).reshape(-1, 2).T
-    there = np.isfinite(xy[0])
+    values = np.tile(FLAT, (len(FRAMES), 1))
+    there = np.array([np.arange(4) < len(frame[2]) for frame in FRAMES])
     known = {
-        "touch_reference": np.tile(FLAT, (n, 1)),
-        "specimen": np.zeros(n),
+        "touch_reference": values,
         "state": [frame[0] for frame in FRAMES],
         "bend_angle_deg": [frame[1] for frame in FRAMES],
-        "touch_x": xy[0],
-        "touch_y": xy[1],
         "touch_radius": np.where(there, 0.0075, np.nan),
         "touch_force": np.where(there, 10.0, np.nan),
         "protocol": Protocol.pairwise(8),
@@ -115,7 +110,8 @@ def frames(**changes):
         "recipe": 'name = "by hand"\n',
         "source": "simulated",
     }
-    return Dataset.from_arrays(np.tile(FLAT, (n, 1)), FLAT, **known | changes)
+    places = [1e-3 * np.array(frame[2], float) for frame in FRAMES]
+    return touched_dataset(values, FLAT, places, **known | changes)
 
 
 def pipeline(says):

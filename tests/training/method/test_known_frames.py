@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State
+from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame
@@ -69,18 +70,15 @@ def test_what_is_unknown_is_neither_touched_nor_bent():
 def dataset():
     """Frames idle, bent, and touched flat and bent, of one specimen."""
     levels = np.array([0.0, 0.01, 0.03, 0.04])
-    x = np.full((4, 4), np.nan)
-    x[2:, 0] = 0.05
     before = np.full((4, 28), np.nan)
     before[3] = FLAT * np.exp(0.01)
-    return Dataset.from_arrays(
+    return touched_dataset(
         FLAT * np.exp(levels[:, None]),
         FLAT,
+        [[], [], [(0.05, 0.03)], [(0.05, 0.03)]],
         touch_reference=before,
         state=np.array([State.IDLE, State.BEND, State.TOUCH, State.TOUCH]),
         bend_angle_deg=np.array([0.0, 20.0, 0.0, 20.0]),
-        touch_x=x,
-        touch_y=np.where(np.isfinite(x), 0.03, np.nan),
         protocol=PROTOCOL,
     )
 

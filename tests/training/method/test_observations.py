@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
@@ -63,12 +64,11 @@ UNKNOWN = UNKNOWN_STATE
 def frames(states, angles=None, touched=(), force=np.nan, **known):
     """Frames of these states and angles [deg]; those of `touched` have a position."""
     n = len(states)
-    x, y, newtons = np.full((3, n, 4), np.nan)
-    x[list(touched), 0], y[list(touched), 0], newtons[list(touched), 0] = 0.05, 0.02, force
-    labels = {"state": states, "touch_x": x, "touch_y": y, "touch_force": newtons}
-    if angles is not None:
-        labels["bend_angle_deg"] = angles
-    return Dataset.from_arrays(np.ones((n, 6)), np.ones(6), **labels, specimen=np.zeros(n), **known)
+    places = [[(0.05, 0.02)] * (row in touched) for row in range(n)]
+    newtons = np.where(np.isin(np.arange(n), touched)[:, None] & (np.arange(4) == 0), force, np.nan)
+    known |= {"state": states, "touch_force": newtons}
+    known |= {} if angles is None else {"bend_angle_deg": angles}
+    return touched_dataset(np.ones((n, 6)), np.ones(6), places, **known)
 
 
 @pytest.mark.parametrize(

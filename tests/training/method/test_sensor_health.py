@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State
+from eitskin.datasets import State
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import Pipeline, PositionScore, TrainingSettings
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth, follow_recording
@@ -37,17 +38,14 @@ def recording(electrode=None, at=260, kind="jump", seed=0, creep=0.02):
         change[late] *= 1.0 if kind == "drift" else 0.3
         for each in noise:
             each[late] *= {"open": 300.0, "jump": 30.0, "drift": 1.0}[kind]
-    x, y = np.full((2, COUNT, 4), np.nan)
-    x[:, 0], y[:, 0] = places.T
     before = np.exp(base + noise[0])
-    return Dataset.from_arrays(
+    return touched_dataset(
         np.exp(base + change + noise[1]),
         before[0],
+        places,
         touch_reference=before,
         protocol=PROTOCOL,
         state=np.full(COUNT, State.TOUCH),
-        touch_x=x,
-        touch_y=y,
         time=2.0 * np.arange(COUNT),
     )
 

@@ -11,7 +11,7 @@ from eitskin.threads import one_torch_thread
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
-from eitskin.training.paper.networks import LayerNetwork, mirrored, weights_of
+from eitskin.training.paper.networks import layer_network, mirrored, weights_of
 from eitskin.training.paper.stages import (
     Classifier,
     PostProcessor,
@@ -134,7 +134,7 @@ def test_classifier_learns_and_generalises(states, embedding):
     assert again.history == watched.history
     np.testing.assert_array_equal(again.apply(dV), watched.apply(dV))
     pictures = maps.reshape(-1, 1, *SHAPE)
-    logits = by_torch(LayerNetwork(state_layers(SHAPE, 1)), plain.weights, pictures)
+    logits = by_torch(layer_network(state_layers(SHAPE, 1)), plain.weights, pictures)
     odds = np.exp(logits - logits.max(axis=1, keepdims=True))
     expected = odds / odds.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(plain.apply(dV[:240]), expected, atol=1e-6)
@@ -159,30 +159,24 @@ def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embeddin
 
 def by_torch(network, weights, maps):
     """Logits of torch's own evaluation of a network."""
-    network.layers.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
+    network.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
     with torch.inference_mode():
         return network.eval()(torch.tensor(maps, dtype=torch.float32)).numpy()
 
 
-@pytest.mark.parametrize("placed", [False, True])
-def test_networks_evaluated_by_numpy_are_torchs(placed):
+@pytest.mark.parametrize("layers", [touch_map_layers(), state_layers((16, 40), 2)])
+def test_networks_evaluated_by_numpy_are_torchs(layers):
     """Weights and batch statistics that were drawn, on maps of other sides than the toy sensor."""
-    shape, maps = (16, 40), 1 if placed else 2
-    layers = touch_map_layers() if placed else state_layers(shape, maps)
-    network = LayerNetwork(layers, shape if placed else None)
+    network = layer_network(layers)
     rng = np.random.default_rng(1)
     weights = {
         name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
         if name.endswith(("running_var", "1.weight"))
         else rng.normal(0.0, 0.1, array.shape).astype(array.dtype)
-        for name, array in weights_of(network.layers).items()
+        for name, array in weights_of(network).items()
     }
-    inputs = rng.normal(size=(70, maps, *shape)).astype(np.float32)  # more than one batch
+    inputs = rng.normal(size=(70, layers[0].inputs, 16, 40)).astype(np.float32)  # two batches
     expected = by_torch(network, weights, inputs)
-    if placed:
-        y, x = np.meshgrid(np.linspace(-1, 1, 16), np.linspace(-1, 1, 40), indexing="ij")
-        place = np.broadcast_to(np.stack([y, x]), (70, 2, *shape))
-        inputs = np.concatenate([inputs, place], axis=1)
     found = Network.from_arrays("network", layers, weights).logits(inputs)
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
