@@ -21,7 +21,7 @@ from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.files import remove_leftovers, write_file
 from eitskin.geometry import Bend, ConfigurationError, SensorDesign
 from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Touch
-from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
+from eitskin.simulator.electrical.resolution import Resolution, discretisation
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 from eitskin.training.evaluation.cramer_rao import (
     FORCE_STEP,
@@ -151,11 +151,20 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
 
     Raises ConfigurationError, naming the layout, where its measurements do not determine a press.
     """
-    sim = Simulator(layout.design, judged_discretisation(layout.design, sampling.resolution))
+    orders, grading = discretisation(sampling.resolution, layout.design, "hexahedra")
+    if any(electrode.on != "side" for electrode in layout.design.electrodes):
+        orders = _PAD_ORDERS
+    sim = Simulator(layout.design, (orders, grading))
     x, y = sampling.grid(layout.design)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     symmetries = mirrors(layout.design, layout.protocol)
-    images = np.array([mirrored_places(len(x), len(y), *each.flips) for each in symmetries])
+    numbers, turned = np.arange(len(places)).reshape(len(y), len(x)), slice(None, None, -1)
+    images = np.array(
+        [
+            numbers[turned if flip_y else slice(None), turned if flip_x else slice(None)].ravel()
+            for flip_x, flip_y in (each.flips for each in symmetries)
+        ]
+    )
     first = images.min(axis=0)
     solved = np.unique(first)
     instrument, full_scale = Instrument(snr_db=sampling.snr_db), sim.full_scale
@@ -184,13 +193,6 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
     )
 
 
-def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discretisation:
-    """Element orders and mesh grading that a layout is judged with."""
-    orders, grading = discretisation(resolution, design, "hexahedra")
-    pads = any(electrode.on != "side" for electrode in design.electrodes)
-    return _PAD_ORDERS if pads else orders, grading
-
-
 def touch_derivatives(
     sim: Simulator, untouched: SceneDerivatives, angle_deg: float, places: Array
 ) -> list[SceneDerivatives]:
@@ -209,12 +211,6 @@ def touch_derivatives(
         SceneDerivatives(level, slope[None], untouched.by_angle)
         for level, slope in zip(pressed, slopes, strict=True)
     ]
-
-
-def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
-    """Index of the mirror image of each position of a grid, (nx * ny,)."""
-    numbers = np.arange(nx * ny).reshape(ny, nx)
-    return numbers[:: -1 if across else 1, :: -1 if along else 1].ravel()
 
 
 def judge_layouts(

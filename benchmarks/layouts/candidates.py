@@ -182,10 +182,6 @@ def _both_mirrors(parameters: Arcs) -> Arcs:
     return tuple(sorted(arcs))
 
 
-def _half_turn(parameters: Arcs) -> Arcs:
-    return tuple(sorted({s for t in parameters for s in (round(t % PERIMETER, 9), _turn(t))}))
-
-
 def _turn(arc: float) -> float:
     return round((arc + 2.0 * _QUARTER) % PERIMETER, 9)
 
@@ -197,7 +193,11 @@ def _descended(
 
     With one or two parameters layouts have both mirrors, with four a half turn.
     """
-    whole = _half_turn if len(parameters) > COUNT // 4 else _both_mirrors
+
+    def half_turn(parameters: Arcs) -> Arcs:
+        return tuple(sorted({s for t in parameters for s in (round(t % PERIMETER, 9), _turn(t))}))
+
+    whole = half_turn if len(parameters) > COUNT // 4 else _both_mirrors
     while True:
         moved = [
             (*parameters[:i], round(parameters[i] + by, 9), *parameters[i + 1 :])

@@ -31,7 +31,9 @@ def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
     found = touch_scores(pipeline, sets["touch"])
     single = Evaluation.of(pipeline, sets["indentation"]).report.touches.get("1")
     found |= {} if single is None else _touches("indentation", single)
-    found |= state_scores(pipeline, sets["states"])
+    accuracy = Evaluation.of(pipeline, sets["states"]).report.states.accuracy
+    for name, share in accuracy.items():
+        found |= _given(f"state.{name}", share)
     found |= bend_scores(pipeline, sets["bending"])
     found |= demo_scores(pipeline, sets["demo"])
     return found
@@ -53,12 +55,6 @@ def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
         found["touch.error_mm"] = float(np.average(values, weights=weights))
     p50, p99 = np.percentile(frame_times(pipeline, data, range(len(data))), [50, 99]).tolist()
     return found | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
-
-
-def state_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """Share of the frames of each state that are recognised."""
-    accuracy = Evaluation.of(pipeline, data).report.states.accuracy
-    return {f"state.{name}": share for name, share in accuracy.items() if share is not None}
 
 
 def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:

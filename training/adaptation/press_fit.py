@@ -248,7 +248,8 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     members = electrode_members(labelled.protocol, logs.shape[1])
     found, true, lost = _cross_validated(known, choices, presses, region, members)
     middle = grids[0].middle
-    trust = _trust(found.place - middle, true - middle)
+    away = found.place - middle  # and the factor of it that comes closest to the true places
+    trust = float(np.clip(np.sum(away * (true - middle)) / max(np.sum(away**2), 1e-12), 0.0, 1.0))
     found = found.drawn_to(middle, trust, extent)
     errors = np.linalg.norm(found.place - true, axis=1)
     off = errors / found.deviation
@@ -281,11 +282,6 @@ def _mean_square(off: Array) -> float:
     """Mean square of errors over standard errors, outliers cut, few of them drawn to one."""
     square = float(np.sum(np.minimum(off, 5.0) ** 2))
     return (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
-
-
-def _trust(found: Array, true: Array) -> float:
-    """Factor of places about the middle (k, 2) that comes closest to the true ones, 0 to 1."""
-    return float(np.clip(np.sum(found * true) / max(np.sum(found**2), 1e-12), 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,5 @@
 """Input of a pipeline: sensor, protocol, units and their symmetries; refusal of other frames."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping
@@ -70,6 +69,7 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
     """
     length, width = design.outline.length, design.outline.width
     places = np.array([[e.x, e.y] for e in design.electrodes])
+    shapes = [replace(electrode, x=0.0, y=0.0) for electrode in design.electrodes]
     found = []
     for flips in ((False, False), (True, False), (False, True), (True, True)):
         image = np.where(flips, (length, width) - places, places)
@@ -78,7 +78,7 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
         same = (
             _same_outline(design, flips)
             and distance.min(axis=1).max() < _TOLERANCE
-            and all(_alike(design, a, b) for a, b in enumerate(partner.tolist()))
+            and shapes == [shapes[number] for number in partner]
         )
         order = _order(np.array(protocol.table), partner) if same else None
         if order is not None:
@@ -111,12 +111,6 @@ def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64
     for name, partner in orders:
         if (order := _order(table, partner)) is not None:
             yield name, order
-
-
-def _alike(design: SensorDesign, a: int, b: int) -> bool:
-    """Whether two electrodes differ in nothing but their position."""
-    one, other = (dataclasses.replace(design.electrodes[i], x=0.0, y=0.0) for i in (a, b))
-    return one == other
 
 
 def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
