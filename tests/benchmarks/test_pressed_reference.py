@@ -1,8 +1,5 @@
 """The independent reference of presses: closed forms of its solid, its mesh, a press."""
 
-import math
-
-import numpy as np
 import pytest
 
 from eitskin.benchmarks.world import cases
@@ -20,7 +17,6 @@ from eitskin.benchmarks.pressed_reference import (  # noqa: E402
 
 LENGTH, WIDTH, HEIGHT = 4.0, 3.0, 2.0
 AREA = LENGTH * WIDTH
-SAME = {"lower": 20.0, "upper": 20.0}
 
 
 def block(fixed, moduli, bulk_ratio=1e4, order=3):
@@ -42,19 +38,9 @@ def block(fixed, moduli, bulk_ratio=1e4, order=3):
     return MixedSolid(mesh, moduli, order, fixed, bulk_ratio)
 
 
-@pytest.mark.parametrize("stretch", [0.8, 1.3])
-def test_uniform_compression_has_the_closed_form_of_an_incompressible_block(stretch):
-    solid = block({"low 0": "x", "low 1": "y", "low 2": "z"}, SAME, bulk_ratio=1e7)
-    wider = 1.0 / math.sqrt(stretch) - 1.0
-    shape = ngsolve.CF((wider * ngsolve.x, wider * ngsolve.y, 0.0))
-    force = 20.0 * (stretch - stretch**-2) * AREA
-    solid.settle([Held("high 2", shape, -force)])
-    assert solid.steps[0] == pytest.approx((1.0 - stretch) * HEIGHT, rel=1e-5)
-
-
 def test_confined_compression_has_the_law_of_volume_changes():
     walls = {f"{end} {axis}": "xy"[axis] for end in ("low", "high") for axis in (0, 1)}
-    solid = block({**walls, "low 2": "xyz"}, SAME, bulk_ratio=10.0)
+    solid = block({**walls, "low 2": "xyz"}, {"lower": 20.0, "upper": 20.0}, bulk_ratio=10.0)
     J = 0.8
     P = 20.0 * J ** (-2 / 3) * (J - (2.0 + J**2) / (3.0 * J)) + 200.0 * (J - 1.0)
     solid.settle([Held("high 2", ngsolve.CF((0, 0, 0)), -P * AREA)])
@@ -68,17 +54,6 @@ def test_sheared_layers_share_the_traction():
     solid.settle([Held("high 2", ngsolve.CF((0, 0, 0)), traction * AREA, (1.0, 0.0, 0.0))])
     slide = 0.5 * HEIGHT * (traction / 20.0 + traction / 50.0)
     assert solid.steps[0] == pytest.approx(slide, rel=1e-6)
-
-
-def test_a_contact_has_the_area_of_its_circle():
-    points, triangles = triangulated((0.0, 20.0, 0.0, 16.0), [], [(10.0, 8.0)], 3.0, Numerics())
-    corners = points[triangles]
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    areas = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    inside = np.linalg.norm(corners.mean(axis=1) - (10.0, 8.0), axis=1) < 3.0
-    assert areas.min() > 0.0
-    assert areas.sum() == pytest.approx(320.0)
-    assert areas[inside].sum() == pytest.approx(math.pi * 9.0, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -73,14 +73,6 @@ def test_a_folder_that_cannot_be_written_is_said(tmp_path):
             Report(made()).write(folder)
 
 
-def test_results_answer_for_the_same_seed_and_whole_ones_also_for_quick():
-    assert made().answers(seed=0, quick=False)
-    assert made().answers(seed=0, quick=True)
-    assert made(quick=True).answers(seed=0, quick=True)
-    assert not made(quick=True).answers(seed=0, quick=False)
-    assert not made(seed=1).answers(seed=0, quick=False)
-
-
 def test_numbers_of_a_table_are_figures_by_title_row_and_heading():
     heads = ("board", "scene", "frames/s", "ms: p50 (p99)")
     rows = [("fast", "idle", "1,297.4", "2.56 (9.01)"), ("fast", "bent", "full queue", "2.0e-3")]

@@ -47,11 +47,6 @@ def test_answers_come_back_as_they_were():
     assert made[0].data == {"a": [1, None]}
     np.testing.assert_array_equal(made[0].arrays["b"], np.arange(3) + 1j)
     assert made[1].data == 2
-
-
-def test_texts_and_no_objects_come_back():
-    (text,) = answers("[Answer(0, {'t': np.array(['a', 'bc'])})]")
-    assert text.arrays["t"].tolist() == ["a", "bc"]
     with pytest.raises(DataError, match="objects"):
         answers("[Answer(0, {'t': np.array([{}], dtype=object)})]")
 

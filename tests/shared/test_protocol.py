@@ -15,6 +15,10 @@ def test_named_protocols_drive_and_sense_the_pairs_of_their_name() -> None:
     assert {row[:2] for row in opposite.table} == {(0, 4), (1, 5), (2, 6), (3, 7)}
     assert {(d - c) % 8 for _, _, c, d in opposite.table} == {1}
     assert len(opposite) == 4 * 4
+    adjacent = Protocol.adjacent(8)
+    assert (len(adjacent), len(Protocol.adjacent(8, shared=True))) == (8 * 5, 8 * 8)
+    assert adjacent.table[:2] == ((0, 1, 2, 3), (0, 1, 3, 4))
+    assert all(not {a, b} & {c, d} for a, b, c, d in adjacent.table)
     for skip, apart in ((Protocol.skip(8, 2), (3, 3)), (Protocol.skip(8, 2, sense_skip=0), (3, 1))):
         assert {((b - a) % 8, (d - c) % 8) for a, b, c, d in skip.table} == {apart}
 
@@ -26,14 +30,6 @@ def test_measure_is_sense_pattern_times_matrix_times_drive_pattern() -> None:
     drive, sense = protocol.patterns()
     expected = np.einsum("em,nef,fm->nm", sense, Z, drive)
     assert protocol.measure(Z) == pytest.approx(expected)
-
-
-def test_adjacent_drives_every_neighbour_and_leaves_out_shared_electrodes() -> None:
-    protocol = Protocol.adjacent(8)
-    assert len(protocol) == 8 * 5
-    assert protocol.table[:2] == ((0, 1, 2, 3), (0, 1, 3, 4))
-    assert all(not {a, b} & {c, d} for a, b, c, d in protocol.table)
-    assert len(Protocol.adjacent(8, shared=True)) == 8 * 8
 
 
 @pytest.mark.parametrize("n", [5, 8, 13])

@@ -9,6 +9,7 @@ from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc
 from eitskin.simulator import Protocol
+from eitskin.training.adaptation import sheet
 from eitskin.training.adaptation.channel_maps import (
     ChannelMaps,
     KernelFeatures,
@@ -162,8 +163,9 @@ def test_copies_keep_their_owner():
 
 
 @pytest.mark.slow
-def test_span_of_a_design_holds_the_maps_of_its_protocol():
+def test_span_of_a_design_holds_the_maps_of_its_protocol(monkeypatch):
     """Any sensitivity is a combination of the span's maps: here against those of point sources."""
+    monkeypatch.setattr(sheet, "SPAN_PIXELS", 900)
     span = design_span(ring())
     places = RADIUS + np.random.default_rng(2).uniform(-0.022, 0.022, (200, 2))
     features, wanted = span.features(places), answers(places)

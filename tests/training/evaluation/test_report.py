@@ -215,13 +215,6 @@ def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path, monkey
     assert "28 frames" in document["pictures"]["bend_sequence.png"]
 
 
-def test_touches_beside_the_sheet_are_refused_with_the_numbers():
-    data = frames()
-    in_cm = dataclasses.replace(data, touch_x=1e2 * data.touch_x)
-    with pytest.raises(DataError, match=r"x = .*0.06 m"):
-        Evaluation.of(pipeline(perceived()), in_cm)
-
-
 def test_sensors_of_any_outline_are_drawn_to_scale():
     """A disc of 50 mm radius; its electrodes, 10 mm long, are drawn along the rim."""
     axes = new_figure(3.0, 3.0).subplots()
@@ -256,7 +249,13 @@ def test_an_earlier_report_is_replaced_whole_or_not_at_all(evaluation, tmp_path,
     assert after["report.md"] == before["report.md"]
 
 
-def test_places_where_no_report_can_be_are_refused(evaluation, tmp_path, monkeypatch):
+def test_touches_beside_the_sheet_and_places_where_no_report_can_be_are_refused(
+    evaluation, tmp_path, monkeypatch
+):
+    data = frames()
+    in_cm = dataclasses.replace(data, touch_x=1e2 * data.touch_x)
+    with pytest.raises(DataError, match=r"x = .*0.06 m"):
+        Evaluation.of(pipeline(perceived()), in_cm)
     file = tmp_path / "file"
     file.write_text("mine")
     for place in (file, file / "below", tmp_path):
