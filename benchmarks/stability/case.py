@@ -62,29 +62,16 @@ class Case:
     error_limit: float = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class CaseResult(CaseValues):
-    """Outcome of one case beside its values; None also for what is not a number.
-
-    Attributes:
-        family: row of the table of extreme cases that it belongs to.
-        case: its name.
-        outcome: "ok"; "refused" by a ConfigurationError; "left out" where something is not
-            installed; or "wrong": not a number, beyond a limit, another exception, a hang, or
-            another outcome than the expected one.
-        seconds: that it took [s].
-    """
-
-    family: str = ""
-    case: str = ""
-    outcome: Outcome = "ok"
-    seconds: float = 0.0
-
-
-def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> CaseResult:
+def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> dict[str, Any]:
     """Compute a case and judge its outcome; a warning counts as a failure.
 
     Where the system has no alarm clock, hangs are not ended.
+
+    Returns the row of table.csv: the case's values, None also for what is not a number; `family`,
+    the row of the table of extreme cases that it belongs to; `case`, its name; `seconds` [s]; and
+    `outcome`: "ok"; "refused" by a ConfigurationError; "left out" where something is not installed;
+    or "wrong": not a number, beyond a limit, another exception, a hang, or another outcome than the
+    expected one.
     """
     start = time.perf_counter()
     outcome: Outcome
@@ -95,7 +82,7 @@ def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> CaseResu
             values = case.solve()
         outcome, reason = _outcome(case, values)
     except ConfigurationError as error:
-        outcome, reason = _refusal(case, str(error))
+        outcome, reason = _outcome(case, CaseValues(reason=str(error)))
     except ImportError as error:
         outcome, reason = "left out", str(error)
     except Exception as error:  # whatever else comes is a bug to be listed
@@ -104,31 +91,24 @@ def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> CaseResu
     for name in QUANTITIES:
         row[name] = None if row[name] is None or not np.isfinite(row[name]) else float(row[name])
     seconds = time.perf_counter() - start
-    return CaseResult(**row, family=family, case=case.name, outcome=outcome, seconds=seconds)
+    return row | {"family": family, "case": case.name, "outcome": outcome, "seconds": seconds}
 
 
 def _outcome(case: Case, values: CaseValues) -> tuple[Outcome, str]:
+    """Outcome of a case that ended, with its reason."""
     for name in QUANTITIES:
         value, limit = getattr(values, name), getattr(case, f"{name}_limit")
-        if value is None:
-            continue
-        if not np.isfinite(value):
+        if value is not None and not np.isfinite(value):
             return "wrong", f"{name} is not a number"
-        if value > limit:
+        if value is not None and value > limit:
             return "wrong", f"{name} of {value:.2g}, at most {limit:g} was expected"
-    if values.reason:
-        return _refusal(case, values.reason)
-    if case.expected == "refused":
-        return "wrong", "was not refused"
-    return "ok", ""
-
-
-def _refusal(case: Case, reason: str) -> tuple[Outcome, str]:
+    if not values.reason:
+        return ("wrong", "was not refused") if case.expected == "refused" else ("ok", "")
     if case.expected == "ok":
-        return "wrong", f"was refused: {reason}"
-    if case.says not in reason:
-        return "wrong", f"the refusal does not say '{case.says}': {reason}"
-    return "refused", reason
+        return "wrong", f"was refused: {values.reason}"
+    if case.says not in values.reason:
+        return "wrong", f"the refusal does not say '{case.says}': {values.reason}"
+    return "refused", values.reason
 
 
 @contextmanager

@@ -119,10 +119,13 @@ def contrasts(ratios: Sequence[float]) -> Iterator[Case]:
     for ratio in ratios:
         cases = {"in series": _in_series, "in parallel": _in_parallel, "half a sensor": _half}
         for name, solve in cases.items():
-            # Digits are lost in proportion to the contrast.
-            limit = 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
             title, part = f"{name}, 1 : {ratio:g}", partial(solve, ratio)
-            yield Case(title, part, invariant_limit=limit, error_limit=1e-6)
+            yield Case(title, part, invariant_limit=_contrast_limit(ratio), error_limit=1e-6)
+
+
+def _contrast_limit(ratio: float) -> float:
+    """Limit of an invariant: digits are lost in proportion to the contrast."""
+    return 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
 
 
 def _in_series(ratio: float) -> CaseValues:
@@ -169,7 +172,7 @@ def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
     for thin in shares:
         for ratio in ratios:
             name = f"1 : {ratio:g} S/m, {1.0 / thin - 1.0:.0f} : 1"
-            limit = 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
+            limit = _contrast_limit(ratio)
             for kind, solve in (("across", _across), ("along", _in_parallel)):
                 part = partial(solve, ratio, thin)
                 yield Case(f"{kind}, {name}", part, invariant_limit=limit, error_limit=1e-7)

@@ -7,12 +7,11 @@ family, and residuals say how many digits rounding left; `CaseValues` says which
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
-from typing import get_args
+from typing import Any, get_args
 
 from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
 from eitskin.benchmarks.stability import bends, electrical, solids
-from eitskin.benchmarks.stability.case import QUANTITIES, Case, CaseResult, Outcome, judge
+from eitskin.benchmarks.stability.case import QUANTITIES, Case, Outcome, judge
 from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.threads import one_thread
 
@@ -57,15 +56,15 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
             for case in watch(family, list(some))
         ]
     figures = dict(_figures(rows)) | {"all.seconds": time.perf_counter() - began}
-    wrong = [row for row in rows if row.outcome == "wrong"]
-    remarks = [f"{row.outcome} {row.family}, {row.case}: {row.reason}" for row in wrong]
-    remarks += [f"{row.family}, {row.case}: {row.reached}" for row in rows if row.reached]
-    families = ["all", *dict.fromkeys(row.family for row in rows)]
+    wrong = [row for row in rows if row["outcome"] == "wrong"]
+    remarks = ["wrong {family}, {case}: {reason}".format_map(row) for row in wrong]
+    remarks += ["{family}, {case}: {reached}".format_map(row) for row in rows if row["reached"]]
+    families = ["all", *dict.fromkeys(row["family"] for row in rows)]
     heads = ("cases", *get_args(Outcome), *QUANTITIES)
     cells = [(name, *(_cell(figures.get(f"{name}.{head}")) for head in heads)) for name in families]
     return Report(
         results=measured("stability", figures.items(), began=began, seed=seed, quick=quick),
-        rows=[asdict(row) for row in rows],
+        rows=rows,
         tables=[ReportTable(("family", *heads), cells)],
         sentences=remarks,
         failed=bool(wrong),
@@ -78,16 +77,16 @@ def _cell(value: float | None) -> str:
     return f"{value:.0f}" if value == int(value) else f"{value:.0e}"
 
 
-def _figures(rows: Sequence[CaseResult]) -> Iterator[tuple[str, float]]:
+def _figures(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, float]]:
     """Figures of each family and of all: counts of the outcomes and worst values."""
     families = {"all": list(rows)}
     for row in rows:
-        families.setdefault(row.family, []).append(row)
+        families.setdefault(row["family"], []).append(row)
     for name, some in families.items():
         yield f"{name}.cases", len(some)
         for outcome in get_args(Outcome):
-            yield f"{name}.{outcome}", sum(row.outcome == outcome for row in some)
+            yield f"{name}.{outcome}", sum(row["outcome"] == outcome for row in some)
         for quantity in QUANTITIES:
-            worst = [value for row in some if (value := getattr(row, quantity)) is not None]
+            worst = [value for row in some if (value := row[quantity]) is not None]
             if worst:
                 yield f"{name}.{quantity}", max(worst)
