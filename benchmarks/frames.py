@@ -18,14 +18,8 @@ def generate_missing(
 ) -> Dataset:
     """Generate the frames of a recipe that `folder` does not have yet, and open all.
 
-    Args:
-        recipe: of the frames.
-        folder: of the dataset.
-        workers: processes that generate.
-        progress: told of the frames.
-        part: what they are called there.
-
-    Raises ConfigurationError where `folder` holds frames of another recipe.
+    Progress is that of a `part` of this name. Raises ConfigurationError where `folder` holds
+    frames of another recipe.
     """
 
     def show(done: int, total: int) -> None:

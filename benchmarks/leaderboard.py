@@ -211,12 +211,8 @@ class Leaderboard:
     ) -> "Leaderboard":
         """The same with the entries that results make; older ones of the same run are replaced.
 
-        Args:
-            results: of a benchmark that belongs to a track.
-            frames: SHA-256 of the frames that they were measured on.
-            codes: SHA-256 of the code of own methods, by their names.
-
-        Raises ConfigurationError for results of other benchmarks, seeds, or quick runs.
+        `frames` and, by the names of own methods, `codes` are SHA-256 digests. Raises
+        ConfigurationError for results of other benchmarks, seeds, or quick runs.
         """
         new = tuple(_entries(results, frames, codes or {}))
         made = {each.run for each in new}
@@ -267,11 +263,7 @@ def write_leaderboard(path: Path, board: Leaderboard) -> None:
 def enter(path: Path, results: Results, folder: Path, codes: Mapping[str, str]) -> None:
     """Enter results into the leaderboard of a file, with the digests of frames and own methods.
 
-    Args:
-        path: of the leaderboard.
-        results: of a benchmark that belongs to a track.
-        folder: of the frames that they were measured on.
-        codes: FILE.py:CLASS of own methods, by their names.
+    `folder` has the frames; `codes` are FILE.py:CLASS of own methods, by their names.
     """
     made = {name: code_digest(code) for name, code in codes.items()}
     board = read_leaderboard(path).with_results(results, frames_digest(folder), made)

@@ -46,16 +46,9 @@ def run(
     workers: int,
     progress: Progress,
 ) -> Report:
-    """Train and judge methods.
+    """Train and judge methods of presets and one's own; the baselines where none is named.
 
-    Args:
-        folder: of the frames, which are kept.
-        presets: names of settings; the baselines where nothing is named.
-        methods: of one's own.
-        seed: of the training.
-        quick: fewer frames and specimens.
-        workers: processes that make frames.
-        progress: told of every part.
+    Frames are kept in `folder`; a quick run has fewer frames and specimens.
     """
     began, place = time.perf_counter(), folder / ("quick-frames" if quick else "frames")
     recipe = small_recipe(*((QUICK_FRAMES, QUICK_SPECIMENS) if quick else (FRAMES, SPECIMENS)))

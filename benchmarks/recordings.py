@@ -55,12 +55,7 @@ HEIGHT = 0.05  # of the tank's model [m]; only sigma h and z sigma show in the v
 
 
 def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Report:
-    """Measure the recordings in a folder.
-
-    Args:
-        folder: of the data.
-        quick: few presses, one draw, and the tank's first mesh.
-        watch: gives back the items that its text is about; shows progress where wanted.
+    """Measure the recordings in a folder; quickly by few presses, one draw and the first mesh.
 
     Raises DataError where a file is missing.
     """

@@ -66,13 +66,8 @@ def result_page(results: Results) -> str:
 def with_figures(text: str, keys: Mapping[str, Sequence[str]], results: Results) -> str:
     """Page with the figures of some table rows as published.
 
-    Args:
-        text: the page.
-        keys: key of each number of a row after its first cell, empty for one that is no figure,
-            by the text of that cell.
-        results: the published results that have these keys.
-
-    Raises ConfigurationError for a row or a figure that is missing.
+    `keys` has the key of each number of a row after its first cell, empty for one that is no
+    figure, by the text of that cell. Raises ConfigurationError where a row or figure is missing.
     """
     for label, row_keys in keys.items():
         rows = re.compile(rf"^\| {re.escape(label)} \|.*$", re.MULTILINE).findall(text)

@@ -179,12 +179,8 @@ def measured(
 ) -> Results:
     """Results of a run of `eitskin bench NAME` that ends now.
 
-    Args:
-        name: of the benchmark.
-        figures: by name; those that are no numbers are left out.
-        began: `time.perf_counter()` at the start [s].
-        seed, quick: of the run.
-        options: that the command had, besides.
+    Figures that are no numbers are left out. It began at `began`, by `time.perf_counter()` [s];
+    `options` are those of the command, where they are more than a seed.
     """
     words = ["eitskin bench", name, options or f"--seed {seed}", "--quick" * quick]
     return Results(
@@ -244,14 +240,10 @@ def plot_errors(
     limits: Mapping[str, float] | None = None,
     ticks: Sequence[str] = (),
 ) -> None:
-    """Plot points on logarithmic scales, a panel for each title.
+    """Plot points by label, a panel for each title, on logarithmic scales into a PNG file.
 
-    Args:
-        path: of the PNG file.
-        panels: points by label, by title.
-        x, y: labels of the axes.
-        limits: values of y to be marked, by name.
-        ticks: names of x = 0, 1, ..., for linear scales.
+    `limits` are values of y to be marked, by name; `ticks` names of x = 0, 1, ..., for linear
+    scales.
     """
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(8.0 * len(panels), 5.4), layout="constrained"

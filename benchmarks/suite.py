@@ -93,14 +93,8 @@ def run_all(
 ) -> Iterator[Done]:
     """Run benchmarks in turn, each in a process of its own, and go on after one that failed.
 
-    Args:
-        benchmarks: which.
-        out: folder of the results.
-        seed: of those that take one.
-        quick: fewer and smaller cases.
-        fresh: run also what is there from the same version and, where one is taken, seed.
-        data: folder of real recordings; None without.
-        start: runs a command; in a process of its own when omitted.
+    Results in `out` of the same version and, where one is taken, seed, are kept unless `fresh`.
+    `data` is the folder of real recordings; `start` runs a command, a process when omitted.
     """
     for each in benchmarks:
         places = {"out": str(out.absolute()), "data": str(data and data.absolute())}

@@ -233,11 +233,6 @@ def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
     """Figures of a pipeline in a world, adapted to each sensor by some of its known frames.
 
     A sensor that is refused is judged with the pipeline as trained, and counted.
-
-    Args:
-        pipeline: as trained.
-        world: the sensors.
-        labelled: numbers of the frames to adapt by; of none, the pipeline stays as trained.
     """
     parts, predictions, refused = [], [], 0
     for number in np.unique(world.frames.specimen):
@@ -265,11 +260,6 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
     the sensor are known. Places: mean distance, against the mean of as many untouched frames as the
     recipe says, angle and force unknown. Angles: root mean square, of untouched frames against a
     flat reference without noise.
-
-    Args:
-        world: of the frames.
-        recipe: that they were made from.
-        progress: called after every sensor.
     """
     placed, angles = [], []
     numbers = world.frames.specimen_number

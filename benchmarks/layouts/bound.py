@@ -219,13 +219,7 @@ def judge_layouts(
     """Bounds of layouts in order; questions that differ only in the layout's name share one.
 
     Each is a small file in `folder`, named by a hash of what was asked: a run that was stopped
-    goes on.
-
-    Args:
-        folder: for the files; made where it is missing.
-        workers: processes that judge; with one, this one does.
-        watch: called with the name of each layout that is finished.
-        questions: layouts, and how they are sampled.
+    goes on. One worker is this process; `watch` is called with each layout that is finished.
 
     Raises PartialError where a file cannot be written or a process died; run again to go on.
     """

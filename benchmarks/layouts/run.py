@@ -128,12 +128,8 @@ def run(
 ) -> Report:
     """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
 
-    Args:
-        folder: for the files of finished layouts; a run that was stopped goes on from them.
-        names: of sweeps, of which "search" is one.
-        quick: few places, few layouts in the search.
-        workers: processes that judge.
-        progress: told of each finished layout; those of the search are not known before.
+    A run that was stopped goes on from these files. `names` are those of sweeps, of which "search"
+    is one; a quick run has few places, and few layouts in the search.
 
     Raises ConfigurationError for an unknown sweep, PartialError as `judge_layouts` does.
     """

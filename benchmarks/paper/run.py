@@ -165,16 +165,9 @@ def run(
 ) -> Report:
     """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
 
-    Args:
-        pipeline: NAME.eitmodel.
-        folder: where frames and the paper's pipelines are kept, and looked for.
-        seeds: how many; the first is 0.
-        quick: a tenth of the frames.
-        workers: processes that generate frames.
-        progress: told of every part.
-        paper_seeds: of how many seeds the paper's pipeline is trained, which takes ten minutes or
-            more each; of all when omitted.
-        contenders: further methods, trained like the paper's pipeline for each seed.
+    Frames and the paper's pipelines are kept in `folder`, and looked for there. The paper's
+    pipeline is trained for `paper_seeds` of the seeds, which takes ten minutes or more each; for
+    all when omitted. Contenders are trained like it. A quick run has a tenth of the frames.
 
     Raises ConfigurationError for no seeds, no pipeline, or a folder with frames of other recipes.
     """

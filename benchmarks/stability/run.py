@@ -17,12 +17,7 @@ from eitskin.threads import one_thread
 
 
 def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
-    """All cases, by family.
-
-    Args:
-        seed: of the random designs.
-        quick: fewer and smaller ones, in half a minute instead of ten.
-    """
+    """All cases, by family; quick ones are fewer and smaller, half a minute instead of ten."""
     ratios = (1e-6, 1e6) if quick else (1e-6, 1e-4, 1e-2, 1e2, 1e4, 1e6)
     shares = (0.01,) if quick else (0.5, 0.1, 0.01, 1e-3)
     return {
@@ -42,12 +37,7 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
-    """Compute and judge all cases on one core; the report fails where one is wrong.
-
-    Args:
-        seed, quick: as in `cases`.
-        watch: gives back the items that its text is about; shows progress where wanted.
-    """
+    """Compute and judge all cases on one core; the report fails where one is wrong."""
     began = time.perf_counter()
     with one_thread():
         rows = [

@@ -67,13 +67,10 @@ Gathered = defaultdict[tuple[str, int], list[Errors]]
 def press_curve(
     presses: LabelledPresses, progress: Progress = lambda _done, _total: None
 ) -> tuple[CurvePoint, ...]:
-    """Errors of learned touch positions, beside those without the design and of ExtraTrees.
+    """Errors of positions learned from presses in the order of time, and of ExtraTrees.
 
-    Args:
-        presses: labelled presses of one sensor, in the order of time.
-        progress: called with the numbers of steps done and in all.
-
-    Raises DataError for fewer presses than can be learned from in each block.
+    Where the design is known, also those without it. Raises DataError for fewer presses than can
+    be learned from in each block.
     """
     gathered: Gathered = defaultdict(list)
     named = {ADAPTED: presses}
@@ -95,12 +92,7 @@ def press_curve(
 def pipeline_curve(
     pipeline: Pipeline, data: Dataset, progress: Progress = lambda _done, _total: None
 ) -> tuple[CurvePoint, ...]:
-    """Errors of an adapted pipeline of states, beside those as it was trained and of ExtraTrees.
-
-    Args:
-        pipeline: as trained.
-        data: labelled frames of one specimen.
-        progress: called with the numbers of steps done and in all.
+    """Errors of a pipeline of states, adapted to one specimen, as trained, and of ExtraTrees.
 
     Raises DataError for fewer labelled frames than there are blocks.
     """

@@ -332,11 +332,7 @@ def _draw_touch_maps(
 ) -> CaptionedFigure | NoFigure:
     """Grid of images, a column for each kind, a row for each frame nearest to what is wanted.
 
-    Args:
-        evaluation: of the frames.
-        wanted: numbers of touches and angles [deg].
-        title: first words of the caption.
-        missing: reason for no figure where no frame is near.
+    Wanted are numbers of touches and angles [deg]; `missing` is the reason where no frame is near.
     """
     near = dict.fromkeys(_nearest(evaluation, *each) for each in wanted)
     rows = [row for row in near if row is not None]

@@ -131,13 +131,8 @@ def write_position_report(
 ) -> Path:
     """Write the report of positions that were learned from a recording; returns the folder.
 
-    Args:
-        touches: learned positions.
-        dataset: frames with touches, of which those held out are judged.
-        folder: made if missing.
-        made_with: provenance that only the caller knows: machine, versions, date.
-
-    Raises DataError where no frame is held out, and errors as `write_report`.
+    The frames of `dataset` that were held out are judged. Raises DataError without any, and errors
+    as `write_report`.
     """
     score = PositionScore.of(touches, dataset).as_dict()
     true, places = held_out_positions(touches, dataset)
@@ -173,16 +168,8 @@ def _write_folder(
 ) -> Path:
     """Write pictures, report.json and report.md; returns the folder.
 
-    Args:
-        folder: made if missing.
-        title: of report.md.
-        table: headings, and rows of words.
-        drawings: pictures by file name.
-        document: of report.json, to which captions and reasons of missing pictures are added.
-        notes: paragraphs after the table.
-        ends: paragraphs after the pictures.
-
-    Raises errors as `write_report`.
+    The document of report.json also gets captions and reasons of missing pictures; `notes` follow
+    the table of report.md, `ends` its pictures. Raises errors as `write_report`.
     """
     require_report_folder(folder)
     captions, left_out = {}, {}

@@ -252,10 +252,7 @@ def _mean(logs: Array) -> Array:
 def _reference_rows(angles: Array, free: Mask, row: int) -> list[int]:
     """Numbers of the untouched frames that a frame is compared with; empty without any.
 
-    Args:
-        angles: of all frames [deg], NaN where unknown (n,).
-        free: whether each frame is known to be untouched (n,).
-        row: of the frame.
+    Angles (n,) [deg] are NaN where unknown; `free` are the frames known to be untouched (n,).
     """
     fits = free & (np.isnan(angles[row]) | (np.abs(angles[row] - angles) <= FLAT_DEG))
     for rows in (range(row - 1, -1, -1), range(row + 1, len(angles))):
