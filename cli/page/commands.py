@@ -115,18 +115,21 @@ class SessionCommands(Protocol):
         """Plain data of what is being done, and of what may be asked for."""
 
 
-Commands = Mapping[str, Callable[[bytes], None]]
-"""Function of each path that is posted to, which takes the body; may raise ConfigurationError."""
+Commands = Mapping[str, Callable[[bytes], bytes | None]]
+"""Function of each path that is posted to, from the body to the JSON of its answer.
+
+May raise ConfigurationError. Without an answer the browser learns that it was done.
+"""
 
 
 def commands_of(
-    actions: Mapping[str, tuple[Any, Callable[[Any], None]]],
-    act: Callable[[Callable[[Any], None], Any], None],
+    actions: Mapping[str, tuple[Any, Callable[[Any], bytes | None]]],
+    act: Callable[[Callable[[Any], Any], Any], bytes | None],
 ) -> Commands:
     """Commands from the type of each payload and its action, which `act` calls with the payload."""
 
-    def take(path: str, kind: Any, action: Callable[[Any], None], body: bytes) -> None:
-        act(action, read_command(kind, path, body))
+    def take(path: str, kind: Any, action: Callable[[Any], Any], body: bytes) -> bytes | None:
+        return act(action, read_command(kind, path, body))
 
     return {path: partial(take, path, *action) for path, action in actions.items()}
 
@@ -166,7 +169,7 @@ def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Com
         frames = max(1, round(STEP / (board.info.period or 1.0)))
         stage.play(hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS)))
 
-    def act(action: Callable[[Any], None], command: Any) -> None:
+    def act(action: Callable[[Any], Any], command: Any) -> None:
         if stage is None:
             raise ConflictError("this board is not a virtual one and takes no commands")
         action(command)

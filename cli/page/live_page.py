@@ -11,7 +11,7 @@ from eitskin import hardware
 from eitskin.cli.page.access import Access
 from eitskin.cli.page.commands import SessionCommands, stage_commands
 from eitskin.cli.page.plan import Region
-from eitskin.cli.page.state import PageContent, Snapshot, filled
+from eitskin.cli.page.state import PageContent, Snapshot, reference_after
 from eitskin.closeable import Closeable
 from eitskin.extras import require_all
 from eitskin.geometry.design.sensor import SensorDesign
@@ -95,16 +95,12 @@ class LivePage(Closeable):
         begun = self._acquired.begun(frame, now - reading.latency)
         with self._changed:
             before = self._newest
-            reference = frame
-            if before is not None and before.reference.session == frame.session:
-                reference = before.reference
-                if reference.status.any():
-                    reference = filled(reference, frame)
+            reference = reference_after(None if before is None else before.reference, frame)
             self._newest, self._arrived = Snapshot(reading, counts, reference, begun, now), True
             self._changed.notify()
 
     def tell(self) -> None:
-        """Send what has changed beside the readings; returns at once."""
+        """Send what has changed other than the readings; returns at once."""
         with self._changed:
             self._told = True
             self._changed.notify()

@@ -1,20 +1,25 @@
-"""A sensor seen from above, for the touch map of the live page: its rectangle, rim, electrodes."""
+"""A sensor seen from above, for the live page: its rectangle, rim, grid and strips."""
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.contact_areas import Strip
 from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 
+if TYPE_CHECKING:
+    from eitskin.training.pipeline.pipeline import Pipeline
+
 Array = NDArray[np.float64]
 
+_MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 _RIM = 96  # points of an outline without corners
-_PIECES = 12  # least number of pieces of an electrode's line
 _MOST_PIECES = 40  # most steps along an electrode
 _LINES = 10.0  # of the grid, about, along the longer side
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0])
@@ -67,19 +72,20 @@ class Region:
         return bool((position >= self.low).all() and (position <= self.high).all())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlanElectrode:
-    """Electrode seen from above.
+def sheet_of(pipeline: "Pipeline") -> SensorDesign | Region:
+    """Sensor of a pipeline, or the region of the positions that it was trained with.
 
-    Attributes:
-        path: corners of a pad, or points of the line of a strip on the side (k, 2) [m].
-        closed: whether the path is that of a pad.
-        outward: unit vector away from the body (2,); zero for a pad on a level face.
+    Raises ConfigurationError where a pipeline tells neither.
     """
-
-    path: Array
-    closed: bool
-    outward: Array
+    layout = pipeline.layout
+    if layout.known_design is not None:
+        return layout.known_design
+    if layout.extent is None:
+        raise ConfigurationError(
+            "expected a pipeline that knows its sensor, for the page, got touch positions of "
+            "version 0.1; leave out --page, or train them again"
+        )
+    return Region.of_positions(layout.extent, _MARGIN)
 
 
 def outline_of(design: SensorDesign) -> Array:
@@ -96,30 +102,11 @@ def outline_of(design: SensorDesign) -> Array:
     return outline.vertices
 
 
-def electrodes_of(design: SensorDesign) -> list[PlanElectrode]:
-    """Electrodes seen from above, in the order of their numbers."""
-    contacts = placed(design.electrodes, design.outline, design.thickness)
-    return [_electrode(contact) for contact in contacts]
-
-
 def grid_of(length: float, width: float) -> float:
     """Distance between two lines of the grid on a sensor, a round number [m]."""
     wanted = max(length, width) / _LINES
     power = 10.0 ** math.floor(math.log10(wanted))
     return float(power * _ROUND[np.abs(np.log(_ROUND * power / wanted)).argmin()])
-
-
-def _electrode(contact: ContactArea) -> PlanElectrode:
-    if isinstance(contact, Strip):
-        width = contact.end - contact.start
-        middle = 0.5 * (contact.start + contact.end)
-        (a, b), (c, d) = contact.outline.at([middle - 0.25 * width, middle + 0.25 * width])
-        outward = np.array([d - b, a - c]) / math.hypot(d - b, a - c)
-        path = contact.outline.at(arc_of(contact, width / _PIECES))
-        return PlanElectrode(path, closed=False, outward=outward)
-    up = contact.normal[2]
-    outward = contact.normal[:2] * (abs(up) < 0.5)
-    return PlanElectrode(contact.corners[:, :2], closed=True, outward=outward)
 
 
 def arc_of(strip: Strip, spacing: float) -> Array:

@@ -240,8 +240,8 @@ class Server:
     async def _execute(self, request: Request) -> Response:
         self._require(request, Role.COMMANDER)
         path, body = request.url.path, await _body(request)
-        await self._loop.run_in_executor(self._workers, self.commands[path], body)
-        return JSONResponse({"done": True})
+        answer = await self._loop.run_in_executor(self._workers, self.commands[path], body)
+        return Response(answer or b'{"done":true}', media_type="application/json")
 
     async def _enter(self, request: Request) -> Response:
         """Keep a token that was shown in a cookie, which scripts of no page can read."""

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 from eitskin import hardware, simulator
 from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MOST_TOUCHES
 from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encoded
-from eitskin.cli.page.plan import Region, electrodes_of, grid_of, outline_of
+from eitskin.cli.page.plan import Region, grid_of, outline_of
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.streams import bad_channels, state_name, zero_name
 
 if TYPE_CHECKING:
     from eitskin.cli.live_pictures import Picture
+
+
+MAX_MOMENTS = 3000  # of a recording
+MOMENT_PERIOD = 0.2  # s between two moments of a recording, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,15 +76,10 @@ class PageContent:
             "length": region.length,
             "width": region.width,
             "thickness": known and known.thickness,
-            "outline": _rounded(outline, 5),
+            "outline": np.round(outline, 5).tolist(),
             "grid": grid_of(region.length, region.width),
             "electrodes": [
-                {
-                    "path": _rounded(each.path, 5),
-                    "closed": each.closed,
-                    "outward": _rounded(each.outward, 3),
-                }
-                for each in (electrodes_of(known) if known else ())
+                (round(each.x, 5), round(each.y, 5)) for each in (known.electrodes if known else ())
             ],
             "labels": list(board.protocol.labels),
             "shape": None if self.drawing is None else self.drawing.as_dict(),
@@ -107,6 +106,7 @@ class PageContent:
         return {
             "number": frame.number,
             "session": frame.session,
+            "time": _known(frame.time, 3),
             "rate": _known(reading.rate, 2),
             "latency_ms": _known(1e3 * reading.latency, 2),
             "begun": _known(snapshot.begun, 4),
@@ -159,6 +159,39 @@ class PageContent:
             "truth": None if truth is None else _scene(truth),
             "faults": list(stage.faults),
         }
+
+
+def recorded_moments(
+    board: "hardware.ReplayBoard",
+    pipeline: "hardware.FramePipeline",
+    sheet: "SensorDesign | Region",
+) -> list[dict[str, Any]]:
+    """Plain data of a recording's frames, `MAX_MOMENTS` at most, with times from its first [s].
+
+    Its pipeline processes no more frames than are shown.
+    """
+    content = PageContent.of(board, sheet)
+    board.pause = max(MOMENT_PERIOD, board.duration / MAX_MOMENTS)
+    reference: Frame | None = None
+    moments: list[dict[str, Any]] = []
+    offset = newest = math.nan
+    for reading in hardware.run_live(board, pipeline):
+        frame = reading.frame
+        if reference is None or reference.session != frame.session:
+            begin = 0.0 if reference is None else newest + board.pause
+            offset = begin - frame.time
+        reference = reference_after(reference, frame)
+        newest = offset + frame.time
+        snapshot = Snapshot(reading, board.counts, reference)
+        moments.append(content.frame(snapshot) | {"time": _known(newest, 3)})
+    return moments
+
+
+def reference_after(reference: Frame | None, frame: Frame) -> Frame:
+    """Frame from which changes count, as of `frame`: the first of its session, made whole."""
+    if reference is None or reference.session != frame.session:
+        return frame
+    return filled(reference, frame) if reference.status.any() else reference
 
 
 def filled(reference: Frame, frame: Frame) -> Frame:
@@ -222,11 +255,6 @@ def _scene(scene: "simulator.Scene") -> dict[str, Any]:
             for touch in touches
         ],
     }
-
-
-def _rounded(values: NDArray[np.float64], digits: int) -> list[Any]:
-    rounded: list[Any] = np.round(values, digits).tolist()
-    return rounded
 
 
 def _known(value: float | None, digits: int) -> float | None:

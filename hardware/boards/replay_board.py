@@ -15,6 +15,7 @@ from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
 SPEEDS = ("real", "max")
+BEGINNING = 2.0  # s of a session whose frames are never skipped: they are its reference
 
 
 class ReplayBoard(Board):
@@ -24,6 +25,8 @@ class ReplayBoard(Board):
 
     Attributes:
         info: settings of the recorded board; NaN where the recording has none.
+        pause: minimum time between two frames [s], 0 at first; frames between them are skipped,
+            except at the beginning of a session.
 
     Example:
         >>> from eitskin.hardware import ReplayBoard
@@ -67,18 +70,31 @@ class ReplayBoard(Board):
         self.protocol: Protocol = self._data.protocol
         self.info = _info(self._data, self.protocol)
         self._real, self._clock, self._wait = speed == "real", clock, wait
+        self.pause = 0.0
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
         """Recorded frames from the first; `newest` has no effect, since no frame waits."""
         offset = self._clock()
+        since = begun = 0.0  # time of the session, and since the last frame that was not skipped
         for index in range(len(self._data)):
-            frame = self._data.frame(index)
+            pause = self._pause(index)
             if self._real:
-                offset += self._pause(index)
+                offset += pause
                 self._wait(max(0.0, offset - self._clock()))
             self._frames += 1
             self._lost += self._gap(index)
-            yield frame
+            begun = begun + pause if self._follows(index) else 0.0
+            since += pause
+            if since < self.pause and begun > BEGINNING:
+                self._skipped += 1
+                continue
+            since = 0.0
+            yield self._data.frame(index)
+
+    @property
+    def duration(self) -> float:
+        """Time that the recording took, without pauses between its sessions [s]."""
+        return sum(self._pause(index) for index in range(len(self._data)))
 
     def calibrate(self) -> None:
         raise ConfigurationError("a recording cannot be calibrated; calibrate the board itself")
@@ -91,20 +107,24 @@ class ReplayBoard(Board):
 
     def _gap(self, index: int) -> int:
         """Number of frames missing before frame `index`; 0 where a session begins."""
-        number, episode = self._data.number, self._data.episode
-        if index == 0 or episode[index] != episode[index - 1]:
+        number = self._data.number
+        if not self._follows(index):
             return 0
         gap = (int(number[index]) - int(number[index - 1]) - 1) % 2**32
         return gap if gap < 2**31 else 0
 
+    def _follows(self, index: int) -> bool:
+        """Whether frame `index` is of the same session as the one before it."""
+        episode = self._data.episode
+        return index > 0 and bool(episode[index] == episode[index - 1])
+
     def _pause(self, index: int) -> float:
         """Time since the frame before [s]; one period where an episode begins."""
-        time_, episode = self._data.time, self._data.episode
+        time_ = self._data.time
         if index == 0:
             return 0.0
-        same = episode[index] == episode[index - 1]
         pause = float(time_[index] - time_[index - 1])
-        return pause if same and 0.0 <= pause < math.inf else self.info.period
+        return pause if self._follows(index) and 0.0 <= pause < math.inf else self.info.period
 
 
 def _info(data: Dataset, protocol: Protocol) -> Info:

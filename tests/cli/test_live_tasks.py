@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from eitskin import training
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.live.tasks import Progress, SessionTasks, Task
 from eitskin.cli.options import Output
@@ -131,7 +132,9 @@ def test_one_task_at_a_time_which_can_be_cancelled(running):
     assert running.finish()[0] == "done"
 
 
-def test_frames_are_recorded_between_two_commands(running, tmp_path):
+def test_frames_are_recorded_between_two_commands_and_replayed(running, tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "open_pipeline", lambda *_: running.session.pipeline)
+    running.session.pipeline.layout = types.SimpleNamespace(known_design=SensorDesign.reference())
     running.take()
     running.ask("/record", record=True)
     for _ in range(5):
@@ -143,6 +146,11 @@ def test_frames_are_recorded_between_two_commands(running, tmp_path):
     running.ask("/record", record=False)
     running.take()
     assert len(open_dataset(recording["folder"])) == 5
+    (name,) = running.tasks.state()["recordings"]
+    answer = json.loads(running.tasks.commands["/replay"](json.dumps({"name": name}).encode()))
+    assert [each["time"] for each in answer["readings"]] == pytest.approx([0.0, 0.3, 0.6, 0.9, 1.2])
+    with pytest.raises(ConfigurationError, match="no recording"):
+        running.ask("/replay", name="../other")
     assert running.tasks.state()["recording"] is None
     assert running.tasks.state()["recorded"].endswith("5 frames")
     with pytest.raises(ConflictError):

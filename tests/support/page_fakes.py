@@ -148,6 +148,8 @@ class FakeSession:
         self.came = threading.Event()
         paths = ("/tare", "/check", "/record", "/setup", "/answer", "/cancel")
         self.commands = {path: partial(self.execute, path) for path in paths}
+        self.commands["/replay"] = lambda _: json.dumps({"readings": self.readings}).encode()
+        self.readings = []
 
     def execute(self, path, body):
         if self.busy:
@@ -156,7 +158,8 @@ class FakeSession:
         self.came.set()
 
     def state(self):
-        return {"task": self.task, "recording": None, "recorded": ""}
+        none = {"recording": None, "recorded": "", "recordings": ["monday"]}
+        return {"task": self.task, **none}
 
     def pressed(self):
         """The next command; ends by the tests' limit of time where none comes."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from eitskin import datasets, geometry, hardware, training
+from eitskin import datasets, hardware, training
 from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession, Recording
 from eitskin.cli.commands.tare import ReferenceFile, tell_unjudged, use_reference
@@ -17,11 +17,7 @@ from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
-    from eitskin.cli.page.plan import Region
     from eitskin.training.reconstruction.reconstructor import Method
-
-
-MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 
 
 @options.with_output
@@ -111,6 +107,7 @@ def command(
         if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
             from eitskin.cli.page.live_page import LivePage
+            from eitskin.cli.page.plan import sheet_of
 
             tasks = stack.enter_context(SessionTasks(session, page_folder, model, own))
             session.page = stack.enter_context(
@@ -138,7 +135,7 @@ def _pictured(
 ) -> "hardware.FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures
-    from eitskin.cli.page.plan import Region
+    from eitskin.cli.page.plan import Region, sheet_of
 
     sheet = sheet_of(session.pipeline)
     if isinstance(sheet, Region):
@@ -154,24 +151,6 @@ def tell_missing(pipeline: "training.Pipeline", output: options.Output) -> None:
     targets = getattr(pipeline, "targets", None)
     if targets is not None and targets.missing:
         output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
-
-
-def sheet_of(pipeline: "training.Pipeline") -> "geometry.SensorDesign | Region":
-    """Sensor of a pipeline, or the region of the positions that it was trained with.
-
-    Raises ConfigurationError where a pipeline tells neither.
-    """
-    from eitskin.cli.page.plan import Region
-
-    layout = pipeline.layout
-    if layout.known_design is not None:
-        return layout.known_design
-    if layout.extent is None:
-        raise ConfigurationError(
-            "expected a pipeline that knows its sensor, for the page, got touch positions of "
-            "version 0.1; leave out --page, or train them again"
-        )
-    return Region.of_positions(layout.extent, MARGIN)
 
 
 def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:

@@ -248,8 +248,15 @@ class AnswerCommand:
     answer: str
 
 
+@dataclass(frozen=True, slots=True)
+class ReplayCommand:
+    """POST /replay: the name of a recording, whose readings are the answer."""
+
+    name: str
+
+
 class SessionTasks(Closeable, SessionCommands):
-    """Tasks that a page may ask of a live session, one at a time, and a recording beside them.
+    """Tasks that a page may ask of a live session, one at a time, and its recordings.
 
     Attributes:
         folder: of the files that are made.
@@ -278,6 +285,7 @@ class SessionTasks(Closeable, SessionCommands):
         self._thread: threading.Thread | None = None
         self._recording: Recording | None = None
         self._recorded = ""
+        self._recordings = self._find_recordings()
 
     @property
     def commands(self) -> Commands:
@@ -290,12 +298,13 @@ class SessionTasks(Closeable, SessionCommands):
             "/cancel": (Plain, lambda _: self._cancel()),
         }
 
-        def take(act: Callable[[Any], None], command: Any) -> None:
+        def take(act: Callable[[Any], Any], command: Any) -> None:
             with self._lock:
                 act(command)
             self._tell()
 
-        return commands_of(acts, take)
+        replay = {"/replay": (ReplayCommand, lambda command: self._replay(command.name))}
+        return {**commands_of(acts, take), **commands_of(replay, lambda act, it: act(it))}
 
     def state(self) -> Mapping[str, Any]:
         recording, task = self._recording, self._task
@@ -308,6 +317,7 @@ class SessionTasks(Closeable, SessionCommands):
                 "problem": recording.problem,
             },
             "recorded": self._recorded,
+            "recordings": list(self._recordings),
         }
 
     def close(self) -> None:
@@ -414,7 +424,34 @@ class SessionTasks(Closeable, SessionCommands):
         ended, self._recording = self._recording, None
         self._session.end(ended)
         self._recorded = ended.loss or f"{ended.folder}: {ended.given} frames"
+        self._recordings = self._find_recordings()
         self._session.say(f"recorded: {self._recorded}")
+
+    def _find_recordings(self) -> dict[str, Path]:
+        """Recordings in the page's folder, and the one that the board replays, by name."""
+        scheme, _, replayed = self._session.connection.board.uri.partition(":")
+        here = Path(replayed.partition("?")[0])
+        found = {
+            path.parent.name: path.parent
+            for path in sorted(self.folder.glob("*/*.h5"), reverse=True)
+        }
+        return found | ({here.name: here} if scheme == "replay" else {})
+
+    def _replay(self, name: str) -> bytes:
+        """Readings of a recording by a new pipeline of the session's model, as JSON."""
+        import msgspec
+
+        from eitskin.cli.page.plan import sheet_of
+        from eitskin.cli.page.state import recorded_moments
+
+        if name not in self._recordings:
+            raise ConfigurationError(f"there is no recording {name!r} in {self.folder}")
+        pipeline = training.open_pipeline(self._model, self._method)
+        with hardware.ReplayBoard(str(self._recordings[name])) as board:
+            own = self._session.connection.board.protocol
+            own.require_same(board.protocol, "the board has", name, "choose another recording")
+            moments = recorded_moments(board, pipeline, sheet_of(pipeline))
+        return msgspec.json.encode({"readings": moments})
 
     def _fresh(self, name: str, ending: str = "") -> Path:
         """Path of this second in the page's folder, which does not exist yet."""

@@ -24,16 +24,21 @@ for (let i = 0; i < 256; i++) {
   palette.set([...rgb(0.22 + 0.70 * t, chroma, hue), 255], 4 * i);
 }
 
-// From blue (less conductive) over the card's ground to red, for pictures; 128 is no change.
+export const LIGHT = matchMedia("(prefers-color-scheme: light)").matches;
+
+// From blue (less) over the card's ground to orange, for pictures and channels; 128 is no change.
 export const diverging = new Uint8ClampedArray(256 * 4);
 for (let i = 0; i < 256; i++) {
   const t = Math.min(1, Math.abs(i - 128) / 127);
-  const hue = (i < 128 ? 250 : 30) * Math.PI / 180;
-  diverging.set([...rgb(0.22 + 0.55 * t, 0.02 + 0.15 * t, hue), 255], 4 * i);
+  const hue = (i < 128 ? 250 : 55) * Math.PI / 180;
+  diverging.set([...rgb(LIGHT ? 0.95 - 0.4 * t : 0.24 + 0.55 * t, 0.01 + 0.15 * t, hue), 255], 4 * i);
 }
 
-export const style = getComputedStyle(document.documentElement);
+const style = getComputedStyle(document.documentElement);
 export const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+
+// Another theme changes all colours: begin again with them.
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => location.reload());
 
 export function bytes(base64) {
   const text = atob(base64), out = new Uint8Array(text.length);

@@ -1,5 +1,5 @@
-// What a virtual board can be told: bend, press, play, break. One request at a time; of those
-// that come meanwhile only the newest is sent.
+// The scene and the faults of a virtual board. One request at a time; of those that come
+// meanwhile only the newest is sent.
 
 import { post } from "./tasks.js";
 
@@ -7,8 +7,8 @@ const $ = (id) => document.getElementById(id);
 const SETTLES = 1000; // ms after which the board's own scene is shown again
 
 export class Controls {
-  constructor(sensor, map) {
-    Object.assign(this, { map, limits: sensor.controls });
+  constructor(sensor, sheet) {
+    Object.assign(this, { map: sheet, limits: sensor.controls });
     this.scene = { bend_deg: 0, touches: [] };
     this.wanted = null;
     this.sending = false;
@@ -20,14 +20,14 @@ export class Controls {
     fault.append(...this.limits.faults.map((name) => new Option(name.replaceAll("_", " "), name)));
     bend.oninput = () => this.change({ bend_deg: Number(bend.value) });
     force.oninput = () => this.press_harder(Number(force.value));
-    map.force = () => Number(force.value);
-    map.pinned = () => $("pin").checked;
+    sheet.force = () => Number(force.value);
+    sheet.pinned = () => $("pin").checked;
     $("release").onclick = () => {
-      map.release();
+      sheet.release();
       this.change({ touches: [] });
     };
     $("play").onclick = () => {
-      map.release();
+      sheet.release();
       this.post("/play", { play: true });
     };
     $("stop").onclick = () => this.post("/play", { play: false });
@@ -69,7 +69,7 @@ export class Controls {
     $("said").textContent = await post(path, body);
   }
 
-  // Show what the board was told, by whomever, unless a finger is at it here.
+  // Show the board's scene, whoever has set it, unless a finger is at it here.
   show({ commanded, faults }) {
     const text = faults.length ? `active: ${faults.join(", ").replaceAll("_", " ")}` : "";
     if ($("faults").textContent !== text) $("faults").textContent = text;

@@ -1,11 +1,10 @@
-// The live page: the newest reading, drawn once for each picture of the screen.
-import { Channels } from "./channels.js";
+// The live page: the newest reading, or an earlier one that the timeline has chosen, drawn once
+// for each picture of the screen.
 import { Controls } from "./controls.js";
 import { admitted } from "./door.js";
-import { TouchMap } from "./map.js";
-import { Sensor } from "./sensor.js";
+import { Sheet } from "./sheet.js";
 import { Tasks } from "./tasks.js";
-import { Trace } from "./trace.js";
+import { Timeline, total } from "./timeline.js";
 
 const SILENT = 2000; // ms without any event after which the server is gone
 const LATE = 1000; // ms by which an event may come later than the fastest one
@@ -13,6 +12,7 @@ const KEPT = 4096; // delays, for measurements
 const REFUSED = 2000; // ms after which a refused browser asks again
 const UNKNOWN = "not estimated";
 const STATES = ["idle", "touch", "bend"];
+const WIDE = "(min-width: 1180px)"; // where the drawer of a virtual board is open at first
 
 const $ = (id) => document.getElementById(id);
 const page = { updates: 0, number: null, largest: 0, delays: [] };
@@ -26,7 +26,7 @@ let heard = performance.now();
 let fastest = Infinity;
 let waiting = false;
 let health = { stale: true, connection: "", age: null };
-let session = null;
+let replayed = null; // name of the recording that is shown
 
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -46,22 +46,34 @@ function build(sensor) {
   const known = JSON.stringify(sensor), commands = role === "commander";
   let controls = null;
   const press = commands && sensor.controls && ((touches) => controls.press(touches));
-  const map = new TouchMap($("map"), sensor, press);
-  if (press) controls = new Controls(sensor, map);
+  const sheet = new Sheet($("sensor"), $("map"), $("sheet-note"), sensor, press);
+  if (press) controls = new Controls(sensor, sheet);
   parts = {
     known,
-    map,
+    sheet,
     controls,
-    tasks: sensor.tasks && new Tasks(commands ? sensor.tasks : [], (place) => map.point(place)),
-    trace: new Trace($("trace")),
-    sensor: new Sensor($("sensor"), $("electrodes"), $("sensor-note"), sensor),
-    channels: new Channels($("channels"), $("channel"), $("bad"), sensor.labels),
+    labels: sensor.labels,
+    tasks: sensor.tasks && new Tasks(commands ? sensor.tasks : [], (place) => sheet.point(place), replay),
+    timeline: new Timeline($("timeline"), sensor, travel),
     bars: STATES.map((name) => row(name)),
     numbers: new Map(),
   };
+  Object.assign(page, { sheet, timeline: parts.timeline });
   say($("board"), `${sensor.uri} · ${sensor.firmware}`);
-  for (const id of ["map-truth", "trace-truth", "true-angle"]) $(id).hidden = !sensor.controls;
+  for (const id of ["map-truth", "true-angle"]) $(id).hidden = !sensor.controls;
+  $("above").onclick = () => sheet.view.reset(true);
+  $("around").onclick = () => sheet.view.reset();
+  $("pause").onclick = pause;
+  $("newest").onclick = () => replay(null);
+  if (press && matchMedia(WIDE).matches) drawer(true);
 }
+
+function drawer(open) {
+  $("menu").setAttribute("aria-expanded", open);
+  document.body.classList.toggle("open", open);
+}
+
+$("menu").onclick = () => drawer(!document.body.classList.contains("open"));
 
 function row(name) {
   const item = document.createElement("li"), track = document.createElement("b");
@@ -74,45 +86,64 @@ function row(name) {
 function draw(data) {
   const { estimate, stage } = data, truth = stage && stage.truth;
   const unusable = data.problem || "no estimate";
-  if (data.session !== session) {
-    session = data.session;
-    parts.trace.clear();
-  }
-  const told = Boolean(estimate) && estimate.state !== null;
-  say($("state"), told ? estimate.state : estimate ? UNKNOWN : unusable);
-  $("state").dataset.state = told ? estimate.state : "";
+  const known = Boolean(estimate) && estimate.state !== null;
+  say($("state"), known ? estimate.state : estimate ? UNKNOWN : unusable);
+  $("state").dataset.state = known ? estimate.state : "";
   $("state").classList.toggle("words", !estimate);
-  $("state").classList.toggle("unknown", Boolean(estimate) && !told);
+  $("state").classList.toggle("unknown", Boolean(estimate) && !known);
   parts.bars.forEach(({ bar, share }, i) => {
     const p = estimate ? estimate.probabilities[i] : null;
     bar.style.transform = `scaleX(${p ?? 0})`;
-    say(share, p === null ? "–" : `${(100 * p).toFixed(1)} %`);
+    say(share, p === null ? "–" : `${(100 * p).toFixed(0)} %`);
   });
   angle(estimate, truth);
-  touches(estimate ? estimate.touches : []);
-  parts.trace.add({
-    time: data.heard / 1000,
-    angle: estimate ? estimate.angle : null,
-    deviation: estimate ? estimate.deviation : null,
-    truth: truth ? truth.bend_deg : null,
-  });
-  parts.map.show(
-    estimate && estimate.map, (estimate && estimate.touches) || [], truth ? truth.touches : [], picture(estimate));
-  if (estimate) parts.sensor.show(estimate.points, estimate.map);
-  parts.channels.show(data.channels, data.bad);
+  touches(estimate);
+  parts.sheet.show(estimate, truth ? truth.touches : [], picture(estimate), parts.timeline.chosen !== null);
   healthLine(data, estimate);
+  badChannels(data.bad);
   numbers(data);
   // Channels that the board marked bad have a list of their own.
-  const known = new RegExp("^channel (\\S+) is left out: board");
-  const others = (estimate ? estimate.problems : []).filter((text) => !((known.exec(text) || [])[1] in data.bad));
+  const board = new RegExp("^channel (\\S+) is left out: board");
+  const others = (estimate ? estimate.problems : []).filter((text) => !((board.exec(text) || [])[1] in data.bad));
   problems(data.problem ? [data.problem, ...others] : others);
-  if (parts.controls && stage) parts.controls.show(stage);
+}
+
+// --- earlier moments and recordings ---
+
+// Show a moment of the timeline, or the newest again.
+function travel(data) {
+  const past = data !== null, playing = Boolean(parts.timeline.playing);
+  document.body.classList.toggle("past", past);
+  say($("pause"), past ? (playing ? "Pause" : "Play") : "Pause");
+  $("newest").hidden = !past;
+  moment();
+  if (past || newest) draw(past ? data : newest);
+}
+
+function pause() {
+  const line = parts.timeline, [, end] = line.span();
+  if (line.playing || line.chosen === null) line.choose(line.chosen === null ? end : line.chosen);
+  else line.play();
+  say($("pause"), line.playing ? "Pause" : "Play");
+}
+
+async function replay(name) {
+  replayed = name;
+  if (name === null) return parts.timeline.load(null);
+  const readings = await parts.tasks.readings(name);
+  if (readings && readings.length) parts.timeline.load(readings);
+  else replayed = null;
+}
+
+function moment() {
+  const line = parts.timeline, past = line.chosen === null || !line.source.moments.length ? "" : line.when();
+  say($("moment"), [replayed, past, line.words()].filter(Boolean).join(" · "));
 }
 
 // The line at the top: green while all is well; else which channels are lost, and the electrode
 // whose channels all are.
 function healthLine(data, estimate) {
-  const lost = Object.keys(data.bad), all = parts.channels.labels;
+  const lost = Object.keys(data.bad), all = parts.labels;
   const count = (labels, electrode) => labels.filter((label) => label.split(/\D+/).includes(electrode)).length;
   const electrodes = [...new Set(lost.join("-").split(/\D+/))].filter((each) =>
     each && count(lost, each) > 1 && count(lost, each) === count(all, each));
@@ -125,12 +156,25 @@ function healthLine(data, estimate) {
   say($("health"), text);
 }
 
+let named = "";
+function badChannels(bad) {
+  const kinds = new Map();
+  for (const [label, what] of Object.entries(bad)) kinds.set(what, [...(kinds.get(what) || []), label]);
+  const names = [...kinds].map(([what, labels]) => `${what}: ${labels.join(", ")}`);
+  if (named !== names.join("|")) list($("bad"), names);
+  named = names.join("|");
+}
+
+function list(element, texts) {
+  element.replaceChildren(...texts.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+}
+
 // The picture to show, where one comes with the estimate and is chosen.
 function picture(estimate) {
   const made = estimate && estimate.picture;
   $("picture-choice").hidden = !made;
   if (!made) return null;
-  say($("picture-scale"), `Picture: conductivity, blue −${(100 * made.limit).toPrecision(2)} % to red +${(100 * made.limit).toPrecision(2)} %`);
+  say($("picture-scale"), `Image: conductivity, blue −${(100 * made.limit).toPrecision(2)} % to orange +${(100 * made.limit).toPrecision(2)} %`);
   return $("picture").checked ? made : null;
 }
 
@@ -141,14 +185,17 @@ function angle(estimate, truth) {
   const deviation = estimate ? estimate.deviation : null;
   say($("deviation"), deviation === null ? "" : `± ${deviation.toFixed(deviation < 0.095 ? 2 : 1)}°`);
   const real = truth ? truth.bend_deg : null;
-  const off = real === null || value === null ? "" : `, off by ${Math.abs(value - real).toFixed(1)}°`;
+  const off = real === null || value === null ? "" : `, error ${Math.abs(value - real).toFixed(1)}°`;
   say($("true-angle"), real === null ? "true angle unknown" : `true ${signed(real, 1)}°${off}`);
 }
 
-function touches(found) {
-  if (found === null) return say($("touches"), UNKNOWN);
+function touches(estimate) {
+  const found = estimate ? estimate.touches : [], force = total(estimate);
+  say($("total"), !found ? UNKNOWN : found.length && force !== null ? `${force.toFixed(1)} N` : found.length ? `${found.length} ×` : "–");
+  $("total").classList.toggle("unknown", !found);
+  if (!found) return say($("touches"), "");
   const places = found.map(({ x, y, force, strength }) =>
-    `${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)} mm: ${force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`}`);
+    `${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)} mm:\u00a0${force === null ? strength.toFixed(2) : `${force.toFixed(1)}\u00a0N`}`);
   say($("touches"), places.join("  ·  ") || "no touch");
 }
 
@@ -156,7 +203,7 @@ function numbers(data) {
   const dropped = Object.entries(data.dropped).map(([why, count]) => `${count} ${why}`).join(", ");
   number("rate", data.rate === null ? "–" : `${data.rate.toFixed(1)} /s`);
   number("latency", data.latency_ms === null ? "–" : `${data.latency_ms.toFixed(1)} ms`);
-  number("end to end", data.begun === null ? "–" : `${(performance.now() - fastest - 1000 * data.begun).toFixed(0)} ms`);
+  number("end to end", data.begun === null || parts.timeline.chosen !== null ? "–" : `${(performance.now() - fastest - 1000 * data.begun).toFixed(0)} ms`);
   number("frames", data.frames);
   number("lost", data.lost, true);
   number("skipped", data.skipped);
@@ -184,7 +231,7 @@ let listed = "";
 function problems(texts) {
   if (texts.join("|") === listed) return;
   listed = texts.join("|");
-  $("problems").replaceChildren(...texts.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+  list($("problems"), texts);
 }
 
 // What the link is: live, stale (no new frames), or lost (no server).
@@ -205,14 +252,14 @@ function judge() {
   say($("link"), text);
 }
 
-// While no frames come, what is known still: why, and what the board was told.
+// While no frames come, what is known still: why, and the board's scene.
 function quiet(data) {
   if (data.connection) problems([data.connection]);
   if (parts.controls && data.stage) parts.controls.show(data.stage);
 }
 
 function hear(event) {
-  const data = JSON.parse(event.data);
+  const data = JSON.parse(event.data), before = health.connection;
   page.largest = Math.max(page.largest, event.data.length);
   const last = heard;
   heard = data.heard = performance.now();
@@ -221,6 +268,9 @@ function hear(event) {
   fastest = Math.min(fastest + 1e-4 * (heard - last), delay);
   if (parts && parts.tasks && data.tasks) parts.tasks.show(data.tasks);
   health = { stale: data.stale, connection: data.connection, age: data.age, late: delay - fastest > LATE };
+  if (parts && before !== data.connection) {
+    parts.timeline.note(heard / 1000, data.connection ? "bad" : "good", data.connection || "board connected again");
+  }
   if (event.type === "frame") newest = data;
   else if (parts) quiet(data);
   if (!waiting) requestAnimationFrame(turn);
@@ -231,7 +281,10 @@ function turn() {
   waiting = false;
   if (parts && newest !== drawn) {
     drawn = newest;
-    draw(newest);
+    parts.timeline.add(newest.heard / 1000, newest);
+    if (parts.timeline.chosen === null) draw(newest);
+    if (parts.controls && newest.stage) parts.controls.show(newest.stage);
+    moment();
     page.updates += 1;
     page.number = newest.number;
     if (newest.begun !== null) page.delays.push(performance.now() - fastest - 1000 * newest.begun);

@@ -39,7 +39,6 @@ def test_the_stream_begins_with_the_sensor_and_goes_on_with_frames(page, stream)
     sensor = stream.until("sensor")
     assert sensor["labels"] == list(PROTOCOL.labels)
     assert len(sensor["electrodes"]) == 8
-    assert sensor["electrodes"][0]["outward"] == [0.0, -1.0]
     assert len(sensor["shape"]["electrodes"]) == 8
     assert sensor["outline"] == [[0.0, 0.0], [0.15, 0.0], [0.15, 0.06], [0.0, 0.06]]
     assert "bit_flip" in sensor["controls"]["faults"]

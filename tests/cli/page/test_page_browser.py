@@ -1,5 +1,7 @@
 """The live page in a real browser: door, drawings, buttons, on a desktop and a phone."""
 
+import dataclasses
+import types
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -7,11 +9,24 @@ import pytest
 
 from eitskin.cli.page.access import Access, Tokens
 from eitskin.cli.page.live_page import LivePage
+from eitskin.cli.page.plan import Region
+from eitskin.cli.page.state import recorded_moments
+from eitskin.datasets import ShardWriter, State
 from eitskin.errors import ConfigurationError
+from eitskin.hardware import ReplayBoard
 from eitskin.training.method.predictions import TouchEstimate
 
 from chromium import Size, Tab, chromium
-from page_fakes import DESIGN, FakeConnection, FakeEstimate, FakeSession, port_of, reading
+from page_fakes import (
+    DESIGN,
+    FakeBoard,
+    FakeConnection,
+    FakeEstimate,
+    FakeSession,
+    Info,
+    port_of,
+    reading,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -95,33 +110,108 @@ def test_a_token_opens_the_door_and_leaves_the_address(browser, connection, sess
             show(page, tab, reading(3))
 
 
-def white_at(tab, x, y):
-    """Whether the map is white at the ring of a touch at (x, y) [m], by a formula of its own."""
+def recorded(folder, estimates):
+    """Readings of a recording, one for each of these estimates, 0.3 s apart."""
+    with ShardWriter(folder / "monday") as writer:
+        for number, _ in enumerate(estimates):
+            writer.append(dataclasses.replace(reading(number).frame, time=5.0 + 0.3 * number))
+    pipeline = types.SimpleNamespace(process=lambda frame: estimates[frame.number])
+    return recorded_moments(ReplayBoard(str(folder / "monday")), pipeline, DESIGN)
+
+
+def white_at(tab, px, py):
+    """Whether the overlay of the sheet is white at a pixel, that of the ring of a touch."""
     return tab.run(
         f"""(() => {{
-        const canvas = document.getElementById('map'), shown = canvas.getBoundingClientRect();
-        const scale = Math.min((shown.width - 44) / 0.15, (shown.height - 44) / 0.06);
-        const px = shown.width / 2 + scale * ({x} - 0.075) + {RING};
-        const py = shown.height / 2 - scale * ({y} - 0.03);
-        const ratio = canvas.width / shown.width;
-        const at = canvas.getContext('2d').getImageData(px * ratio, py * ratio, 1, 1).data;
-        return Math.min(at[0], at[1], at[2]) > 200;
+        const canvas = document.getElementById('map');
+        const ratio = canvas.width / canvas.getBoundingClientRect().width;
+        const at = canvas.getContext('2d')
+          .getImageData(({px} + {RING}) * ratio, ({py}) * ratio, 1, 1).data;
+        return Math.min(at[0], at[1], at[2]) > 200 && at[3] > 200;
         }})()"""
     )
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE])
-def test_a_touch_is_drawn_where_the_estimate_has_it(browser, served, size):
-    with opened(browser, served.url, size) as tab:
+def test_a_touch_is_drawn_where_the_estimate_has_it(browser, connection, session, size):
+    sheet = Region((0.0, 0.0), (0.15, 0.06))
+    with (
+        LivePage(connection, sheet, session=session) as page,
+        opened(browser, page.url, size) as tab,
+    ):
+        watched(tab)
+        show(page, tab, reading(1, NOTHING))
+        wide, high = tab.run("[eitskin.sheet.surface.width, eitskin.sheet.surface.height]")
+        scale = min((wide - 44) / 0.15, (high - 44) / 0.06)
+        for number, (x, y) in enumerate([(0.05, 0.031), (0.11, 0.02)], 2):
+            place = wide / 2 + scale * (x - 0.075), high / 2 - scale * (y - 0.03)
+            assert not white_at(tab, *place)
+            found = FakeEstimate(touches=(TouchEstimate(x, y, 7.5, strength=0.9),))
+            show(page, tab, reading(number, found))
+            assert white_at(tab, *place)
+            assert text(tab, "touches") == f"{1e3 * x:.0f}, {1e3 * y:.0f} mm:\u00a07.5\u00a0N"
+        assert (text(tab, "angle"), text(tab, "total")) == ("+20.5°", "7.5 N")
+
+
+def test_the_bent_sheet_shows_and_takes_touches_at_their_places(browser, served):
+    bent = FakeEstimate(bend_angle_deg=40.0, touches=(TouchEstimate(0.11, 0.02, 7.5),))
+    with opened(browser, served.url) as tab:
+        watched(tab)
+        show(served, tab, reading(1, bent))
+        assert white_at(tab, *tab.run("eitskin.sheet.view.project(0.11, 0.02)")[:2])
+        for above in ("true", "false"):
+            tab.run(f"eitskin.sheet.view.reset({above})")
+            for x, y in [(0.01, 0.01), (0.075, 0.05), (0.14, 0.03)]:
+                there = "eitskin.sheet.view.locate(...eitskin.sheet.view.project({}, {}))"
+                found = tab.run(there.format(x, y))
+                assert (found["x"], found["y"]) == pytest.approx((x, y), abs=2e-4)
+        assert tab.run("eitskin.sheet.view.project(0.2, 0.02)") is None
+        assert tab.run("eitskin.sheet.view.locate(1, 1)") is None
+
+
+def test_text_of_boards_and_files_is_shown_as_text(browser, session):
+    tag = "<script>window.broken = 1</script><img src=x onerror='window.broken = 1'>"
+    board = FakeBoard(uri=f"replay:{tag}", info=Info(firmware=tag))
+    session.task = task("working", tag)
+    with (
+        LivePage(FakeConnection(board), DESIGN, session=session) as page,
+        opened(browser, page.url) as tab,
+    ):
+        watched(tab)
+        show(page, tab, reading(1, FakeEstimate(problems=(tag,))))
+        page.tell()
+        tab.until("document.getElementById('task-text').textContent.includes('script')")
+        assert tag in text(tab, "board")
+        assert text(tab, "problems") == tag
+        assert tab.run("[window.broken ?? 0, document.querySelectorAll('img').length]") == [0, 0]
+
+
+def test_earlier_moments_and_recordings_are_shown_again(browser, served, session, tmp_path):
+    with opened(browser, served.url) as tab:
         watched(tab)
         show(served, tab, reading(1, NOTHING))
-        for number, (x, y) in enumerate([(0.05, 0.031), (0.11, 0.02)], 2):
-            assert not white_at(tab, x, y)
-            found = FakeEstimate(touches=(TouchEstimate(x, y, 7.5, strength=0.9),))
-            show(served, tab, reading(number, found))
-            assert white_at(tab, x, y)
-            assert text(tab, "touches") == f"{1e3 * x:.0f}, {1e3 * y:.0f} mm: 7.5 N"
-        assert text(tab, "angle") == "+20.5°"
+        show(served, tab, reading(2, FakeEstimate(state=State.IDLE, touches=())))
+        lost = dataclasses.replace(reading(3, NOTHING).frame, status=np.r_[8, np.zeros(27)])
+        show(served, tab, dataclasses.replace(reading(3, FakeEstimate()), frame=lost))
+        events = tab.run("eitskin.timeline.source.events.map(({ text }) => text)")
+        assert events == ["idle", "touch, 7.5 N", "channel 0-1: open"]
+        tab.run("eitskin.timeline.choose(eitskin.timeline.source.events[0].time)")
+        assert text(tab, "state") == "idle"
+        assert "now" not in text(tab, "moment")
+        show(served, tab, reading(4, FakeEstimate()))
+        assert text(tab, "state") == "idle"  # still the moment that was chosen
+        tab.run("document.getElementById('newest').click()")
+        assert text(tab, "state") == "touch"
+        session.readings = recorded(tmp_path, [FakeEstimate(bend_angle_deg=a) for a in (0.0, 9.0)])
+        tab.run("document.getElementById('replay').click()")
+        tab.until("document.getElementById('moment').textContent.includes('monday')")
+        assert text(tab, "angle") == "0.0°"
+        tab.run("eitskin.timeline.choose(1e3)")
+        assert text(tab, "angle") == "+9.0°"
+        tab.run("document.getElementById('pause').click()")  # play from the beginning
+        tab.until("document.getElementById('moment').textContent.includes('0.3 s')")
+        assert text(tab, "angle") == "+9.0°"
+        assert not browser.console_errors(served.url)
 
 
 def test_every_reading_that_is_waited_for_is_drawn_once(browser, served):

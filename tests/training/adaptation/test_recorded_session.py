@@ -9,6 +9,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
 from eitskin.cli.commands.live import command as live
+from eitskin.cli.page.plan import sheet_of
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
@@ -117,15 +118,15 @@ def knowing(learned, **known):
 
 
 def test_the_page_shows_the_region_of_the_positions(learned):
-    sheet = live.sheet_of(learned)
+    sheet = sheet_of(learned)
     assert sheet.low[0] < -0.03
     assert sheet.high[1] > 0.03
     assert sheet.contains(np.array([0.0, 0.0]))
     assert not sheet.contains(np.array([0.2, 0.0]))
     design = SensorDesign.reference()
-    assert live.sheet_of(knowing(learned, known_design=design)) is design
+    assert sheet_of(knowing(learned, known_design=design)) is design
     with pytest.raises(Exception, match="leave out --page"):
-        live.sheet_of(knowing(learned, extent=None))
+        sheet_of(knowing(learned, extent=None))
 
 
 def test_what_is_known_of_the_sensor_is_saved(learned, tmp_path):

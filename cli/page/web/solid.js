@@ -1,6 +1,6 @@
-// The sensor in three dimensions. Its points come bent and pressed from the server, which knows
-// the geometry; here they are only lit and seen.
-import { bytes, palette } from "./colours.js";
+// The sensor in three dimensions, with the touch map on its upper face. Its points come bent and
+// pressed from the server, which knows the geometry; here they are only lit, seen and pointed at.
+import { LIGHT, bytes, diverging, palette } from "./colours.js";
 
 const VERTEX = `#version 300 es
 uniform mat4 projection, view;
@@ -23,6 +23,8 @@ const FRAGMENT = `#version 300 es
 precision mediump float;
 uniform sampler2D map, colours;
 uniform vec2 lines;
+uniform float signed; // 1 for a picture whose middle level is no change
+uniform vec3 gel;
 in vec3 seen, facing;
 in vec2 at;
 in float material;
@@ -31,7 +33,7 @@ void main() {
   vec3 n = normalize(facing), toEye = normalize(-seen);
   if (dot(n, toEye) < 0.0) n = -n;
   vec3 light = normalize(vec3(-0.45, 0.7, 0.6));
-  vec3 base = vec3(0.17, 0.25, 0.34);
+  vec3 base = gel;
   float gloss = 0.30, covers = 1.0;
   if (material > 1.5) {
     base = vec3(0.82, 0.64, 0.36);
@@ -43,23 +45,25 @@ void main() {
     vec2 apart = abs(fract(at * lines + 0.5) - 0.5) / fwidth(at * lines);
     float line = 1.0 - min(min(apart.x, apart.y), 1.0);
     base = mix(base, vec3(0.45, 0.60, 0.74), 0.34 * line);
-    base = mix(base, 0.72 * touched, 0.75 * smoothstep(0.04, 0.5, level));
+    float shown = mix(level, 2.0 * abs(level - 0.5), signed);
+    base = mix(base, 0.72 * touched, 0.75 * smoothstep(0.04, 0.5, shown));
   }
-  float lit = 0.10 + 0.90 * max(dot(n, light), 0.0) + 0.42 * max(dot(n, toEye), 0.0);
+  float lit = 0.30 + 0.70 * max(dot(n, light), 0.0) + 0.42 * max(dot(n, toEye), 0.0);
   float shine = pow(max(dot(reflect(-light, n), toEye), 0.0), 24.0);
   float rim = pow(1.0 - max(dot(n, toEye), 0.0), 3.0);
   colour = covers * vec4(base * lit + gloss * shine + 0.10 * rim, 1.0);
 }`;
 
 const FIELD = 26 * Math.PI / 180;
-const FIRST = { yaw: -0.42, pitch: 0.62 };
+const FIRST = { yaw: -0.16, pitch: 0.95 }, ABOVE = { yaw: 0, pitch: Math.PI / 2 };
 const LIFT = 0.0013; // of electrodes over the side that they are on, and
 const AWAY = 0.04; // of their numbers, in lengths of the sensor's longer side
-const MARGIN = 1.04; // around the sensor
-const SAG = 0.12; // height that a bend takes, in lengths of the sensor
+const MARGIN = 1.0; // around the sensor
+const SAG = 0.10; // height that a bend takes, in lengths of the sensor
 const SOFTWARE = 0.75; // pixels for each of the screen's where the processor has to draw them
 const SAME = 64; // of 255 levels of the touch map
-const METAL = 2; // and above; the gel is 0, where the touch map lies 1, what is inside 3
+const FACE = 1, METAL = 2; // the gel is 0, where the touch map lies 1, what is inside 3
+const CELLS = 24; // of the search for a place, along each side
 
 // Whether there is no graphics card: then a picture must be small to be in time.
 function software() {
@@ -75,27 +79,20 @@ function alike(one, other) {
   return one.length === other.length && one.every((value, i) => Math.abs(value - other[i]) < SAME);
 }
 
-export class Sensor {
-  constructor(canvas, labels, note, sensor) {
-    Object.assign(this, { canvas, labels, sensor });
+export class Solid {
+  // `painted()` is called after each picture, for what is drawn over it.
+  constructor(canvas, sensor, painted) {
+    Object.assign(this, { canvas, sensor, painted });
     const slow = software();
-    const gl = sensor.shape && canvas.getContext("webgl2", { antialias: !slow, alpha: true });
-    if (!gl) {
-      note.textContent = sensor.shape ? "The 3D view is not available: this browser has no WebGL 2."
-        : "The 3D view needs the sensor’s design, which these positions were learned without.";
-      note.hidden = false;
-      canvas.hidden = true;
-      return;
-    }
-    this.gl = gl;
+    this.gl = canvas.getContext("webgl2", { antialias: !slow, alpha: true });
+    if (!this.gl) return;
     this.angles = { ...FIRST };
     this.drawn = "";
     this.levels = [];
     this.size = Math.max(sensor.length, sensor.width);
     this.mesh = this.decoded(sensor.shape);
     this.prepare();
-    this.listen();
-    this.spans = sensor.electrodes.map((_, i) => labels.appendChild(Object.assign(document.createElement("span"), { textContent: i })));
+    this.sort();
     new ResizeObserver(([entry]) => {
       const scale = slow ? SOFTWARE : Math.min(2, window.devicePixelRatio || 1);
       [this.width, this.height] = [entry.contentRect.width, entry.contentRect.height];
@@ -154,7 +151,8 @@ export class Sensor {
     this.mapTexture = this.texture(0, "map");
     this.level(1, 1, new Uint8Array(1));
     this.texture(1, "colours");
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(palette));
+    this.colour(false);
+    gl.uniform3fv(this.uniform("gel"), LIGHT ? [0.34, 0.46, 0.58] : [0.17, 0.25, 0.34]);
     gl.uniform2f(this.uniform("lines"), length / grid, width / grid);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.clearColor(0, 0, 0, 0);
@@ -178,10 +176,19 @@ export class Sensor {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, columns, rows, 0, gl.RED, gl.UNSIGNED_BYTE, data);
   }
 
-  show(points, map) {
-    if (!this.gl) return;
+  // Colours of the touch map, or of a picture whose middle is no change.
+  colour(signed) {
+    const gl = this.gl, colours = new Uint8Array(signed ? diverging : palette);
+    this.signed = signed;
+    gl.activeTexture(gl.TEXTURE1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, colours);
+    gl.uniform1f(this.uniform("signed"), signed ? 1 : 0);
+  }
+
+  show({ points }, map, signed) {
     const levels = map ? bytes(map.data) : new Uint8Array(1);
-    const still = points === this.drawn, same = alike(levels, this.levels);
+    const still = points === this.drawn, same = alike(levels, this.levels) && signed === this.signed;
+    if (signed !== this.signed) this.colour(signed);
     if (still && same) return; // nothing that could be seen
     if (!same) {
       this.level(map ? map.columns : 1, map ? map.rows : 1, levels);
@@ -257,7 +264,8 @@ export class Sensor {
       gl.drawElements(gl.TRIANGLES, faces.length - opaque, gl.UNSIGNED_SHORT, 2 * opaque);
       gl.disable(gl.BLEND);
     }
-    this.number(view, projection);
+    Object.assign(this, { view, projection });
+    this.painted();
   }
 
   // Extent of the sensor as it is first seen, across, upwards and away [m].
@@ -268,53 +276,101 @@ export class Sensor {
     return across * (length * c + width * s) + upwards * (back * deep + rise * (thickness + SAG * length)) + away * rise * deep;
   }
 
-  // Each electrode's number, a little outside it; faint where it is behind.
-  number(m, projection) {
-    this.spans.forEach((span, i) => {
-      const [first, count] = this.mesh.electrodes[i];
+  // --- between places on the flat sensor and pixels ---
+
+  // Pixel of a point (x, y, z), and how far it is away.
+  pixel(x, y, z) {
+    const see = (row) => this.view[row] * x + this.view[4 + row] * y + this.view[8 + row] * z + this.view[12 + row];
+    const deep = -see(2), [across, , , , , up] = this.projection;
+    return [(0.5 + 0.5 * across * see(0) / deep) * this.width, (0.5 - 0.5 * up * see(1) / deep) * this.height, deep];
+  }
+
+  // Triangles of the upper face by the cells of the flat sensor that they reach.
+  sort() {
+    const { flat, vertices, kinds, faces } = this.mesh, { shape: { unit } } = this.sensor;
+    this.cells = new Map();
+    for (let i = 0; i < faces.length; i += 3) {
+      const corners = [0, 1, 2].map((k) => faces[i + k]);
+      if (corners.some((v) => kinds[v] !== FACE)) continue;
+      const at = corners.map((v) => [0, 1].map((axis) => flat[3 * vertices[v] + axis] * unit));
+      const reach = (axis) => [Math.min, Math.max].map((f) => this.cell(axis, f(...at.map((p) => p[axis]))));
+      const [[x0, x1], [y0, y1]] = [reach(0), reach(1)];
+      for (let x = x0; x <= x1; x++) {
+        for (let y = y0; y <= y1; y++) {
+          if (!this.cells.has(CELLS * x + y)) this.cells.set(CELLS * x + y, []);
+          this.cells.get(CELLS * x + y).push({ corners, at });
+        }
+      }
+    }
+  }
+
+  cell(axis, value) {
+    const share = value / (axis ? this.sensor.width : this.sensor.length);
+    return Math.min(CELLS - 1, Math.max(0, Math.floor(CELLS * share)));
+  }
+
+  // Pixel of a place [m]; null where the upper face is not.
+  project(x, y) {
+    if (!this.view) return null;
+    const [x0, y0] = this.sensor.origin, place = [x - x0, y - y0];
+    for (const { corners, at } of this.cells.get(CELLS * this.cell(0, place[0]) + this.cell(1, place[1])) || []) {
+      const shares = within(place, at);
+      if (!shares) continue;
+      const along = (axis) => corners.reduce((sum, v, k) => sum + shares[k] * this.positions[3 * v + axis], 0);
+      return this.pixel(along(0), along(1), along(2));
+    }
+    return null;
+  }
+
+  // The place [m] that a pixel shows; null beside the upper face.
+  locate(px, py) {
+    if (!this.view) return null;
+    const { faces, kinds, flat, vertices } = this.mesh, p = this.positions, { origin, shape: { unit } } = this.sensor;
+    const seen = Array.from(vertices, (_, v) => this.pixel(p[3 * v], p[3 * v + 1], p[3 * v + 2]));
+    let nearest = Infinity, found = null;
+    for (let i = 0; i < faces.length; i += 3) {
+      const corners = [0, 1, 2].map((k) => faces[i + k]), shares = within([px, py], corners.map((v) => seen[v]));
+      if (!shares || kinds[corners[0]] >= METAL) continue;
+      const deep = shares.reduce((sum, share, k) => sum + share * seen[corners[k]][2], 0);
+      if (deep >= nearest) continue;
+      nearest = deep;
+      const at = (axis) => corners.reduce((sum, v, k) => sum + shares[k] * flat[3 * vertices[v] + axis] * unit, origin[axis]);
+      found = kinds[corners[0]] === FACE ? { x: at(0), y: at(1) } : null;
+    }
+    return found;
+  }
+
+  // Pixel of each electrode's number, a little outside it, and whether it is behind.
+  *electrodes() {
+    if (!this.view) return;
+    for (const [first, count] of this.mesh.electrodes) {
       const mean = (values, axis) => {
         let sum = 0;
         for (let k = first; k < first + count; k++) sum += values[3 * k + axis] / count;
         return sum;
       };
       const n = [0, 1, 2].map((axis) => mean(this.normals, axis));
-      const [x, y, z] = [0, 1, 2].map((axis) => mean(this.positions, axis) + AWAY * this.size * n[axis]);
-      const see = (row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row];
-      const away = m[2] * n[0] + m[6] * n[1] + m[10] * n[2] < 0;
-      const deep = -see(2);
-      const px = (0.5 + 0.5 * projection[0] * see(0) / deep) * this.width;
-      const py = (0.5 - 0.5 * projection[5] * see(1) / deep) * this.height;
-      span.style.transform = `translate(${px.toFixed(1)}px, ${py.toFixed(1)}px)`;
-      span.style.opacity = away ? 0.4 : 1;
-    });
+      const [px, py] = this.pixel(...n.map((value, axis) => mean(this.positions, axis) + AWAY * this.size * value));
+      yield [px, py, this.view[2] * n[0] + this.view[6] * n[1] + this.view[10] * n[2] < 0];
+    }
   }
 
-  listen() {
-    let held = null;
-    const turn = (dx, dy) => {
-      this.angles.yaw += dx;
-      this.angles.pitch = Math.max(-1.5, Math.min(1.5, this.angles.pitch + dy));
-      this.paint();
-    };
-    this.canvas.onpointerdown = (event) => {
-      held = [event.clientX, event.clientY];
-      this.canvas.setPointerCapture(event.pointerId);
-    };
-    this.canvas.onpointermove = (event) => {
-      if (!held) return;
-      turn((event.clientX - held[0]) * 0.008, (event.clientY - held[1]) * 0.008);
-      held = [event.clientX, event.clientY];
-    };
-    this.canvas.onpointerup = this.canvas.onpointercancel = () => { held = null; };
-    this.canvas.ondblclick = () => {
-      this.angles = { ...FIRST };
-      this.paint();
-    };
-    this.canvas.onkeydown = (event) => {
-      const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-      if (!step) return;
-      event.preventDefault();
-      turn(0.1 * step[0], 0.1 * step[1]);
-    };
+  turn(dx, dy) {
+    this.angles.yaw += dx;
+    this.angles.pitch = Math.max(-1.5, Math.min(Math.PI / 2, this.angles.pitch + dy));
+    this.paint();
   }
+
+  // As it is first seen, or from above.
+  reset(above = false) {
+    this.angles = { ...(above ? ABOVE : FIRST) };
+    this.paint();
+  }
+}
+
+// Shares of a triangle's corners at a point, three; null outside it.
+function within([x, y], [[ax, ay], [bx, by], [cx, cy]]) {
+  const size = (by - cy) * (ax - cx) + (cx - bx) * (ay - cy);
+  const a = ((by - cy) * (x - cx) + (cx - bx) * (y - cy)) / size, b = ((cy - ay) * (x - cx) + (ax - cx) * (y - cy)) / size;
+  return Math.min(a, b, 1 - a - b) >= -1e-6 ? [a, b, 1 - a - b] : null;
 }
