@@ -3,7 +3,9 @@
 import dataclasses
 import json
 import math
+import re
 import sys
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +175,16 @@ def test_the_page_names_every_topic_type_and_field() -> None:
 
 
 # When
+
+
+def test_the_layout_for_foxglove_names_topics_that_there_are_and_shows_every_panel() -> None:
+    text = (resources.files("eitskin.hardware.ros2") / "foxglove.json").read_text()
+    layout, types = json.loads(text), RosMessages().types
+    topics = set(re.findall(r'"(/[\w/]+)[."]', text))
+    assert {"/eitskin/touches", "/eitskin/touch_map", "/eitskin/bend", "/diagnostics"} <= topics
+    assert topics <= set(types)
+    shown = set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"])))
+    assert shown == set(layout["configById"])
 
 
 def test_sessions_of_a_recording_follow_each_other_by_a_second() -> None:

@@ -42,6 +42,7 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
         "include/*.h",
         "*.css",
         "web/*",
+        "foxglove.json",
     )
     files = {
         path.relative_to(ROOT).as_posix()
