@@ -104,7 +104,7 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
     document: Document = json.loads(json.dumps(numbers, allow_nan=False))
     files = {
         "report.json": json.dumps(document, indent=1) + "\n",
-        "report.html": page(stages, document),
+        "report.html": page(stages, document, shlex.quote(str(demo.model))),
     }
     for file, text in files.items():
         with atomic_file(demo.out / file, PartialError, REMEDY) as temporary:
@@ -112,8 +112,14 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
     return document
 
 
-def page(stages: Mapping[str, "Stage"], document: Document) -> str:
-    """The report as one HTML page without references to anything outside."""
+def page(stages: Mapping[str, "Stage"], document: Document, model: str) -> str:
+    """The report as one HTML page without references to anything outside.
+
+    Args:
+        stages: results by the names of their stages.
+        document: numbers of all stages.
+        model: pipeline that was trained, as a word of a command line.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from eitskin.cli.demo.stages import COLUMNS, SETS, STAGES, episode_cells
@@ -132,6 +138,7 @@ def page(stages: Mapping[str, "Stage"], document: Document) -> str:
         number=lambda path, form="": marked_number(document, path, form),
         headings={name: heading for name, (heading, _) in STAGES.items()},
         sets=SETS,
+        model=model,
         paper_rows=_paper_rows(document),
         episode_columns=COLUMNS,
         episode_rows=[episode_cells(row) for row in document["live"]["steps"]],

@@ -62,14 +62,14 @@ SCENES = (
 ALT = {
     "confusion": "Matrix of true against estimated states",
     "bend_angle": "Estimated over true bend angle, and the distribution of the errors",
-    "touch_maps_angles": "Touch maps of one touch at several bend angles beside the truth",
-    "touch_maps_counts": "Touch maps of one to four touches beside the truth",
+    "touch_maps_angles": "Touch maps of one touch at several bend angles next to the truth",
+    "touch_maps_counts": "Touch maps of one to four touches next to the truth",
     "error_vectors": "Lines on the sensor from true to estimated positions",
     "localisation_errors": "Histogram of the distances between true and estimated positions",
 }
 """Pictures of an evaluation, and their alternative texts."""
 
-COLUMNS = ("true", "state", "angle, deg", "touches: true", "found", "error, mm", "ms/frame")
+COLUMNS = ("true", "state", "angle, deg", "touches: true", "estimated", "error, mm", "ms/frame")
 """Columns of the table of the live episode."""
 
 
@@ -258,10 +258,10 @@ def go_live(demo: Demo) -> Stage:
         "latency": {"p50_ms": p50, "p99_ms": p99},
         "steps": rows,
     }
-    alt = "Moving picture of the live episode: the sensor as estimated, beside the truth"
+    alt = "Moving picture of the live episode: the sensor as estimated, next to the truth"
     caption = (
         "The sensor as the pipeline estimates it: bent by the estimated angle, coloured by the "
-        "estimated state, dented and with discs where it finds touches. Dashed lines and rings: "
+        "estimated state, dented and with discs at the detected touches. Dashed lines and rings: "
         "the truth. Below, the estimated angle of every frame (dots) and the true one (line)."
     )
     film = Picture.of_webp(alt, caption, episode_film(rows, demo.design), 6.5)
@@ -359,7 +359,7 @@ def _presses(demo: Demo, path: Path, stage: Stage) -> str:
     stage.pictures |= as_pictures(presses=(drawn, "True and estimated positions of real presses"))
     return (
         f"{len(recording)} presses, learned from the first 80 % in time: mean error "
-        f"{score['mean_error_mm']:.1f} mm on the last {score['frames']} (published beside the "
+        f"{score['mean_error_mm']:.1f} mm on the last {score['frames']} (published with the "
         f"data: 4.5 mm; always the middle: {score['guess_error_mm']:.0f} mm)"
     )
 
@@ -391,11 +391,11 @@ STAGES: dict[str, tuple[str, Callable[[Demo], Stage]]] = {
     ),
     "indentation": ("Trained here: 27 positions", partial(evaluate, TRAINED, "paper_indentation")),
     "shipped": (
-        "Comes with eitskin: the same frames",
+        "Pretrained pipeline: the same frames",
         partial(evaluate, SHIPPED, "quick_test"),
     ),
     "shipped_indentation": (
-        "Comes with eitskin: 27 positions",
+        "Pretrained pipeline: 27 positions",
         partial(evaluate, SHIPPED, "paper_indentation"),
     ),
     "live": ("The saved pipeline, unchanged, on a virtual board over a serial link", go_live),
