@@ -74,6 +74,28 @@ eitskin fit instrument sensor.toml recording --out rig.toml
 eitskin fit instrument sensor.toml recording --out rig.toml --first 400
 eitskin fit twin design.toml recording --out twin
 eitskin fit twin design.toml recording --out twin --terms sink,idle --first 400
+eitskin bench accuracy
+eitskin bench accuracy --out results --quick
+eitskin bench stability
+eitskin bench stability --out results --quick
+eitskin bench world
+eitskin bench world --out results --quick
+eitskin bench speed
+eitskin bench speed --out results --quick
+eitskin bench recordings recordings
+eitskin bench recordings recordings --quick
+eitskin bench transfer
+eitskin bench transfer mine.eitmodel --quick
+eitskin bench life
+eitskin bench life mine.eitmodel --hours 0.1
+eitskin bench methods --preset ridge --preset mlp
+eitskin bench methods --method my.py:Net --quick
+eitskin bench paper
+eitskin bench paper --pipeline mine.eitmodel --seeds 1
+eitskin bench layouts --sweep count
+eitskin bench layouts --quick --workers 8
+eitskin bench all
+eitskin bench all --only speed --only accuracy --quick
 """
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from eitskin.cli.help import examples_of
 from eitskin.cli.main import app
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
@@ -170,6 +171,17 @@ def test_what_the_physics_names_is_there():
     assert len(computed) > 15
     for name in computed:
         assert pkgutil.resolve_name(name), name
+
+
+def paths(command=COMMAND, path="eitskin"):
+    """Names of all commands that have no others below them."""
+    below = getattr(command, "commands", {}).items()
+    return [p for name, c in below if not c.hidden for p in paths(c, f"{path} {name}")] or [path]
+
+
+def test_every_command_has_two_examples():
+    assert len(paths()) > 35
+    assert not [path for path in paths() if len(examples_of(path)) != 2]
 
 
 def test_pages_made_from_the_code_are_up_to_date():
