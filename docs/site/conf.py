@@ -1,7 +1,9 @@
 """The site: the project's own Markdown, the gallery's scripts and the reference; `make docs`."""
 
+import base64
 import importlib
 import inspect
+import json
 import re
 import shutil
 from pathlib import Path
@@ -26,8 +28,10 @@ include_patterns = [
     "docs/*.md",
     "docs/**/*.md",
     "docs/site/api/*.rst",
+    "docs/site/api/*.markdown",
     "hardware/firmware/README.md",
 ]
+source_suffix = {".rst": "restructuredtext", ".md": "markdown", ".markdown": "markdown"}
 exclude_patterns = [
     *(f"{path.name}" for path in ROOT.iterdir() if path.is_dir() and path.name[0] == "."),
     *("benchmarks", "build", "cli", "datasets", "eitskin", "geometry", "simulator", "tests"),
@@ -86,6 +90,26 @@ def write_api() -> None:
         )
 
 
+def write_notebooks() -> None:
+    """Write the notebooks as pages: their text, code, printed lines and figures."""
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        parts = []
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            source = "".join(cell["source"])
+            if cell["cell_type"] == "markdown":
+                parts.append(source.replace("](../", "](../../"))
+                continue
+            parts.append(f"```python\n{source}\n```")
+            for output in cell["outputs"]:
+                if output["output_type"] == "stream":
+                    parts.append(f"```text\n{''.join(output['text'])}```")
+                    continue
+                image = API / f"{path.stem}-{len(parts)}.png"
+                image.write_bytes(base64.b64decode(output["data"]["image/png"]))
+                parts.append(f"![figure of the cell above]({image.name})")
+        (API / f"{path.stem}.markdown").write_text("\n\n".join(parts), encoding="utf-8")
+
+
 def navigation() -> str:
     """Hidden tables of contents: the sections of the pages, each in the order of the map."""
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
@@ -96,6 +120,8 @@ def navigation() -> str:
         parts.append(_contents(caption, list(dict.fromkeys(pages))))
     results = sorted(path.stem for path in (ROOT / "docs" / "results").glob("*.md"))
     parts.append(_contents("Measured", [f"docs/results/{name}" for name in results]))
+    notebooks = sorted(path.stem for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"))
+    parts.append(_contents("Notebooks", [f"docs/site/api/{name}" for name in notebooks]))
     parts.append(_contents("Python API", [f"docs/site/api/{room}" for room in ROOMS]))
     return "\n".join(parts)
 
@@ -124,6 +150,8 @@ def read_page(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG00
         source[0] += _contents("Begin", ["docs/index"]) + navigation()
         project = ["CHANGELOG", "CONTRIBUTING", "SECURITY", "hardware/firmware/README"]
         source[0] += _contents("The project", project)
+    if page == "docs/index":
+        source[0] = re.sub(r"\(notebooks/(\w+)\.ipynb\)", r"(site/api/\1.markdown)", source[0])
     if page == "docs/gallery/README":
         source[0] = with_scripts(source[0])
 
@@ -165,7 +193,8 @@ def _plain(line: str) -> str:
 
 
 def setup(app: Sphinx) -> None:
-    """Write the pages of the API, and connect what is read."""
+    """Write the pages of the API and of notebooks, and connect what is read."""
     write_api()
+    write_notebooks()
     app.connect("source-read", read_page)
     app.connect("autodoc-process-docstring", read_docstring, priority=400)  # before napoleon
