@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs reference narrow firmware gallery bench \
+.PHONY: demo test quick coverage mutations lint docs reference narrow firmware pictures bench \
 	bench-long pages clean
 
 demo: $(VENV)/installed
@@ -64,10 +64,10 @@ $(SETS)/all: $(VENV)/installed
 firmware:
 	$(MAKE) --no-print-directory -C hardware/firmware/nucleo_f411 BUILD=$(CURDIR)/build/firmware
 
-# The pictures in docs/gallery, each by the script of its name.
-gallery: $(VENV)/installed
-	for script in $(filter-out %/style.py, $(wildcard docs/gallery/*.py)); do \
-		$(BIN)/python $$script docs/gallery || exit 1; done
+# The pictures of the pages, each by the script of its name; ARGS="bending scene" for some. The
+# live page needs Chromium with its driver.
+pictures: $(VENV)/installed
+	$(BIN)/python docs/gallery/draw.py $(ARGS)
 
 # Everything that README and docs quote, measured again into build/bench, for an hour or two.
 # Results of the same version and seed are kept; see CONTRIBUTING.md.
@@ -76,10 +76,11 @@ bench bench-long: $(VENV)/installed
 	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS)
 
 # Pages that are generated: docs/results from benchmarks/published, commands and file keys from the
-# code; RESULTS=build/bench puts new results above.
+# code, outputs of notebooks; RESULTS=build/bench puts new results above.
 pages: $(VENV)/installed
 	$(BIN)/python -m eitskin.benchmarks.result_pages $(RESULTS)
 	$(BIN)/python docs/site/reference.py
+	$(BIN)/python docs/notebooks/run.py
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt

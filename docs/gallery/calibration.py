@@ -58,11 +58,11 @@ assert rms[1] < 0.6 * rms[0]
 if wanted():
     drawn, axes = figure(1, 1, (7.2, 2.8))
     axes.axhline(0.0, color=PALE, lw=2, zorder=0)
-    for found, name, colour in ((before, "as it ships", ORANGE), (after, "calibrated", TEAL)):
+    for found, name, colour in ((before, "pretrained", ORANGE), (after, "calibrated", TEAL)):
         label = f"{name}, rms {np.sqrt(np.mean(found**2)):.2f} deg"
         axes.plot(asked[8:], found, "o-", color=colour, ms=4, label=label)
-    axes.plot(KNOWN, [0] * 5, "|", color=GREY, ms=14, label="known angles")
+    axes.plot(KNOWN, [0] * 5, "|", color=GREY, ms=9, label="known angles")
     axes.set(xlabel="true angle [deg]", ylabel="error [deg]")
-    axes.set_title("the angle of a sensor of one's own")
+    axes.set_title("bend angle of one sensor")
     axes.legend()
     save(drawn, __file__)

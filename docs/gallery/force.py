@@ -49,7 +49,7 @@ assert np.abs(np.array(found) - forces)[forces >= 6.0].max() < 2.0
 if wanted():
     drawn, (left, right) = figure(1, 2, (7.2, 2.6))
     left.plot(forces, signal, "o-", color=TEAL)
-    left.set(xlabel="force [N]", ylabel="largest change [%]", title="signal of a press")
+    left.set(xlabel="force [N]", ylabel="largest change [%]", title="signal of a touch")
     right.plot([0, 13], [0, 13], color=GREY, lw=1)
     right.plot(forces, found, "o", color=ORANGE)
     right.set(xlabel="true force [N]", ylabel="estimated [N]", title="estimated force")

@@ -9,7 +9,7 @@ from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Scene, Simulator
 
-from style import GREY, RED, TEAL, figure, save, sensor, wanted
+from style import GREY, RED, TEAL, figure, name_pairs, save, sensor, wanted
 
 SCENES = Path(__file__).parent / "scenes"
 scene = Scene.from_toml(SCENES / "inside.toml")
@@ -49,11 +49,11 @@ if wanted():
         above.plot(1e3 * electrode.x, 1e3 * electrode.y, "s", color="#f0b63c", ms=9)
         above.text(1e3 * electrode.x, 1e3 * electrode.y + 7, str(number), ha="center", fontsize=8)
     above.plot(75, 30, "o", ms=34, mfc="none", mec=RED)
-    above.set_title("two electrodes inside, and a press of 6 N between them")
+    above.set_title("two electrodes inside, and a touch of 6 N between them")
     order = np.argsort(-np.abs(among))
     colour = [TEAL if {"8", "9"} & set(labels[k].split("-")) else GREY for k in order]
     below.bar(np.arange(45), np.abs(among[order]), color=colour)
-    below.set_xticks(np.arange(45), [labels[k] for k in order], rotation=90, fontsize=6)
+    name_pairs(below, [labels[k] for k in order])
     below.set(ylabel="change [%]", title="pairs with an electrode inside (teal), and of the rim")
     below.margins(x=0.01)
     save(drawn, __file__)

@@ -42,5 +42,5 @@ if wanted():
                                 cmap=colours(RISING), shading="gouraud")  # fmt: skip
         sensor(each, layout.design, numbers=False)
         each.set_title(layout.name)
-    drawn.colorbar(shown, ax=axes, label="least error of the\nplace of 10 N [mm]", shrink=0.7)
+    drawn.colorbar(shown, ax=axes, label="bound of the\nposition of 10 N [mm]", shrink=0.7)
     save(drawn, __file__)

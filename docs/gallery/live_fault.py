@@ -58,6 +58,6 @@ if wanted():
     below.plot(angles, color=TEAL, label="estimated angle [deg]")
     below.plot(range(10, 30), error, color=ORANGE, label="error of the touch [mm]")
     below.axvline(19.5, color=GREY, ls=":")
-    below.set(xlabel="frame", title="what the pipeline says")
+    below.set(xlabel="frame", title="estimates")
     below.legend(loc="upper right", fontsize=8)
     save(drawn, __file__)

@@ -52,6 +52,6 @@ if wanted():
         circle(axes, touch.x, touch.y)
     for found in felt.touches:
         axes.plot(1e3 * found.x, 1e3 * found.y, "+", color="white", ms=9, mew=1.6)
-    axes.set_title("bent by 30 deg: felt (map, crosses) and true (circles)")
+    axes.set_title("bent by 30 deg: estimated (map, crosses) and true (circles)")
     drawn.colorbar(shown, ax=axes, label="probability of being touched", shrink=0.75, pad=0.02)
     save(drawn, __file__)

@@ -5,7 +5,7 @@ import numpy as np
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Scene, Simulator, Touch
 
-from style import DIVERGING, ORANGE, TEAL, circle, colours, figure, save, sensor, wanted
+from style import DIVERGING, ORANGE, TEAL, circle, colours, figure, name_pairs, save, sensor, wanted
 
 # A touch is a force on a flat cylinder of 15 mm, unless another indenter is given. How the stack
 # of silicone, gel and silicone gives way was solved once at finite strain, and is interpolated.
@@ -54,8 +54,8 @@ if wanted():
     pairs = np.arange(28)
     below.bar(pairs - 0.2, together, 0.4, color=TEAL, label="both together")
     below.bar(pairs + 0.2, alone + other, 0.4, color=ORANGE, label="sum of each alone")
-    below.set_xticks(pairs, sim.protocol.labels, rotation=90, fontsize=7)
-    below.set(ylabel="change [%]", title="what the resistances feel")
+    name_pairs(below, sim.protocol.labels)
+    below.set(ylabel="change [%]", title="changes of the resistances")
     below.margins(x=0.01)
     below.legend(ncols=2)
     save(drawn, __file__)

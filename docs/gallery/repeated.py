@@ -97,7 +97,7 @@ if wanted():
     change = 100.0 * (seen / flat - 1.0)
     channel = int(np.abs(change).max(axis=0).argmax())
     above.plot(starts[shown], change[:, channel], color=TEAL, lw=1.2)
-    title = f"twelve presses of 10 N: pair {sim.protocol.labels[channel]}, without noise"
+    title = f"twelve touches of 10 N: pair {sim.protocol.labels[channel]}, without noise"
     above.set(xlabel="time [s]", ylabel="change [%]", title=title)
     for k in range(12):
         above.axvspan(22 * k, 22 * k + 10, color=PALE, zorder=0)
@@ -108,6 +108,6 @@ if wanted():
     aged.set(
         xlabel="shear modulus of the gel [kPa]",
         ylabel="change [%]",
-        title="a first press at eight ages",
+        title="a first touch at eight ages",
     )
     save(drawn, __file__)

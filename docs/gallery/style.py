@@ -1,6 +1,7 @@
-"""One look for the pictures of the gallery: colours, sensors from above, saving."""
+"""One look for all pictures of the pages: colours, sensors from above, saving."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,13 @@ def sensor(axes: Any, design: SensorDesign, numbers: bool = True, fill: bool = T
     axes.set_ylim(-beyond, 1e3 * design.outline.width + beyond)
     axes.set_aspect("equal", anchor="N")
     axes.axis("off")
+
+
+def name_pairs(axes: Any, labels: Sequence[str]) -> None:
+    """Names of pairs of electrodes along x, as many as can be read."""
+    step = -(-len(labels) // 15)
+    numbers = range(0, len(labels), step)
+    axes.set_xticks(numbers, [labels[number] for number in numbers], fontsize=8)
 
 
 def circle(

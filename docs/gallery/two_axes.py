@@ -10,7 +10,7 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.fixtures import Roll
 from eitskin.simulator import Scene, Simulator
 
-from style import INK, ORANGE, TEAL, figure, save, wanted
+from style import INK, ORANGE, TEAL, figure, name_pairs, save, wanted
 
 # Clamps hold the width flat, so the recipe bends by moments alone, a free arc. The touches of a
 # scene come first, then the roll about x, then the bend about y.
@@ -56,16 +56,16 @@ if wanted():
     top = np.stack([x, y, 0 * x + design.thickness], axis=-1)
     moved = 1e3 * sim.deformation(scene).positions(top)  # type: ignore[union-attr]
     above.plot_surface(*np.moveaxis(moved, -1, 0), color="#b8dcd9", edgecolor=TEAL, lw=0.2)
-    above.set_box_aspect(np.ptp(moved.reshape(-1, 3), axis=0), zoom=1.05)
+    above.set_box_aspect(np.ptp(moved.reshape(-1, 3), axis=0), zoom=1.4)
     above.view_init(32, -62)
     above.set_axis_off()
-    above.set_title("bent by 30 deg, rolled by 60 deg, and pressed")
+    above.set_title("bent by 30 deg, rolled by 60 deg, and touched")
     pairs = np.arange(28)
     below.bar(pairs - 0.28, bent, 0.28, color=TEAL, label="bent")
     below.bar(pairs, rolled, 0.28, color=ORANGE, label="rolled")
     below.bar(pairs + 0.28, both, 0.28, color=INK, label="both")
-    below.set_xticks(pairs, sim.protocol.labels, rotation=90, fontsize=7)
-    below.set(ylabel="change [%]", title="what the resistances feel of the curvature")
+    name_pairs(below, sim.protocol.labels)
+    below.set(ylabel="change [%]", title="signals of the curvature")
     below.margins(x=0.01)
     below.legend(ncols=3)
     save(drawn, __file__)

@@ -68,7 +68,7 @@ def draw(model: Any, data: Any, touch: Any, estimate: Estimate, path: Path) -> N
     right.imshow(estimate.touch_map, origin="lower", extent=size, cmap="Blues", vmin=0, vmax=1.6)
     right.plot(1e3 * touch.x, 1e3 * touch.y, "+", color="k", ms=14, label="contact in MuJoCo")
     for number, (x, y, _) in enumerate(estimate.touches or ()):
-        label = "" if number else "touch found by the skin"
+        label = "" if number else "touch estimated by the skin"
         right.plot(1e3 * x, 1e3 * y, "o", color="C1", ms=10, mfc="none", label=label)
     right.set(xlabel="x [mm]", ylabel="y [mm]")
     right.legend(loc="lower left", frameon=False)
