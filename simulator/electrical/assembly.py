@@ -36,6 +36,7 @@ Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
 
 _AT_ONCE = 32  # elements that are condensed at once, so that arrays stay in the cache
+_ZERO = 1e-12  # values of functions on a face that are rounding
 _MISSED = 0.1  # share of the energy between the points; potentials err least with 0.01 to 0.1
 
 
@@ -89,9 +90,10 @@ class Assembly:
         points: quadrature points of the cells, (cells, q, 3) [m].
         facet_points, facet_normals: of the pieces, (pieces, q, 3) [m], (pieces, 1, 3).
         facet_electrode: electrode of each piece, (pieces,).
-        facet_owners: element whose boundary each piece is part of, (pieces,).
-        facet_numbers: unknowns of that element, (pieces, functions).
-        facet_shape: values of the element's functions, (pieces, functions, q).
+        facet_functions: functions of an element that are not zero on each piece of its boundary,
+            and others up to the same number, (pieces, functions).
+        facet_numbers: unknowns of these functions, (pieces, functions).
+        facet_shape: values of the functions, (pieces, functions, q).
         facet_weights: quadrature weights, (pieces, q) [m2].
     """
 
@@ -155,7 +157,6 @@ class Assembly:
         self.electrodes = len(contacts.facets)
         self.facet_electrode: Indices = contacts.electrode
         owners = contacts.cell // space.element.cells
-        self.facet_owners: Indices = owners
         corners = contacts.corners
         across, along = corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0]
         shape = skfem.refdom.RefTri if corners.shape[1] == 3 else skfem.refdom.RefQuad
@@ -170,14 +171,17 @@ class Assembly:
         self.facet_normals: Array = (normals / lengths[:, None])[:, None]
         values = space.element.values(space.reference(owners, self.facet_points))
         values = values[: space.numbers.shape[1]].swapaxes(0, 1)
-        self.facet_shape: Array = np.ascontiguousarray(values)
-        self.facet_numbers: Indices = space.numbers[owners]
+        is_zero = np.abs(values).max(axis=2) < _ZERO
+        count = int((~is_zero).sum(axis=1).max())
+        self.facet_functions: Indices = np.argsort(is_zero, axis=1, kind="stable")[:, :count]
+        self.facet_shape: Array = np.take_along_axis(values, self.facet_functions[..., None], 1)
+        self.facet_numbers: Indices = space.numbers[owners[:, None], self.facet_functions]
         self.facet_weights: Array = contacts.areas[:, None] * (weights / weights.sum())
         self._facet_rows, self._facet_columns = self._lower(self.facet_numbers)
 
     def _lower(self, unknowns: Indices) -> tuple[Indices, Indices]:
         """Rows and columns, row >= column, for every pair of an element's unknowns, flattened."""
-        i, j = self._pairs
+        i, j = np.tril_indices(unknowns.shape[1])
         first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
         return np.maximum(first, second), np.minimum(first, second)
 

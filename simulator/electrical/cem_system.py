@@ -183,7 +183,8 @@ def _ground(assembly: Assembly) -> int:
     own = np.flatnonzero(assembly.facet_electrode == 0)
     loads = np.einsum("fiq,fq->fi", assembly.facet_shape[own], assembly.facet_weights[own])
     # Grounding a function whose coefficient in a constant potential is zero would fix nothing.
-    loads = np.where(assembly.constant != 0.0, loads, -np.inf)
+    functions = assembly.facet_functions[own]
+    loads = np.where(assembly.constant[functions] != 0.0, loads, -np.inf)
     piece, function = np.unravel_index(loads.argmax(), loads.shape)
     return int(assembly.facet_numbers[own][piece, function])
 
@@ -191,14 +192,14 @@ def _ground(assembly: Assembly) -> int:
 def _lift(assembly: Assembly) -> tuple[Array, NDArray[np.bool_]]:
     """Lifting functions E (unknowns, electrodes), and the electrodes that have an exact one."""
     E = np.zeros((assembly.unknowns, assembly.electrodes))
-    outer = assembly.facet_numbers.shape[1]
     touching = np.abs(assembly.facet_shape).max(axis=2) > 1e-12
     heights = assembly.contacts.corners[..., 2]
     for electrode in range(assembly.electrodes):
         own = np.flatnonzero(assembly.facet_electrode == electrode)
-        one = assembly.space.element.indicator(heights[own].min(), heights[own].max())[:outer]
-        piece, function = np.nonzero(touching[own] & (one != 0.0))
-        E[assembly.facet_numbers[own[piece], function], electrode] = one[function]
+        one = assembly.space.element.indicator(heights[own].min(), heights[own].max())
+        values = np.where(touching[own], one[assembly.facet_functions[own]], 0.0)
+        is_set = values != 0.0
+        E[assembly.facet_numbers[own][is_set], electrode] = values[is_set]
     on = np.einsum("fiq,fie->fqe", assembly.facet_shape, E[assembly.facet_numbers])
     wanted = np.eye(assembly.electrodes)[assembly.facet_electrode][:, None]
     wrong = np.abs(on - wanted).max(axis=(0, 1))

@@ -24,7 +24,7 @@ OrderName = Literal["block Cholesky", "nested dissection"]
 # faster below 1.3e3 and dissection above 2e3, on rectangles and discs of 3,000 to 27,000 unknowns.
 _STRIP_WORK = 1.5e3
 _SAME = 1e-6  # of the extent, by which positions of elements beside each other differ
-_LEAF = 360  # unknowns, about, whose elements are not dissected further
+_LEAF = 240  # unknowns, about, whose elements are not dissected further
 
 
 @dataclass(frozen=True, slots=True, eq=False)

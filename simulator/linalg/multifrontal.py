@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack, ldl, solve_triangular
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.elimination_order import Block
@@ -28,18 +28,17 @@ _STRIP = 256  # rows of a Schur complement that are computed at once
 _SHORTEST_RUN = 15  # rows, in the mean, of runs that are added one by one
 
 
-class Run(NamedTuple):
-    """Rows of a Schur complement that are added to a front together.
+class Addition(NamedTuple):
+    """Part of a Schur complement that is added to a front.
 
     Attributes:
-        here: the rows of the complement.
-        there: their places among the front's own unknowns, or in its border.
-        own: whether they are own unknowns.
+        block: number of the block: of own unknowns, of the border below these, or of the border.
+        there, here: rows and columns of the block, and of the complement.
     """
 
-    here: slice
-    there: Places
-    own: bool
+    block: int
+    there: tuple[Any, Any]
+    here: tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +53,7 @@ class Front:
         size, outer: number of own unknowns, and of those in the border.
         coupled: number of the last own unknowns, which alone are coupled to the border before any
             of the own ones are eliminated.
-        within: fronts whose Schur complements are added, each with the runs of its border here.
+        within: fronts whose Schur complements are added, each with the parts that are added.
         entries: the front's part of the matrix entries, which are sorted by column.
         positions: of these entries in the matrix (own, own), column by column, then in the matrix
             (border, coupled) below.
@@ -66,7 +65,7 @@ class Front:
     size: int
     outer: int
     coupled: int
-    within: tuple[tuple[int, tuple[Run, ...]], ...]
+    within: tuple[tuple[int, tuple[Addition, ...]], ...]
     entries: slice
     positions: Indices
     inherits: bool
@@ -109,12 +108,14 @@ class MultifrontalSolver:
         rank[self._order] = np.arange(len(rank))
         # Each entry belongs to the front that eliminates the first of its two unknowns.
         first, second = (ends(rank[rows], rank[columns]) for ends in (np.minimum, np.maximum))
-        self._gather = np.lexsort((second, first))
-        first, second = first[self._gather], second[self._gather]
+        gather = np.lexsort((second, first))
+        first, second = first[gather], second[gather]
         new = np.append(True, (np.diff(first) != 0) | (np.diff(second) != 0))
-        self._runs = np.flatnonzero(new)
-        ends = np.searchsorted(first[self._runs], np.arange(len(rank) + 1))
-        self.fronts = list(_fronts(blocks, ends, second[self._runs]))
+        runs = np.flatnonzero(new)
+        summed = np.ones(len(gather)), gather, np.append(runs, len(gather))
+        self._sums = csr_array(summed, (len(runs), len(gather)))
+        ends = np.searchsorted(first[runs], np.arange(len(rank) + 1))
+        self.fronts = list(_fronts(blocks, ends, second[runs]))
 
     def factorise(self, values: Numbers) -> "Factors":
         """Factorise the matrix with these values."""
@@ -130,8 +131,7 @@ class MultifrontalSolver:
         return total
 
     def _factors(self, values: Numbers) -> Iterator[_Factor]:
-        entries = np.add.reduceat(values[self._gather], self._runs)
-        return _eliminated(self.fronts, entries, not np.iscomplexobj(values))
+        return _eliminated(self.fronts, self._sums @ values, not np.iscomplexobj(values))
 
 
 class Factors:
@@ -248,10 +248,10 @@ def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[F
         local[start:stop], local[border] = np.arange(size), size + np.arange(outer)
         columns = np.repeat(np.arange(size), np.diff(ends[start : stop + 1]))
         row = local[rows[entries]]
-        within = tuple((child, tuple(_runs(local[rim], size))) for child, rim in inner)
         rims = [local[rim] for _, rim in inner if len(rim)]
         lowest = [int(rim[0]) for rim in rims if rim[-1] >= size]
         first = min([size, *columns[row >= size].tolist(), *lowest])
+        within = tuple((child, tuple(_additions(local[rim], size, first))) for child, rim in inner)
         below = size * size + (columns - first) * outer + row - size
         yield Front(
             own=slice(start, stop),
@@ -268,18 +268,34 @@ def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[F
         start = stop
 
 
-def _runs(rows: Indices, size: int) -> Iterator[Run]:
-    """Runs of rising rows of a front with `size` own unknowns, one for each slice of rows.
+def _additions(rows: Indices, size: int, first: int) -> Iterator[Addition]:
+    """Parts of the lower triangle of a complement, whose rows rise to `rows` of a front.
 
-    Where these are many, there is one run for all own unknowns and one for all of the border.
+    Args:
+        rows: of the front, own unknowns first.
+        size: number of own unknowns.
+        first: own unknown where the columns of the block below begin.
+
+    There is one part for each pair of slices of rows; where these are many, the own unknowns and
+    the border count as one each.
     """
     split = int(np.searchsorted(rows, size))
     breaks = np.union1d(np.flatnonzero(np.diff(rows) != 1) + 1, split)
     if _SHORTEST_RUN * len(breaks) > len(rows):
         breaks = np.array([split])
-    for first, last in pairwise([0, *breaks[(breaks > 0) & (breaks < len(rows))], len(rows)]):
-        own = first < split
-        yield Run(slice(first, last), _as_slice(rows[first:last] - (0 if own else size)), own)
+    ends = pairwise([0, *breaks[(breaks > 0) & (breaks < len(rows))], len(rows)])
+    runs = [(slice(start, stop), start < split) for start, stop in ends]
+    for number, (one, is_own) in enumerate(runs):
+        for other, is_column_own in runs[: number + 1]:
+            block = 0 if is_own else 1 if is_column_own else 2
+            shifts = (0, size, size)[block], (0, first, size)[block]
+            places = [
+                _as_slice(rows[run] - shift)
+                for run, shift in zip((one, other), shifts, strict=True)
+            ]
+            if isinstance(places[0], np.ndarray) and isinstance(places[1], np.ndarray):
+                places[0] = places[0][:, None]
+            yield Addition(block, (places[0], places[1]), (one, other))
 
 
 def _as_slice(numbers: Indices) -> Places:
@@ -293,47 +309,24 @@ def _eliminated(fronts: Iterable[Front], entries: Numbers, definite: bool) -> It
     complements: dict[int, Numbers] = {}
     for number, front in enumerate(fronts):
         size, outer, coupled = front.size, front.outer, front.coupled
-        values, positions, inside = entries[front.entries], front.positions, size * size
+        inside = size * size
+        values = np.zeros(inside + outer * coupled, dtype=entries.dtype)
+        values[front.positions] = entries[front.entries]
         if front.inherits:
-            first = complements.pop(front.within[0][0]).T.ravel()
-        else:
-            first = np.zeros(inside, dtype=entries.dtype)
-        last = np.zeros(outer * coupled, dtype=entries.dtype)
-        is_own = positions < inside
-        first[positions[is_own]] += values[is_own]
-        last[positions[~is_own] - inside] = values[~is_own]
-        own, below = first.reshape(size, size).T, last.reshape(coupled, outer).T
+            values[:inside] += complements.pop(front.within[0][0]).T.ravel()
+        own = values[:inside].reshape(size, size).T
+        below = values[inside:].reshape(coupled, outer).T
         corner = np.zeros((outer, outer), dtype=entries.dtype, order="F")
-        for inner, runs in () if front.inherits else front.within:
-            _add_lower((own, below, corner), runs, complements.pop(inner))
+        blocks = own, below, corner
+        for inner, parts in () if front.inherits else front.within:
+            complement = complements.pop(inner)
+            for block, there, here in parts:
+                blocks[block][there] += complement[here]
         if definite:
             factor, complements[number] = _cholesky_front(front, own, below, corner)
         else:
             factor, complements[number] = _ldl_front(front, own, below, corner)
         yield factor
-
-
-def _add_lower(
-    front: tuple[Numbers, Numbers, Numbers], runs: tuple[Run, ...], complement: Numbers
-) -> None:
-    """Add the lower triangle of a Schur complement to a front's own, lower and last block."""
-    own, below, corner = front
-    first = len(own) - below.shape[1]
-    for number, row in enumerate(runs):
-        for column in runs[: number + 1]:
-            target = corner if not column.own else own if row.own else below
-            there = column.there
-            if column.own and not row.own:
-                there = (
-                    slice(there.start - first, there.stop - first)
-                    if isinstance(there, slice)
-                    else there - first
-                )
-            at = row.there, there
-            if isinstance(at[0], np.ndarray) and isinstance(at[1], np.ndarray):
-                target[at[0][:, None], at[1]] += complement[row.here, column.here]
-            else:
-                target[at] += complement[row.here, column.here]
 
 
 def _cholesky_front(
