@@ -14,11 +14,11 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel("i8(f8[::1], f8, i8, f8[::1], f8[::1])")
-def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> int:
-    """Number of the first of four splines at x, after the cell that was found last.
+@kernel("i8(f8[::1], f8, i8, f8[::1])")
+def functions(t: Array, x: float, cell: int, values: Array) -> int:
+    """Number of the cell of x among the knots `t`, after the cell that was found last.
 
-    Sets the values and the slopes of the four; `t` are the knots.
+    Sets the values of its four splines, and after these their slopes, (8,).
     """
     last = len(t) - 5
     while cell < last and x >= t[cell + 1]:
@@ -34,8 +34,8 @@ def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> in
     p, q, s = a / (r1 + l3), b / (r2 + l2), c / (r3 + l1)
     values[0], values[1] = r1 * p, l3 * p + r2 * q
     values[2], values[3] = l2 * q + r3 * s, l1 * s
-    slopes[0], slopes[1] = -3.0 * p, 3.0 * (p - q)
-    slopes[2], slopes[3] = 3.0 * (q - s), 3.0 * s
+    values[4], values[5] = -3.0 * p, 3.0 * (p - q)
+    values[6], values[7] = 3.0 * (q - s), 3.0 * s
     return cell
 
 
@@ -53,21 +53,22 @@ def sum_up(
 ) -> int:
     """Sums at (x, y) of a field and its slopes by x and y, (3, 12), of powers of the level.
 
-    Returns the cell along x and y as one number; `values` (4, 4) is room.
+    Returns the cell along x and y as one number; `values` (2, 8) is room.
     """
-    a, da, b, db = values[0], values[1], values[2], values[3]
-    i = functions(tx, x, i, a, da)
-    j = functions(ty, y, j, b, db)
-    sums[:] = 0.0
-    for p in range(4):
-        row = coefficients[i - 3 + p, j - 3 : j + 1]
-        for m in range(12):  # a fixed number of turns takes half the time of any number
-            c0, c1, c2, c3 = row[0, m], row[1, m], row[2, m], row[3, m]
-            value = b[0] * c0 + b[1] * c1 + b[2] * c2 + b[3] * c3
-            by_y = db[0] * c0 + db[1] * c1 + db[2] * c2 + db[3] * c3
-            sums[0, m] += a[p] * value
-            sums[1, m] += da[p] * value
-            sums[2, m] += a[p] * by_y
+    a, b = values[0], values[1]
+    i, j = functions(tx, x, i, a), functions(ty, y, j, b)
+    for m in range(12):
+        sum_0 = sum_x = sum_y = 0.0
+        for p in range(4):  # fixed numbers of turns take half the time of any number
+            value = by_y = 0.0
+            for q in range(4):
+                c = coefficients[i - 3 + p, j - 3 + q, m]
+                value += b[q] * c
+                by_y += b[4 + q] * c
+            sum_0 += a[p] * value
+            sum_x += a[4 + p] * value
+            sum_y += a[p] * by_y
+        sums[0, m], sums[1, m], sums[2, m] = sum_0, sum_x, sum_y
     return i * 65536 + j
 
 
@@ -110,7 +111,7 @@ def add_field(
         points: undeformed.
         places, gradients: added to.
     """
-    values, sums = np.empty((4, 4)), np.empty((3, 12))
+    values, sums = np.empty((2, 8)), np.empty((3, 12))
     slope, u = np.empty((3, 3)), np.empty(3)
     ox, oy, c, s = frame
     ends = tx[0], tx[-1], ty[0], ty[-1]
@@ -233,7 +234,7 @@ def bend(
         coefficients: as of `add_field`.
         places, gradients: replaced.
     """
-    values, sums = np.empty((4, 4)), np.empty((3, 12))
+    values, sums = np.empty((2, 8)), np.empty((3, 12))
     slope, u, at, beyond = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     cells, before_x, before_y, rate = 3 * 65536 + 3, np.nan, np.nan, 1.0 / box[1, 2]
     for n in range(len(places)):

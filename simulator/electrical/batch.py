@@ -159,7 +159,7 @@ class BatchSolver:
             self._factors.solve(x)
             self.solutions += len(active)
             for place, scene in active.items():
-                scene.extend(x[:, places[place]].astype(np.float64))
+                scene.extend(x[:, places[place]])
             _advance(active.values())
             for place, scene in list(active.items()):
                 if scene.ended:
@@ -199,35 +199,38 @@ class _Projection:
         self._B, self.D = np.real(B)[solver.order], np.real(D)
         self._scale = 1.0 / np.abs(self._B).max()
         electrodes = len(self.D)
-        self._blocks: list[tuple[Array, Array]] = []
+        self._V, self._AV = np.empty((2, _MOST + 1, *self._B.shape))
         self._gram, self._loads = np.zeros((0, 0)), np.zeros((0, electrodes))
         self._impedances: list[Array] = []
         self._changes = [np.inf]
         self._converged = self.ended = False
         self.extend(base.potentials)
 
-    def extend(self, V: Array) -> None:
+    def extend(self, more: Numbers) -> None:
         """Add vectors (unknowns, k) to the space, and find the solution in it."""
-        solver = self._solver
-        AV = np.real(solver.elements.product(self._matrices, V))
-        AV += np.real(solver.facets.product(self._pieces, V))
+        solver, own = self._solver, len(self._gram)
+        count, size = own // more.shape[1], own + more.shape[1]
+        V, AV = self._V[count], self._AV[count]
+        V[:] = more
+        AV[:] = solver.elements.product(self._matrices, V)
+        AV += solver.facets.product(self._pieces, V)
         AV[solver.ground] += solver.grounded * V[solver.ground]
-        self._blocks.append((V, AV))
-        own, size = len(self._gram), len(self._gram) + V.shape[1]
         gram = np.empty((size, size))
         gram[:own, :own] = self._gram
-        column = np.concatenate([each.T @ AV for each, _ in self._blocks])
+        column = (self._V[: count + 1].swapaxes(1, 2) @ AV).reshape(size, -1)
         gram[:, own:], gram[own:] = column, column.T
         self._gram = gram
         self._loads = np.concatenate([self._loads, V.T @ self._B])
         self._found, self.T = projected(gram, self._loads, _DEPENDENT[self._kind])
 
+    def _combined(self, vectors: Array) -> Array:
+        """Galerkin solution of blocks of vectors, (blocks, unknowns, k)."""
+        parts = self._found.reshape(-1, *self.D.shape)
+        return np.asarray((vectors[: len(parts)] @ parts).sum(axis=0))
+
     def residual(self) -> Array:
         """B - A w, (unknowns, electrodes), over the largest number of B."""
-        parts = np.split(self._found, len(self._blocks))
-        residual = self._B - sum(AV @ own for (_, AV), own in zip(self._blocks, parts, strict=True))
-        residual *= self._scale
-        return residual
+        return (self._B - self._combined(self._AV)) * self._scale
 
     def advance(self, Z: Array) -> None:
         """Judge the impedances [ohm] of the present space."""
@@ -247,10 +250,7 @@ class _Projection:
         """Last solution; None where the corrections have not converged."""
         if not self._converged:
             return None
-        w = np.zeros((0, len(self.D)))
-        if potentials:
-            parts = np.split(self._found, len(self._blocks))
-            w = np.sum([V @ own for (V, _), own in zip(self._blocks, parts, strict=True)], axis=0)
+        w = self._combined(self._V) if potentials else np.zeros((0, len(self.D)))
         return Solution(self._impedances[-1], w, self.D - 0.5 * (self.T + self.T.T))
 
 
