@@ -25,7 +25,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.forward_models import PEERS, PointElectrodeModel, drops, has_pyeit
+from eitskin.benchmarks.forward_models import (
+    PEERS,
+    Frame,
+    PointElectrodeModel,
+    drops,
+    has_pyeit,
+    model_frame,
+)
 from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
@@ -34,7 +41,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.sensor import Plates, SensorDesign
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.stage import Script, Step
 from eitskin.simulator.electrical.batch import TOLERANCE
@@ -78,6 +85,7 @@ class Workload:
         specimens: whether every `PER_SPECIMEN` scenes have a specimen of their own.
         electrodes: at equal distances around the reference's rectangle.
         disc: whether the sensor is a disc on a hinge, which is bent alone.
+        plates: whether it rests on plates; scenes are those that tables hold.
     """
 
     name: str
@@ -88,6 +96,7 @@ class Workload:
     specimens: bool = False
     electrodes: int = 8
     disc: bool = False
+    plates: bool = False
 
     def simulators(self, count: int) -> Iterator[Simulator]:
         """Simulator of each scene."""
@@ -111,6 +120,7 @@ WORKLOADS = (
     Workload("one touch, specimens of their own", specimens=True),
     Workload("one touch, specimens, resolution `coarse`", resolution="coarse", specimens=True),
     Workload("one touch, each solved by itself", tolerance=0.0),
+    Workload("one touch, on plates", plates=True),
     Workload("one touch, 16 electrodes", electrodes=16),
     Workload("one touch, 32 electrodes", electrodes=32),
     Workload("no touch, a disc", touches=(0, 0), disc=True),
@@ -139,15 +149,17 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
     """Scenes of random presses; scenes that share a bend follow each other."""
     rng = np.random.default_rng(seed)
     outline = Rectangle(0.150, 0.060)
-    found = []
-    for number in range(count):
-        if number % workload.per_bend == 0:
+    found: list[Scene] = []
+    while len(found) < count:
+        if len(found) % workload.per_bend == 0:
             bend = Bend(float(rng.uniform(*ANGLES)))
         places = draw_positions(
             int(rng.integers(*workload.touches, endpoint=True)), outline, 0.01, 0.03, rng
         )
         touches = tuple(Touch(float(x), float(y), float(rng.uniform(*FORCES))) for x, y in places)
-        found.append(Scene(bend, touches))
+        scene = Scene(bend, touches, support=Plates() if workload.plates else None)
+        if not workload.plates or not _simulator("coarse", 8, False).solves_presses(scene):
+            found.append(scene)
     return found
 
 
@@ -178,24 +190,26 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
 
 def signal_errors(workload: Workload) -> Array:
     """Relative errors of the signals of some scenes, (JUDGED,)."""
-    judged = dataclasses.replace(workload, per_bend=1, specimens=False)
-    truth = _true_signals(judged.touches, judged.electrodes, judged.disc)
+    judged = dataclasses.replace(workload, name="", per_bend=1, specimens=False)
+    few = judged.electrodes == len(SensorDesign.reference().electrodes) and not judged.disc
+    finest: Resolution = "fine" if few else "standard"
+    truth = _true_signals(dataclasses.replace(judged, resolution=finest, tolerance=_TRUE))
     missed = _signals(judged) - truth
     found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return found
 
 
 @cache
-def _true_signals(touches: tuple[int, int], electrodes: int, disc: bool) -> Array:
-    few = electrodes == len(SensorDesign.reference().electrodes) and not disc
-    truth = Workload("", touches, resolution="fine" if few else "standard", tolerance=_TRUE)
-    return _signals(dataclasses.replace(truth, electrodes=electrodes, disc=disc))
+def _true_signals(workload: Workload) -> Array:
+    return _signals(workload)
 
 
 def _signals(workload: Workload) -> Array:
     """Signals of the judged scenes' touches, or of bends without, [ohm], (JUDGED, measurements)."""
     some = scenes(workload, JUDGED, 99)
-    others = [Scene(scene.bend if scene.touches else Bend(0.0)) for scene in some]
+    others = [
+        Scene(scene.bend if scene.touches else Bend(0.0), support=scene.support) for scene in some
+    ]
     measured = _measured(workload, [*some, *others])
     changes: Array = measured[:JUDGED] - measured[JUDGED:]
     return changes
@@ -234,18 +248,58 @@ LIVE_SCENES = {
 """What a live board shows when its rate is measured, by name."""
 
 
-def pyeit(seed: int, count: int = 5) -> dict[str, float]:
-    """Nodes and median processor time of a scene by pyEIT; nothing where it is not installed."""
+PEER_CASES = {"pyEIT": PEERS[0], "pyEIT, fine": PEERS[1], "pyEIT, plane": PEERS[2]}
+
+
+def pyeit(seed: int, name: str) -> dict[str, float]:
+    """Nodes and time of an impedance matrix by pyEIT; nothing where it is not installed."""
     if not has_pyeit():
         return {}
-    design, case = SensorDesign.reference(), PEERS[0]
-    model = PointElectrodeModel(design, ForwardModel(design, case.resolution).mesh, False)
-    frame, times = model.frame(design.conductivity), []
-    for drop in drops(design, seed, count):
+    design, case = SensorDesign.reference(), PEER_CASES[name]
+    plane = case.family.startswith("squares")
+    model = PointElectrodeModel(design, ForwardModel(design, case.resolution).mesh, plane)
+    return {f"{name}.nodes": model.nodes} | _matrix_ms(name, model.frame(design.conductivity), seed)
+
+
+def impedance(seed: int, resolution: Resolution) -> dict[str, float]:
+    """Unknowns and time of an impedance matrix at a resolution."""
+    name, model = (
+        f"impedance matrix, {resolution}",
+        ForwardModel(SensorDesign.reference(), resolution),
+    )
+    return {f"{name}.unknowns": model.unknowns} | _matrix_ms(name, model_frame(model), seed)
+
+
+def _matrix_ms(name: str, frame: Frame, seed: int) -> dict[str, float]:
+    """Median processor time of the frames of some drops of the conductivity [ms]."""
+    times = []
+    for drop in drops(SensorDesign.reference(), seed):
         start = time.process_time()
         frame(drop)
         times.append(time.process_time() - start)
-    return {"pyEIT.nodes": model.nodes, "pyEIT.scene_ms": 1e3 * float(np.median(times))}
+    return {f"{name}.matrix_ms": 1e3 * float(np.median(times))}
+
+
+def floor() -> dict[str, float]:
+    """Operations of a scene that is solved by itself, and their time at the rate of products."""
+    model = ForwardModel(SensorDesign.reference(), "fast")
+    space, fronts = model.assembly.space, model.solver.fronts
+    outer, inner, points = space.numbers.shape[1], space.element.inner, len(space.rule.weights)
+    entries = (outer + inner) * (outer + inner + 1) // 2
+    element = 12 * points * entries + inner**3 // 3 + inner**2 * outer + inner * outer**2
+    operations = len(space.numbers) * element + sum(
+        front.size**3 // 3 + front.coupled**2 * front.outer + front.coupled * front.outer**2
+        for front in fronts
+    )
+    found = {"floor.million_operations": 1e-6 * operations}
+    for name, kind in {"double": np.float64, "single": np.float32}.items():
+        square, times = np.ones((1500, 1500), dtype=kind), []
+        for _ in range(5):
+            start = time.process_time()
+            _ = square @ square
+            times.append(time.process_time() - start)
+        found[f"floor, {name}.ms"] = 1e3 * operations * min(times) / (2 * len(square) ** 3)
+    return found
 
 
 def recipe(frames: int) -> Recipe:
@@ -320,10 +374,17 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
         rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
     found: dict[str, float] = {}
     with one_thread():
-        for solve in watch("pyEIT", [pyeit]):
-            found |= solve(seed)
-        if found:
-            found["pyEIT.times_longer"] = found["pyEIT.scene_ms"] / rates[0].scene_ms
+        for name in watch("pyEIT", list(PEER_CASES)[: 1 if quick else None]):
+            found |= pyeit(seed, name)
+        names: tuple[Resolution, ...] = ("fast",) if quick else ("fast", "standard", "fine")
+        for resolution in watch("impedance matrices", names):
+            found |= impedance(seed, resolution)
+        found |= floor()
+        own = {"pyEIT, fine": found.get("impedance matrix, standard.matrix_ms")}
+        for name in PEER_CASES:
+            if f"{name}.nodes" in found:
+                compared = own.get(name) or rates[0].scene_ms
+                found[f"{name}.times_longer"] = found[f"{name}.matrix_ms"] / compared
         for name in watch("pipeline", list(LIVE_SCENES)):
             found |= frame_time(name, frames, seed)
     for make in watch("datasets", [generation]):

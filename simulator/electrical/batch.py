@@ -230,7 +230,8 @@ class _Projection:
 
     def residual(self) -> Array:
         """B - A w, (unknowns, electrodes), over the largest number of B."""
-        return (self._B - self._combined(self._AV)) * self._scale
+        residual: Array = (self._B - self._combined(self._AV)) * self._scale
+        return residual
 
     def advance(self, Z: Array) -> None:
         """Judge the impedances [ohm] of the present space."""

@@ -11,9 +11,9 @@ from eitskin.benchmarks.speed import WORKLOADS, Rate, Workload
 
 @pytest.mark.slow
 def test_rates_stand_beside_errors_and_ratios_are_of_one_run(tmp_path, monkeypatch):
-    peer = {"pyEIT.nodes": 1989, "pyEIT.scene_ms": 90.0}
+    peer = {"pyEIT.nodes": 1989, "pyEIT.matrix_ms": 90.0}
     monkeypatch.setattr(speed, "rate", lambda workload, *_: Rate(workload.name, 80, 20, 0.01, 0.02))
-    monkeypatch.setattr(speed, "pyeit", lambda _: peer)
+    monkeypatch.setattr(speed, "pyeit", lambda *_: peer)
     monkeypatch.setattr(speed, "generation", lambda *_: {"memory, large.mb": 201.0})
     monkeypatch.setattr(speed, "frame_time", lambda name, *_: {f"pipeline, {name}.p99_ms": 9.0})
     printed = printed_json("bench", "speed", "--quick", "--seed", "2", "--out", tmp_path)
