@@ -23,8 +23,6 @@ _MOST_BYTES = 1 << 24
 NAME, VERSION = "skinbench", 2
 _DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
-RECORDING_SHA256 = "4bd805972f635f3e38884d42385b8b5a020c27abfc8f90550fdee9166d80c3a6"
-"""Of `ohmc8.mat` (DSHardman/HydrogelEIT), the frames of the track `real`."""
 _PAGE = f"""# {NAME}, version {VERSION}
 
 A benchmark set for methods of electrical-impedance skin: frozen recipes, fixed scores, one file of

@@ -69,15 +69,6 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_every_file_of_a_folder_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    synced = []
-    monkeypatch.setattr("eitskin.files.sync", lambda path: synced.append(path.name))
-    with atomic_folder(tmp_path / "out") as folder:
-        (folder / "inner").mkdir()
-        (folder / "inner" / "file").write_text("content")
-    assert {"inner", "file"} <= set(synced)
-
-
 @pytest.mark.parametrize(
     ("error", "raised"),
     [

@@ -5,8 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from touched_dataset import touched_dataset
 
-from eitskin.datasets import Dataset, State
+from eitskin.datasets import State
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
@@ -49,21 +50,17 @@ class LinearSensor:
         angle = np.where(bent, rng.uniform(5, 50, n) * rng.choice([-1, 1], n), 0.0)
         places = rng.uniform([0.02, 0.012], [0.13, 0.048], size=(n, 2))
         touched = state == State.TOUCH
-        xy = np.full((2, n, 4), np.nan)
-        xy[:, touched, 0] = places[touched].T
         frames = [
             self.impedance(angle[i], places[i] if touched[i] else None, rng) for i in range(n)
         ]
-        return Dataset.from_arrays(
-            np.array(frames),
+        return touched_dataset(
+            frames,
             self.flat,
+            [places[i : i + touched[i]] for i in range(n)],
             touch_reference=np.array([self.impedance(a, None, rng) for a in angle]),
-            specimen=np.zeros(n),
             state=state,
             bend_angle_deg=angle,
-            touch_x=xy[0],
-            touch_y=xy[1],
-            touch_radius=np.where(np.isfinite(xy[0]), 0.0075, np.nan),
+            touch_radius=np.where(touched[:, None] & (np.arange(4) == 0), 0.0075, np.nan),
             protocol=self.protocol,
             source="simulated",
             design=SensorDesign.reference(),
