@@ -83,47 +83,37 @@ def test_a_member_that_needs_no_key_is_known_by_its_name(text, base, written):
     assert parse_toml(Standing, written) == found
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("base = 'plan'", "'plain' or 'spaced' or a table, Spaced .* got 'plan'; .*'plain'"),
-        ("base = 'box'", r"Box \(length, \[width\]\), got 'box'"),
-        ("base = { gap = 2, width = 1 }", "got gap, width"),
-        ("base = 3", r"table, Spaced .* got `int`"),
-    ],
-)
-def test_a_name_that_no_member_has_is_refused(text, message):
-    with pytest.raises(ConfigurationError, match=message):
-        parse_toml(Standing, text)
+@pytest.mark.parametrize("text", ["'plan'", "'box'", "{ gap = 2, width = 1 }", "3"])
+def test_a_name_that_no_member_has_is_refused(text):
+    with pytest.raises(ConfigurationError, match=r"base: .*Spaced \(\[gap\]\) or Box \(length"):
+        parse_toml(Standing, f"base = {text}")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("shape = { radus = 2 }", r"shape: .*Ball .* or Box \(length, \[width\]\), .*'radius'"),
-        ("shape = { radius = 2, width = 1 }", "got radius, width$"),
-        ("shape = {}", "got no keys"),
-        ("shape = 'ball'", r"table, Ball \(radius\) or .*`str`"),
-        ("shape = { radius = 'big' }", r"shape.radius:.*`float`, got `str`"),
-        ("shape = { radius = 1 }\nparts = [{ radius = 1 }, { radus = 1 }]", r"parts\[1\]: unknown"),
-        ("shape = { radius = 1 }\nparts = [{ }]", r"parts\[0\]: missing .*`radius`"),
-        ("shape = { radius = 1 }\nparts = { radius = 1 }", r"parts: .*`dict`.*\[\[parts\]\]"),
-        ("shape = { radius = 1 }\nparts = 3", r"parts: .*`array`, got `int`$"),
-        ("shape = { radius = 1 }\nspare = 3", r"spare: .*table \(radius\), got `int`"),
-        ("z = 1", "`shape`"),
-        ("shape = { radius = nan }", r"shape.radius:.*finite.*got nan"),
-        ("shape = { radius = 1 }\nnumbers = [1, -inf]", r"numbers\[1\]:.*finite .*-inf"),
-        ("shape = { radius = 1 }\nz = [1, nan]", "z: expected a finite number"),
-        ("shape = { radius = 1 }\nz = [1, 2, 3]", "z: .*length 2"),
-        ("shape = { radius = 1 }\nz = '1+2j'", r"z: .*`float`, got `str`"),
-        ("shape = { radius = 1 }\nfile = 3", "file: Expected `str`"),
-        ("shape = { radius = 1 }\nside = 'up'", r"side:.*'left'.*'right', got 'up'"),
-        ("shape = { radius = 1 }\nside = [1]", r"side:.*'left'.*'right', got \[1\]"),
+BALL = "shape = { radius = 1 }\n"
+WRONG = {
+    "shape: .*did you mean 'radius'": ["shape = { radus = 2 }"],
+    r"shape: .*Ball \(radius\) or Box": [
+        *("shape = { radius = 2, width = 1 }", "shape = {}", "shape = 'ball'")
     ],
-)
-def test_what_does_not_fit_is_named_with_its_place(text, message):
-    with pytest.raises(ConfigurationError, match=message):
-        thing(text)
+    r"shape\.radius: ": ["shape = { radius = 'big' }", "shape = { radius = nan }"],
+    r"parts\[1\]: unknown": [f"{BALL}parts = [{{ radius = 1 }}, {{ radus = 1 }}]"],
+    r"parts\[0\]: missing .*`radius`": [f"{BALL}parts = [{{ }}]"],
+    r"parts: .*`dict`.*\[\[parts\]\]": [f"{BALL}parts = {{ radius = 1 }}"],
+    "parts: .*`array`, got `int`$": [f"{BALL}parts = 3"],
+    r"spare: .*table \(radius\), got `int`": [f"{BALL}spare = 3"],
+    "`shape`": ["z = 1"],
+    r"numbers\[1\]:.*finite .*-inf": [f"{BALL}numbers = [1, -inf]"],
+    "z: ": [f"{BALL}z = {value}" for value in ("[1, nan]", "[1, 2, 3]", "'1+2j'")],
+    "file: Expected `str`": [f"{BALL}file = 3"],
+    r"side:.*'left'.*'right', got ": [f"{BALL}side = {value}" for value in ("'up'", "[1]")],
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_what_does_not_fit_is_named_with_its_place(message):
+    for text in WRONG[message]:
+        with pytest.raises(ConfigurationError, match=message):
+            thing(text)
 
 
 def test_a_key_that_is_none_in_python_may_be_null():

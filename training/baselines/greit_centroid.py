@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.linalg import norm
 from numpy.typing import NDArray
 
 from eitskin.datasets import State
@@ -78,8 +79,8 @@ class GreitMethod(Method):
         states = tuple(STATE_NAMES.index(name) for name in frames.targets.states)
         bent_above = np.inf if State.BEND not in states else 0.0
         if State.BEND in states and State.IDLE in states:
-            bent_above = best_threshold(size_of(static[~touched]), bent[~touched])
-        thresholds = np.array([best_threshold(size_of(dynamic), touched), bent_above])
+            bent_above = best_threshold(norm(static[~touched], axis=1), bent[~touched])
+        thresholds = np.array([best_threshold(norm(dynamic, axis=1), touched), bent_above])
         progress(cls.KIND, 1, 1)
         radius = float(np.nanmedian(data.touch_radius))
         shown = np.tensordot(dynamic[touched], matrix, 1).reshape(int(touched.sum()), -1)
@@ -95,8 +96,8 @@ class GreitMethod(Method):
     def predict(self, observations: Observations) -> Predictions:
         """Predictions for n frames; probabilities are 0 or 1."""
         dynamic = self.dynamic.fill(observations.dynamic)
-        touched = size_of(dynamic) > self.thresholds[0]
-        bent = size_of(self.static.fill(observations.static)) > self.thresholds[1]
+        touched = norm(dynamic, axis=1) > self.thresholds[0]
+        bent = norm(self.static.fill(observations.static), axis=1) > self.thresholds[1]
         state = np.where(touched, State.TOUCH, np.where(bent, State.BEND, State.IDLE))
         probabilities = np.full((len(state), len(State)), np.nan)
         probabilities[:, self.states] = state[:, None] == self.states
@@ -128,12 +129,6 @@ class GreitMethod(Method):
         settings: TrainingSettings,  # noqa: ARG003  the arrays say all
     ) -> "GreitMethod":
         return cls(**restored_fields(cls, arrays, spec=spec))
-
-
-def size_of(difference: Array) -> Array:
-    """Norms (n,) of dV (n, C)."""
-    size: Array = np.linalg.norm(difference, axis=1)
-    return size
 
 
 def best_threshold(sizes: Array, above: NDArray[np.bool_]) -> float:

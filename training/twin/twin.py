@@ -228,12 +228,7 @@ class PressedTwin:
         return outline.contains(places)
 
     def changes(self, touches: Array, angle_deg: float, radius: float) -> Array:
-        """Changes of log V (n, C) by single touches (n, 3) of x [m], y [m] and force [N].
-
-        Args:
-            touches: one in each row.
-            angle_deg: of the bend, before and during the touches [deg].
-            radius: of the indenter, a cylinder [m].
+        """Changes of log V (n, C); see `TwinPresses.changes`. The indenter is a cylinder.
 
         Raises ConfigurationError for bends or presses that the twin cannot have.
         """
