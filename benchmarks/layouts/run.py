@@ -28,6 +28,7 @@ from eitskin.extras import require
 from eitskin.geometry import ConfigurationError, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware.protocol.frame_parts import PER_PACKET
+from eitskin.training.evaluation.drawing import draw_sensor, new_figure
 
 SEARCH = "search"
 MIRRORED, TURNED = "best with both mirrors", "best with a half turn"
@@ -65,7 +66,6 @@ _DRAWN = (
     ("count", "10 on the rim"),
 )
 _MOST, _ABREAST = 6, 2  # maps
-_ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +207,7 @@ def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
     ends = np.percentile(values, (2, 100))
     scale = require("matplotlib.colors", "bench").LogNorm(*ends.tolist())
     rows = -(-len(shown) // _ABREAST)
-    figure = require("matplotlib.figure", "bench").Figure(
-        figsize=(9.5, 2.05 * rows + 0.4), layout="constrained"
-    )
+    figure = new_figure(9.5, 2.05 * rows + 0.4)
     grid = figure.subplots(rows, _ABREAST, squeeze=False, sharex=True, sharey=True)
     for axes, each in zip(grid.ravel(), shown, strict=False):
         filled = _draw(axes, each, scale)
@@ -231,23 +229,11 @@ def drawn(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
 
 
 def _draw(axes: Any, judged: JudgedLayout, scale: Any) -> Any:
-    patches = require("matplotlib.patches", "bench")
-    bound, design, values = judged.bound, judged.layout.design, 1e3 * judged.bound.place
-    length, width = 1e3 * design.outline.length, 1e3 * design.outline.width
+    bound, values = judged.bound, 1e3 * judged.bound.place
     filled = axes.pcolormesh(1e3 * bound.x, 1e3 * bound.y, values, norm=scale, shading="nearest")
-    axes.add_patch(patches.Rectangle((0.0, 0.0), length, width, fill=False, edgecolor="#444444"))
-    for electrode in design.electrodes:
-        extent = 1e3 * np.array([electrode.width, electrode.height or electrode.width])
-        if electrode.on == "side":
-            upright = electrode.x in (0.0, design.outline.length)
-            extent[:] = (2 * _ON_RIM, extent[0]) if upright else (extent[0], 2 * _ON_RIM)
-        low = 1e3 * np.array([electrode.x, electrode.y]) - extent / 2
-        style = {"facecolor": "#d9a41a", "edgecolor": "black", "linewidth": 0.5}
-        axes.add_patch(patches.Rectangle(low, *extent, clip_on=False, zorder=3, **style))
+    draw_sensor(axes, judged.layout.design)
     title = f"{judged.layout.name}: 90 % below {np.percentile(values, 90):.2f} mm"
     axes.set_title(title, fontsize=9)
-    axes.set(aspect="equal", xlim=(-3, length + 3), ylim=(-3, width + 3))
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
     axes.label_outer()
-    axes.spines[:].set_visible(False)
     return filled
