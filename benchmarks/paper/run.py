@@ -24,8 +24,6 @@ from eitskin.training import Method, Pipeline, TrainingSettings
 from eitskin.training.evaluation.scores import GATE, SSIM_DEFINITION
 from eitskin.training.method.observations import fingerprint
 
-REFERENCE = Path(__file__).parents[2] / "training" / "reference.eitmodel"
-"""The pipeline that comes with the package."""
 BOUNDED, BOUNDED_QUICK = 12, 4  # frames of each kind whose bound is computed
 
 PAPER = "paper's"

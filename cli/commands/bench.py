@@ -214,7 +214,8 @@ def paper(
 
     Frames are kept; a run that was stopped goes on from them.
     """
-    from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
+    from eitskin.benchmarks.paper.run import Contender, run
+    from eitskin.training.pipeline.saved_form import SHIPPED
 
     require_all(training=options.TRAINING, bench="matplotlib")
     contenders = [Contender(each) for each in preset or ()]
@@ -224,7 +225,7 @@ def paper(
     _require_whole(leaderboard, quick)
     with _folder(output, out, "paper") as (folder, progress):
         found = run(
-            pipeline or REFERENCE,
+            pipeline or SHIPPED,
             folder,
             seeds,
             quick,
