@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,8 @@ def generate_missing(
     Progress is that of a `part` of this name. Raises ConfigurationError where `folder` holds
     frames of another recipe.
     """
-
-    def show(done: int, total: int) -> None:
-        progress(part, done, total)
-
-    generate(recipe, folder, workers, show, resume=(folder / "recipe.toml").is_file())
+    resume = (folder / "recipe.toml").is_file()
+    generate(recipe, folder, workers, partial(progress, part), resume=resume)
     return open_dataset(folder)
 
 

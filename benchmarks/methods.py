@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from eitskin.benchmarks.frames import frame_times, generate_missing
+from eitskin.benchmarks.paper.run import Contender
 from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
 from eitskin.datasets import Dataset, Recipe
-from eitskin.training import Method, Pipeline, TrainingSettings
+from eitskin.training import Method, Pipeline
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
 from eitskin.training.method.settings import BASELINES
@@ -54,23 +55,20 @@ def run(
     recipe = small_recipe(*((QUICK_FRAMES, QUICK_SPECIMENS) if quick else (FRAMES, SPECIMENS)))
 
     data = generate_missing(recipe, place, workers, progress, "frames")
-    chosen = presets or (() if methods else BASELINES)
-    asked: list[tuple[str, TrainingSettings, type[Method] | None]] = [
-        *((name, TrainingSettings.preset(name, seed), None) for name in chosen),
-        *((each.KIND, TrainingSettings(seed=seed), each) for each in methods),
-    ]
+    named = [*map(Contender, presets), *(Contender(method=each) for each in methods)]
+    contenders = named or [*map(Contender, BASELINES)]
     rows = []
-    for number, (name, settings, method) in enumerate(asked):
-        progress(name, number, len(asked))
+    for number, each in enumerate(contenders):
+        progress(each.name, number, len(contenders))
         start = time.process_time()
-        pipeline = Pipeline.fit(data, replace(settings, whole_specimens=True), method=method)
+        settings = replace(each.settings(seed), whole_specimens=True)
+        pipeline = Pipeline.fit(data, settings, method=each.method)
         seconds = time.process_time() - start
         unseen = data.select(pipeline.held_out(data))
-        rows.append(_row(name, pipeline, unseen) | {"training_s": seconds})
+        rows.append(_row(each.name, pipeline, unseen) | {"training_s": seconds})
     rows.append(_row("shipped", Pipeline.load(SHIPPED), unseen))
     shown = ReportTable.of(rows, _COLUMNS)
-    options = "".join(f" --preset {name}" for name in presets)
-    options += "".join(f" --method {each.KIND}" for each in methods)
+    options = "".join(f" {each.option}" for each in named)
     specimens = len(np.unique(unseen.specimen))
     return Report(
         results=measured(
