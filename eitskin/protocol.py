@@ -262,11 +262,15 @@ class Protocol:
         Each measurement is a linear functional of the symmetric impedance matrix; the rank is the
         dimension of their span, at most the n (n - 1) / 2 unknowns of the matrix.
         """
+        return int(np.linalg.matrix_rank(self.forms))
+
+    @property
+    def forms(self) -> NDArray[np.float64]:
+        """Linear form of each measurement in Z[i, j], i <= j, (measurements, n (n + 1) / 2)."""
         drive, sense = self.patterns()
         products = np.einsum("im,jm->mij", drive, sense)
         rows, columns = np.triu_indices(self.n_electrodes)
-        functionals = (products + np.swapaxes(products, 1, 2))[:, rows, columns]
-        return int(np.linalg.matrix_rank(functionals))
+        return np.asarray((products + np.swapaxes(products, 1, 2))[:, rows, columns])
 
     def patterns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Drive and sense patterns, each (n_electrodes, measurements), entries -1, 0, +1."""

@@ -63,6 +63,7 @@ def command(
         rows = [(name, f"{frames:,}", about) for name, (frames, about) in known.items()]
         output.result(known, table_of(("recipe", "frames", "content"), rows, box=None))
         return
+    out = out or (Path() if dry_run else None)
     if recipe is None or out is None:
         raise ConfigurationError(
             "no recipe or no --out is named\nexpected eitskin generate RECIPE --out DIR; "

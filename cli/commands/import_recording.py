@@ -95,8 +95,8 @@ def command(
         typer.Option("--differences", help="Values are differences from --touch-reference."),
     ] = False,
     order: Annotated[
-        Literal["given", "rotated", "reversed"] | None,
-        typer.Option(help="Order of readings; rotated starts behind each drive pair."),
+        Literal["given", "rotated", "reversed", "sense-first"] | None,
+        typer.Option(help="Order of readings; rotated: senses start behind each drive pair."),
     ] = None,
     transpose: Annotated[
         bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
@@ -196,6 +196,10 @@ def _tell(
             "unused": list(recording.unused),
         },
         f"{contents['frames']} frames of {contents['channels']} channels ({shown}) in {out}",
+    )
+    output.note(
+        f"ranges: {summary.ranges or 'all values are equal'}; wrong by a unit? see --scale, "
+        "--length-unit, --time-unit"
     )
 
 

@@ -36,6 +36,8 @@ class PicturedFrames(NamedTuple):
         impedance, reference: of the frames and before them (frames, measurements) [ohm]; NaN
             where bad.
         circles: true touches of each frame, where known.
+        still: frames of the untouched sensor one after another (n, measurements) [ohm], whose
+            differences are noise; none where unknown.
     """
 
     design: "geometry.SensorDesign"
@@ -44,6 +46,7 @@ class PicturedFrames(NamedTuple):
     impedance: "NDArray[Any]"
     reference: "NDArray[Any]"
     circles: "list[tuple[Circle, ...]]"
+    still: "NDArray[Any]"
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,15 @@ class FrameOptions:
     ] = None
     reference: Annotated[
         str,
-        typer.Option(help="Reference of a dataset's frames: untouched, flat, or a frame number."),
+        typer.Option(
+            help="Reference of a dataset's frames: untouched, flat, or the mean of frames 0-9."
+        ),
     ] = "untouched"
     order: Annotated[
-        Literal["given", "rotated", "reversed"] | None,
-        typer.Option(help="Order of readings; tested by reciprocity if omitted."),
+        Literal["given", "rotated", "reversed", "sense-first"] | None,
+        typer.Option(
+            help="Order of readings; tested by reciprocity and sums around loops if omitted."
+        ),
     ] = None
     average: Annotated[
         int,
@@ -85,7 +92,7 @@ class FrameOptions:
                 else self._from_dataset(Path(source), output)
             )
             if not self.order:
-                require_order(found.protocol, np.abs(np.nan_to_num(found.reference)).mean(axis=0))
+                require_order(found.protocol, np.nan_to_num(found.reference).mean(axis=0))
             return found._replace(protocol=in_order(found.protocol, self.order or "given"))
         path = Path(source)
         if path.suffix == ".eitmodel":
@@ -127,7 +134,7 @@ class FrameOptions:
         )
         circles = tuple((each.x, each.y, each.indenter.rims[1]) for each in scene.touches)
         now, then = (np.array([sim.measure(each).impedance]) for each in (scene, before))
-        return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles])
+        return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles], then[:0])
 
     def _from_dataset(self, path: Path, output: options.Output) -> PicturedFrames:
         """Chosen frames of a dataset; the first touched one where none is chosen."""
@@ -159,14 +166,18 @@ class FrameOptions:
             if self.frames
             else [*touched[:1].tolist()] or [0]
         )
+        same = data.specimen == data.specimen[chosen[0]]
+        flat = np.nan_to_num(data.bend_angle_deg) == 0
+        still = data.impedance[same & flat & (data.state == datasets.State.IDLE)]
         if self.reference == "flat":
             before = data.reference[data.specimen[chosen]]
         elif self.reference == "untouched":
             before = data.untouched[chosen]
+            if not len(still) and data.source == "measured":
+                still = data.touch_reference[same & data.has_touch_reference]
         else:
-            before = data.impedance[
-                options.frame_numbers(self.reference, len(data))[:1] * len(chosen)
-            ]
+            still = data.impedance[options.frame_numbers(self.reference, len(data))]
+            before = np.tile(still.mean(axis=0), (len(chosen), 1))
         some = data.impedance[np.unique(np.linspace(0, len(data) - 1, 200).astype(int))]
         silent = silent_channels(some)
         if silent.any():
@@ -184,6 +195,7 @@ class FrameOptions:
             np.where((data.status[chosen] != 0) | silent, np.nan, data.impedance[chosen]),
             before,
             [tuple(map(tuple, each[np.isfinite(each[:, 0])].tolist())) for each in circles],
+            np.where(silent, np.nan, still),
         )
 
     def _from_board(self, uri: str, seed: int, output: options.Output) -> PicturedFrames:
@@ -220,6 +232,7 @@ class FrameOptions:
             np.array([good(frame) for frame in taken]),
             np.tile(np.nanmean(first, axis=0), (len(taken), 1)),
             [()] * len(taken),
+            first,
         )
 
 
@@ -293,16 +306,9 @@ def command(
             f"with {frames.protocol}, {mirrored:.0%} of the places of this sensor read as another "
             "one: the picture may show a change on the other side, too; measure by adjacent pairs"
         )
-    images = [
-        Image(maker, *each)
-        for maker in reconstructors
-        for each in zip(
-            frames.names,
-            maker.images(maker.data(frames.impedance, frames.reference)),
-            frames.circles,
-            strict=True,
-        )
-    ]
+    images = [image for maker in reconstructors for image in _images(maker, frames)]
+    if not np.isfinite(images[0].noise).any() and not source.endswith(".toml"):
+        output.note("no five frames of the untouched sensor, so nothing says what is noise")
     beyond = [each for each in images if np.nanmin(each.values) < -1]
     if beyond:
         output.note(
@@ -343,21 +349,27 @@ class Image(NamedTuple):
         frame: name of the frame.
         values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
         circles: true touches, where known.
+        noise: size of values that noise alone makes (rows, columns); NaN where unknown.
     """
 
     maker: "training.Reconstructor"
     frame: str
     values: "NDArray[np.float64]"
-    circles: "tuple[Circle, ...]" = ()
+    circles: "tuple[Circle, ...]"
+    noise: "NDArray[np.float64]"
 
     def as_dict(self) -> dict[str, Any]:
         """Method, and least and largest value with their positions [m].
 
         No lambda where there is none, or where each frame chose its own.
         """
+        import numpy as np
+
         maker, values = self.maker, self.values[self.maker.grid.inside]
         common = maker.method != "back-projection" and maker.regularisation.rule != "gcv"
         low, high = int(values.argmin()), int(values.argmax())
+        noise = self.noise[self.maker.grid.inside]
+        known = bool(np.isfinite(noise).all())
         return {
             "frame": self.frame,
             "method": maker.method,
@@ -367,7 +379,24 @@ class Image(NamedTuple):
             "least_at_m": maker.grid.centres[low].tolist(),
             "largest": float(values[high]),
             "largest_at_m": maker.grid.centres[high].tolist(),
+            "noise": float(np.median(noise)) if known else None,
+            "least_is_noise": bool(-values[low] <= noise[low]) if known else None,
+            "largest_is_noise": bool(values[high] <= noise[high]) if known else None,
         }
+
+
+def _images(maker: "training.Reconstructor", frames: PicturedFrames) -> "list[Image]":
+    """Pictures of all frames by one method, and their noise."""
+    import numpy as np
+
+    from eitskin.training.reconstruction.reconstructor import VISIBLE
+
+    still = frames.still
+    changes = maker.data(still, still.mean(axis=0)) if len(still) else np.zeros(still.shape)
+    noise = VISIBLE * maker.noise(changes)
+    pictures = maker.images(maker.data(frames.impedance, frames.reference))
+    named = zip(frames.names, pictures, frames.circles, strict=True)
+    return [Image(maker, *each, noise) for each in named]
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
@@ -375,7 +404,8 @@ def _cells(row: dict[str, Any]) -> list[str]:
     cells = [row["frame"], row["method"], f"{row['lambda']:.3g}" if row["lambda"] else "-"]
     for which in ("least", "largest"):
         x, y = row[f"{which}_at_m"]
-        cells += [f"{100 * row[which]:+.3g}", f"{1e3 * x:.0f}, {1e3 * y:.0f}"]
+        place = "noise" if row[f"{which}_is_noise"] else f"{1e3 * x:.0f}, {1e3 * y:.0f}"
+        cells += [f"{100 * row[which]:+.3g}", place]
     return cells
 
 
@@ -436,9 +466,10 @@ def _write(out: Path, images: list[Image]) -> None:
             from eitskin.training.evaluation.drawing import PicturePanel, draw_panels, style
 
             panels = []
-            for maker, frame, values, circles in images:
+            for maker, frame, values, circles, noise in images:
                 title = f"{frame}: {maker.method}" if len(frames) > 1 else maker.method
-                panels.append(PicturePanel(title, maker.design, maker.grid, values, circles))
+                shown = PicturePanel(title, maker.design, maker.grid, values, circles, noise=noise)
+                panels.append(shown)
             with style():
                 draw_panels(panels, common=len(methods) == 1).savefig(temporary)
         elif kind == ".npz":
@@ -449,6 +480,7 @@ def _write(out: Path, images: list[Image]) -> None:
                 y=grid.y,
                 inside=grid.inside,
                 change=change.reshape(len(methods), len(frames), *grid.shape),
+                noise=np.array([each.noise for each in images[:: len(frames)]]),
                 methods=np.array(methods),
                 frames=np.array(frames),
             )

@@ -141,7 +141,8 @@ def _summary(report: "training.Report") -> str:
     shown = [f"{name} {share:.1%}" for name, share in shares if share is not None]
     single = report.touches.get("1")
     if single is not None and single.mean_error_mm is not None:
-        shown.append(f"one touch {single.mean_error_mm:.2f} mm off")
+        error, guess = single.mean_error_mm, single.guess_error_mm
+        shown.append(f"one touch {error:.2f} mm off (guessing {guess:.0f} mm)")
     if report.bend.rmse_deg is not None:
         shown.append(f"bends {report.bend.rmse_deg:.2f} deg off")
     return ", ".join(shown)

@@ -1,4 +1,4 @@
-"""Orders of a frame's readings that instruments use, tested by reciprocity."""
+"""Orders of a frame's readings that instruments use, tested by laws that every body obeys."""
 
 from typing import Final, Literal, get_args
 
@@ -8,49 +8,78 @@ from numpy.typing import ArrayLike
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 
-Order = Literal["", "given", "rotated", "reversed"]
+Order = Literal["", "given", "rotated", "reversed", "sense-first"]
 
 _LEAST: Final = 0.02  # misfit of an order that is doubted
 _RATIO: Final = 0.1  # of the misfits of another order and of it
+_MOST_FOR_LOOPS: Final = 1200  # readings, of which sums around loops are solved within a second
 
 
 def in_order(protocol: Protocol, order: Order) -> Protocol:
-    """Protocol whose sense pairs begin behind each drive pair (rotated), or run backwards."""
+    """Protocol whose readings come in another order.
+
+    Sense pairs begin behind each drive pair (rotated); all run backwards (reversed); or each sense
+    pair is read at all drive pairs before the next one (sense-first).
+    """
 
     def place(number: int) -> tuple[int, int]:
         row = protocol.table[number]
-        first = drives[row[:2]]
+        if order == "sense-first":
+            return first[row[2:]], number
         behind = (row[2] - row[0]) % protocol.n_electrodes
-        return first, {"rotated": behind, "reversed": -number}.get(order, number)
+        return first[row[:2]], behind if order == "rotated" else -number
 
-    drives: dict[tuple[int, ...], int] = {}
+    if order in ("", "given"):
+        return protocol
+    first: dict[tuple[int, ...], int] = {}
     for number, row in enumerate(protocol.table):
-        drives.setdefault(row[:2], number)
+        first.setdefault(row[2:] if order == "sense-first" else row[:2], number)
     rows = (protocol.table[number] for number in sorted(range(len(protocol)), key=place))
     return Protocol.from_rows(rows, protocol.n_electrodes)
 
 
-def reciprocity_misfit(protocol: Protocol, readings: ArrayLike) -> float:
-    """Median difference of sizes of reciprocal readings (measurements,), of their mean; or NaN."""
-    size = np.abs(np.asarray(readings))
-    numbers = {(frozenset(r[:2]), frozenset(r[2:])): k for k, r in enumerate(protocol.table)}
-    pairs = [(k, numbers[s, d]) for (d, s), k in numbers.items() if d != s and (s, d) in numbers]
-    a, b = size[np.array(pairs, dtype=int).reshape(-1, 2)].T
-    usable = a + b > 0
-    return float(np.median(2 * abs(a - b)[usable] / (a + b)[usable])) if usable.any() else np.nan
+def law_misfit(protocol: Protocol, readings: ArrayLike) -> float:
+    """Median difference of readings (measurements,) from what the others say of them; or NaN.
+
+    It is relative. Readings with signs obey reciprocity and sums around loops: they are symmetric
+    forms of drive and sense currents. Of magnitudes, reciprocal ones are equal.
+    """
+    values = np.asarray(readings)
+    live = np.isfinite(values) & (values != 0)
+    values, table = (
+        values[live],
+        [row for row, good in zip(protocol.table, live, strict=True) if good],
+    )
+    signed = np.imag(values).any() or (np.real(values) < 0).any()
+    if signed and len(protocol) <= _MOST_FOR_LOOPS:
+        left, sizes, _ = np.linalg.svd(protocol.forms[live], full_matrices=False)
+        left = left[:, sizes > 1e-9 * sizes[0]]
+        expected = left @ (left.T @ values)
+        tested = (left**2).sum(axis=1) < 1 - 1e-9
+    else:
+        values, numbers = np.abs(values), dict[frozenset[frozenset[int]], int]()
+        pairs = (frozenset((frozenset(r[:2]), frozenset(r[2:]))) for r in table)
+        group = np.array([numbers.setdefault(pair, len(numbers)) for pair in pairs])
+        counts = np.bincount(group)
+        expected = (np.bincount(group, values) / counts)[group]
+        tested = counts[group] > 1
+    if not tested.any():
+        return float("nan")
+    sizes = np.maximum(np.abs(expected[tested]), np.finfo(float).tiny)
+    return float(np.median(2 * np.abs(values - expected)[tested] / sizes))
 
 
 def require_order(protocol: Protocol, readings: ArrayLike) -> None:
-    """Raise DataError where reciprocity says another order of the readings than the protocol's."""
+    """Raise DataError where the laws say another order of the readings than the protocol's."""
     if np.shape(readings) != (len(protocol),):
         return  # their number is refused with other words
     orders: list[Order] = [order for order in get_args(Order) if order]
-    misfits = {o: reciprocity_misfit(in_order(protocol, o), readings) for o in orders}
+    misfits = {o: law_misfit(in_order(protocol, o), readings) for o in orders}
     best = min(orders, key=misfits.__getitem__)
     given = misfits["given"]
     if given > _LEAST and misfits[best] < _RATIO * given:
         raise DataError(
-            f"reciprocal readings differ by {given:.2%} (median) in the order of the protocol, by "
-            f"{misfits[best]:.2%} in the order '{best}': say --order {best}, or "
-            "--order given where the protocol is right"
+            f"by reciprocity and sums around loops, readings differ by {given:.2%} (median) in the "
+            f"order of the protocol, by {misfits[best]:.2%} in the order '{best}': say "
+            f"--order {best}, or --order given where the protocol is right"
         )

@@ -116,7 +116,7 @@ def protocol_of_names(names: Sequence[str]) -> Protocol | None:
     widths = {len(row) for row in rows}
     if widths not in ({4}, {2}) or len(set(rows)) < len(rows):
         return None
-    base = int(min(map(min, rows)) > 0)
+    base = int(counts_from_one(names))
     count = max(map(max, rows)) + 1 - base
     if widths == {2} and {frozenset(row) for row in rows} != {
         frozenset(pair) for pair in itertools.combinations(range(base, base + count), 2)
@@ -127,6 +127,11 @@ def protocol_of_names(names: Sequence[str]) -> Protocol | None:
         return Protocol.from_rows(shifted, count) if count <= MOST_ELECTRODES else None
     except ConfigurationError:
         return None
+
+
+def counts_from_one(names: Sequence[str]) -> bool:
+    """Whether no name of four electrodes has a 0."""
+    return min(map(min, map(electrodes_of_name, names))) > 0
 
 
 def require_protocol_of_names(protocol: Protocol, named: Protocol) -> None:

@@ -22,6 +22,7 @@ from eitskin.datasets.recordings.labels import (
 from eitskin.datasets.recordings.orders import Order, in_order, require_order
 from eitskin.datasets.recordings.parts import (
     PhaseUnit,
+    counts_from_one,
     protocol_of_names,
     require_protocol_of_names,
     unit_factor,
@@ -98,7 +99,8 @@ class RecordingForm:
         driven: readings with a driven electrode, which the protocol has as well, are left out.
         differences: the values are differences from the touch reference, which is added.
         order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
-            ("rotated") or "reversed"; tested by reciprocity where empty.
+            ("rotated"), "reversed", or sense pairs one by one at all drives ("sense-first"); tested
+            by reciprocity and sums around loops where empty.
 
     Example:
         >>> from eitskin.datasets import RecordingForm
@@ -127,6 +129,7 @@ class RecordingForm:
             ("length_unit", LengthUnit),
             ("phase_unit", PhaseUnit),
             ("time_unit", TimeUnit),
+            ("order", Order),
         )
         for name, kind in (*choices, ("quantity", Quantity), ("bad_values", BadValues)):
             if getattr(self, name) not in get_args(kind):
@@ -147,6 +150,7 @@ class RecordedFile:
         path: of the file.
         protocol: drive and sense pairs of the channels; None where unknown.
         unused: tables of the file that are not read.
+        counts_from_one: whether names of columns count electrodes from 1.
     """
 
     def __init__(
@@ -208,9 +212,11 @@ class RecordedFile:
             )
         usual = source.usual(len(self.protocol) if self.protocol else 0)
         values = [source.require(names.values or usual or "", "values")]
-        factor = unit_factor(source.titles(values[0])) if form.scale == 1.0 else form.scale
+        titles = source.titles(values[0])
+        factor = unit_factor(titles) if form.scale == 1.0 else form.scale
         self._form, self._scale = (form := replace(form, scale=factor)), factor
-        named = protocol_of_names(source.titles(values[0]))
+        named = protocol_of_names(titles)
+        self.counts_from_one = named is not None and counts_from_one(titles)
         if self.protocol is not None and named is not None:
             require_protocol_of_names(self.protocol, named)
         own = source.contents

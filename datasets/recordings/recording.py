@@ -8,7 +8,7 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
-from eitskin.datasets.recordings.orders import reciprocity_misfit
+from eitskin.datasets.recordings.orders import law_misfit
 from eitskin.datasets.recordings.recorded_file import (
     RecordedFile,
     RecordingForm,
@@ -18,6 +18,7 @@ from eitskin.datasets.recordings.recorded_file import (
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import LIMITS
+from eitskin.datasets.store.summary import DatasetSummary
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -153,7 +154,11 @@ class Recording:
 
     def understood(self) -> tuple[dict[str, str], dict[str, str]]:
         """Reading of the first file, in words; and the options that say the same."""
-        file, part = self._files[0], next(self.parts())
+        file, summary = self._files[0], DatasetSummary()
+        parts = summary.watched(self.parts())
+        part = next(parts)
+        for _ in parts:
+            pass
         channels = part.impedance.shape[1]
         values = part.impedance if np.imag(part.impedance).any() else np.real(part.impedance)
         first = ", ".join(f"{value:.6g}" for value in values[0, :3])
@@ -161,19 +166,25 @@ class Recording:
             names = fitting_protocols(0, channels) or ["TABLE.csv"]
             protocol, order = f"unknown; name it with --protocol {' or '.join(names)}", ""
         else:
-            misfit = reciprocity_misfit(self.protocol, part.impedance.mean(axis=0))
-            protocol = f"{self.protocol}, electrodes counted from 0"
-            order = f"reciprocal readings differ by {misfit:.2%} (median)"
-            order = order if np.isfinite(misfit) else "no reciprocal readings that tell"
+            misfit = law_misfit(self.protocol, part.impedance.mean(axis=0))
+            named = "; names of columns count them from 1" if file.counts_from_one else ""
+            protocol = f"{self.protocol}, electrodes counted from 0{named}"
+            order = (
+                f"readings differ by {misfit:.2%} (median) from reciprocity and sums around loops"
+            )
+            order = order if np.isfinite(misfit) else "no readings that test it"
         scale = file.understood.get("--scale", 1)
         said = {
             "frames": str(self.frames),
             "values": f"{channels} channels of {file.understood['--values']}: {first} ...",
             "protocol": protocol,
             "order": order,
+            "ranges": summary.ranges,
             "labels": ", ".join(f"{k} = {v}" for k, v in file.labels.items()) or "none",
             "units": f"lengths in {self._form.length_unit}, values times {scale}",
-            "not read": ", ".join(self.unused) or "nothing",
+            "not read": ", ".join(self.unused) + "; a label among them: --column LABEL=NAME"
+            if self.unused
+            else "nothing",
         }
         return {name: text for name, text in said.items() if text}, file.understood
 

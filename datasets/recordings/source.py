@@ -104,7 +104,8 @@ class Source:
     def usual(self, count: int) -> str | None:
         """Table of the values where none is named: the usual one, or the only one of `count`.
 
-        In a file without names the last `count` columns, and columns that are named by electrodes.
+        In a file without names the last `count` columns, and columns that are named by electrodes;
+        else the one with more than half of the columns.
         None where there is nothing to choose.
         """
         usual, header = self.usual_values, self.contents.header
@@ -118,7 +119,8 @@ class Source:
             if len(named) > 1 and protocol_of_names(named):
                 return f"{named[0]}..{named[-1]}"
         fitting = [name for name, columns in self._columns.items() if len(columns) == count > 1]
-        return fitting[0] if len(fitting) == 1 else usual
+        many = [n for n, columns in self._columns.items() if 2 * len(columns) > len(header) > 4]
+        return (fitting if len(fitting) == 1 else [*many, usual])[0]
 
     def blocks(self, wanted: Wanted, unit: str = "") -> Iterator[Tables]:
         """Tables of consecutive rows, as `Reader.blocks` gives them; `unit` of phases."""

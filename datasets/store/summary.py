@@ -15,6 +15,7 @@ Values = NDArray[Any]
 
 # Columns whose range is told, each with the factor that makes a unit of daily use.
 _RANGES = {
+    "time_s": ("time", 1.0),
     "bend_angle_deg": ("bend_angle_deg", 1.0),
     "touch_x_mm": ("touch_x", 1e3),
     "touch_y_mm": ("touch_y", 1e3),
@@ -95,6 +96,12 @@ class DatasetSummary:
             **{name: _range(*ends) for name, ends in self._ranges.items()},
             "flagged_values": self._flagged,
         }
+
+    @property
+    def ranges(self) -> str:
+        """Least and greatest values that are known and differ, in words."""
+        ends = ((name, *ends) for name, ends in self._ranges.items())
+        return ", ".join(f"{n} {low:.4g} to {high:.4g}" for n, low, high in ends if low < high)
 
 
 def specimens_in_words(data: Dataset, most: int = 8) -> str:

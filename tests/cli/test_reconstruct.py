@@ -74,20 +74,26 @@ def test_reference_is_chosen(dataset):
     assert printed_json(*words, "flat") != printed_json(*words, "untouched")
 
 
-def test_order_is_tested_and_changes_that_cannot_be_are_cut(tmp_path):
-    """Frames in rotated order, named by hand as in given order; then frames that fit no sensor."""
+def test_order_is_tested_impossible_changes_are_cut_and_noise_is_named(tmp_path):
+    """Frames in rotated order, named in given order; then one that fits no sensor; then noise."""
     design = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16))
     design.to_toml(tmp_path / "disc.toml")
     rotated = in_order(Protocol.adjacent(16), "rotated")
     values = rotated.measure(ForwardModel(design, "coarse").impedance())
-    frames = np.stack([values, values * np.random.default_rng(0).uniform(0.1, 5.0, len(values))])
+    factors = np.random.default_rng(0).uniform(0.1, 5.0, len(values))
+    still = values * np.random.default_rng(1).normal(1.0, 1e-3, (8, len(values)))
+    frames = np.stack([values, values * factors, *still])
     save_dataset(Dataset.from_arrays(frames, frames[:1]), tmp_path / "set")
     words = ("reconstruct", tmp_path / "set", "--sensor", tmp_path / "disc.toml", *FEW)
-    words += ("--protocol", "adjacent", "--frames", "1", "--reference", "0", "--segment")
+    words += ("--protocol", "adjacent", "--frames", "1", "--segment", "--reference")
     with pytest.raises(DataError, match="--order rotated"):
-        run(*words)
-    ran = run(*words, "--order", "rotated", "--lambda", "lambda:1e-4", "--json")
+        run(*words, "0")
+    words += ("2-8", "--order", "rotated")
+    ran = run(*words, "--lambda", "lambda:1e-4", "--json")
     (one,) = json.loads(ran.stdout)["pictures"]
-    assert one["least"] == -1.0
+    assert (one["least"], one["least_is_noise"]) == (-1.0, False)
     assert "by more than 100 %" in ran.stderr
     assert {region["sign"] for region in one["regions"]} <= {-1, 1}
+    (one,) = printed_json(*words, "--frames", "9")["pictures"]
+    assert one["least_is_noise"]
+    assert one["largest_is_noise"]

@@ -22,7 +22,7 @@ EXTRA = "view"  # of eitskin, that brings matplotlib
 
 # Okabe and Ito's colours, which all kinds of colour vision tell apart.
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
-DARK, GREY, PALE = "#222222", "#7a7a7a", "#e6e6e6"
+DARK, GREY, LIGHT, PALE = "#222222", "#7a7a7a", "#c9c9c9", "#e6e6e6"
 
 COLOURS = "RdBu_r"  # red: more conductive; blue: less, as under a touch
 COLUMNS = 3
@@ -136,6 +136,7 @@ class PicturePanel:
         values: dimensionless (rows, columns); NaN outside.
         circles: true positions of what changed, where known.
         crosses: x and y of touches that were found (k, 2) [m].
+        noise: sizes of values (rows, columns) up to which they are grey; NaN where unknown.
     """
 
     title: str
@@ -144,6 +145,7 @@ class PicturePanel:
     values: NDArray[np.floating]
     circles: tuple[Circle, ...] = ()
     crosses: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    noise: NDArray[np.floating] | None = None
 
 
 def draw_panels(
@@ -182,6 +184,8 @@ def draw_panels(
     for unused in axes[len(panels) :]:
         unused.set_axis_off()
     colours = "" if shares else "; colours: change of conductivity [%]"
+    if any(panel.noise is not None and np.isfinite(panel.noise).any() for panel in panels):
+        colours += ", grey: within the noise"
     figure.supxlabel(f"x [mm]{colours}", fontsize=9)
     figure.supylabel("y [mm]", fontsize=9)
     return figure
@@ -191,9 +195,14 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) ->
     """Draw one picture with the sensor's outline and numbered electrodes; returns the image."""
     outline = panel.design.outline
     axes.set_axisbelow(False)
+    values = 100.0 * _filled(panel.grid, panel.values)
+    colours = require("matplotlib", EXTRA).colormaps["Oranges" if shares else COLOURS]
+    if panel.noise is not None:
+        small = np.abs(values) <= 100.0 * _filled(panel.grid, panel.noise)
+        values, colours = np.ma.masked_array(values, small), colours.with_extremes(bad=LIGHT)
     image = axes.imshow(
-        100.0 * _filled(panel),
-        cmap="Oranges" if shares else COLOURS,
+        values,
+        cmap=colours,
         vmin=0.0 if shares else -limit,
         vmax=limit,
         origin="lower",
@@ -223,13 +232,13 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) ->
     return image
 
 
-def _filled(panel: PicturePanel) -> NDArray[np.floating]:
+def _filled(grid: PixelGrid | None, values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Values (rows, columns), those outside taken from the nearest pixel inside.
 
     The rim then cuts the picture, not the staircase of its pixels.
     """
-    if (grid := panel.grid) is None:
-        return panel.values
-    nearest = NearestNDInterpolator(grid.centres, panel.values[grid.inside])
+    if grid is None:
+        return values
+    nearest = NearestNDInterpolator(grid.centres, values[grid.inside])
     filled: Array = nearest(*np.meshgrid(grid.x, grid.y))
     return filled

@@ -222,6 +222,8 @@ def _touch_scores(
             continue
         errors = matches.error[group[matches.frame]] * 1e3
         true = int(counts[group].sum())
+        places = np.stack([dataset.touch_x[group], dataset.touch_y[group]], axis=-1)
+        places = 1e3 * places[np.isfinite(places).all(axis=-1)]
         drawn = {key: values[group & np.isfinite(values)] for key, values in similarity.items()}
         scores[name] = TouchScore(
             int(group.sum()),
@@ -232,6 +234,7 @@ def _touch_scores(
             errors.size / true,
             int(matches.false[group].sum()) / true,
             {key: float(values.mean()) for key, values in drawn.items() if values.size},
+            float(np.linalg.norm(places - places.mean(axis=0), axis=-1).mean()),
         )
     return scores
 

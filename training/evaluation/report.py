@@ -240,6 +240,7 @@ def _touch_rows(report: Report) -> Iterator[Row]:
             yield f"{name}: error", PAPER_ERROR_MM.get(group, "-"), _text(ERROR, *spread)
             quantiles = (score.median_error_mm, score.p95_error_mm)
             yield "  median, 95 % within", "-", _text("{:.2f} mm, {:.2f} mm", *quantiles)
+            yield "  of always the middle", "-", f"{score.guess_error_mm:.1f} mm"
             yield "  found", "-", f"{score.found:.1%}, and {score.false_per_touch:.1%} false"
     for group, paper in PAPER_SSIM.items():
         if score := report.touches.get(group):

@@ -188,6 +188,7 @@ class TouchScore:
         false_per_touch: found touches without a match, per true touch.
         ssim: mean SSIM of the reconstructions with the static and the dynamic reference, of the
             touch map, and of an image of zeros.
+        guess_error_mm: mean distance of the true positions from their mean [mm].
     """
 
     frames: int
@@ -198,6 +199,7 @@ class TouchScore:
     found: float
     false_per_touch: float
     ssim: dict[str, float]
+    guess_error_mm: float
 
 
 @dataclass(frozen=True, slots=True)

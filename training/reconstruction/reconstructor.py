@@ -38,6 +38,9 @@ Difference = Literal["relative", "absolute"]
 
 CLEAR = 0.02  # of channels' root mean square, above which relative differences are the default
 MIRRORED = 0.995  # correlation of the readings of two changes that count as the same
+VISIBLE = 3.0  # standard deviations of noise, above which a value of a picture says something
+FEWEST_STILL = 5  # frames of one state, from which noise is read
+MEDIAN_SHARE = 0.6745  # median of the sizes of a normal deviate, in standard deviations
 SMALLEST = 1e-3  # resistance of a channel, relative to the mean, that relative differences allow
 
 
@@ -258,6 +261,22 @@ class Reconstructor:
             values[mine] = self._values(frames[mine][:, ~channels], channels)
         return self.grid.image(values.reshape(*y.shape[:-1], -1))
 
+    def noise(self, data: ArrayLike) -> Array:
+        """Standard deviation (rows, columns) of pictures by noise alone; NaN outside the outline.
+
+        The noise is that of the difference of two frames, as `data` (n, measurements) of an
+        unchanged sensor show it from each to the next; for total variation, that of its laplace
+        picture. NaN for fewer than five frames, and where frames choose lambda (gcv).
+        """
+        frames = np.atleast_2d(np.asarray(data, dtype=float))
+        missing = np.isnan(frames).all(axis=0)
+        steps = np.diff(frames[:, ~missing], axis=0)
+        steps = steps[np.isfinite(steps).all(axis=1)]
+        if len(steps) < FEWEST_STILL - 1 or self.regularisation.rule == "gcv":
+            return self.grid.image(np.full(len(self.grid), np.nan))
+        changes = self._linear_values(steps, missing)
+        return self.grid.image(np.median(np.abs(changes), axis=0) / MEDIAN_SHARE)
+
     def lambda_of(self, data: ArrayLike | None = None) -> float:
         """Regularisation parameter lambda of the rule; data (n, measurements) are for gcv.
 
@@ -293,20 +312,25 @@ class Reconstructor:
 
     def _values(self, frames: Array, missing: NDArray[np.bool_]) -> Array:
         """Values (n, P) of frames (n, good measurements) that all lack the `missing` channels."""
+        values = self._linear_values(frames, missing)
+        if self.method != "total-variation":
+            return values
         J = self.jacobian[~missing]
+        misfits = np.linalg.norm(frames - values @ J.T, axis=1)
+        both = zip(frames, misfits.tolist(), strict=True)
+        return np.array([least_variation(self.grid, J, y, misfit) for y, misfit in both])
+
+    def _linear_values(self, frames: Array, missing: NDArray[np.bool_]) -> Array:
+        """Values as `_values` gives them; of total variation those that it begins with."""
         if self.method == "back-projection":
-            return frames @ back_projection(J).T
+            return frames @ back_projection(self.jacobian[~missing]).T
         family = self.family.without(missing) if missing.any() else self.family
         if self.regularisation.rule == "gcv":
             matrix = family.matrix(family.of_gcv(frames))
         else:
             matrix = family.matrix(self._lambda) if missing.any() else self._whole_matrix
-        values = frames @ matrix.T
-        if self.method != "total-variation":
-            return values
-        misfits = np.linalg.norm(frames - values @ J.T, axis=1)
-        both = zip(frames, misfits.tolist(), strict=True)
-        return np.array([least_variation(self.grid, J, y, misfit) for y, misfit in both])
+        values: Array = frames @ matrix.T
+        return values
 
     @cached_property
     def _whole_matrix(self) -> Array:

@@ -155,6 +155,8 @@ def test_scores(evaluation):
     assert (one.mean_error_mm, one.deviation_mm) == (pytest.approx(5.0), pytest.approx(0.0))
     assert (two.frames, two.found, two.false_per_touch) == (1, 0.5, 0.5)
     assert two.mean_error_mm == pytest.approx(1.0)
+    first, second = (np.array(places) for _, _, places, *_ in FRAMES if len(places) == 1)
+    assert one.guess_error_mm == pytest.approx(np.linalg.norm(first - second) / 2, rel=1e-5)
     assert two == touches["several"]
     assert (bent.frames, bent.found) == (2, pytest.approx(1 / 3))
     assert one.ssim["touch_map"] == pytest.approx(1.0)

@@ -183,6 +183,20 @@ def test_dead_and_stuck_channels_are_silent():
     assert silent_channels(values[:1]).tolist() == [False, True, False, False, False]
 
 
+@pytest.mark.parametrize("method", ["greit", "back-projection", "total-variation"])
+def test_noise_is_that_of_differences_of_untouched_frames(method):
+    maker, rng = made(method), np.random.default_rng(2)
+    still = 1e-3 * rng.normal(size=(401, len(PROTOCOL))) + np.linspace(0.0, 0.01, 401)[:, None]
+    still[:, 7] = np.nan
+    if method == "total-variation":
+        assert maker.noise(still) == pytest.approx(made("laplace").noise(still), nan_ok=True)
+        return
+    images = maker.images(np.diff(still, axis=0))
+    ratio = maker.noise(still)[maker.grid.inside] / images[:, maker.grid.inside].std(axis=0)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
+    assert np.isnan(maker.noise(still[:4])).all()
+
+
 # ---- linear model ----
 
 
