@@ -169,6 +169,8 @@ def _preview(output: Output, recording: "datasets.Recording", context: typer.Con
     words = given_words(context, {"preview", "out", "as_json", "quiet"})
     for option, value in options.items():
         words += [] if option in words else [option, value]
+    if recording.unused:
+        said["not read"] += "; a label among them: --column LABEL=NAME"
     said["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
     output.result(said, "\n".join(f"{name}: {text}" for name, text in said.items()))
 

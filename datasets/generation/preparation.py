@@ -278,7 +278,10 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
         while trials[-1].seconds < _ENOUGH_SECONDS and frames < most:
             frames = min(_GROWTH * frames, most)
             trials.append(_run_trial(recipe, frames, again=True))
-    last = trials[-1]
+    first, last = trials[0], trials[-1]
+    grown = last.frames - first.frames
+    per_frame = (last.size - first.size) / grown if grown else last.size / last.frames
+    per_file = last.size - last.frames * per_frame
     once = max(0.0, trials[0].seconds - trials[min(1, len(trials) - 1)].seconds)
     shards = (specimen_numbers(recipe, recipe.shard_range(n)) for n in range(recipe.shards))
     flat = last.specimen_seconds * sum(map(len, shards))
@@ -287,7 +290,7 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
         frames=recipe.frames,
         shards=recipe.shards,
         seconds=once + (recipe.frames * last.seconds / last.frames + flat) / at_once,
-        megabytes=_size(recipe, trials) / 1e6,
+        megabytes=(recipe.shards * per_file + recipe.frames * per_frame) / 1e6,
         megabytes_free=free_bytes(Path(out)) / 1e6,
         measured_frames=last.frames,
     )
@@ -312,14 +315,3 @@ def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:
     firsts = ((np.arange(len(runs)) + shift) * recipe.frames / len(runs)).astype(int).tolist()
     starts = [min(n, recipe.frames - len(run)) for n, run in zip(firsts, runs, strict=True)]
     return [start + k for start, run in zip(starts, runs, strict=True) for k in range(len(run))]
-
-
-def _size(recipe: Recipe, trials: list[_Trial]) -> float:
-    """Size of all shards [bytes]: a part for each file and a part for each frame."""
-    last = trials[-1]
-    fewer = next((each for each in trials if each.frames < last.frames), None)
-    if fewer is None:
-        return recipe.frames * last.size / last.frames
-    per_frame = (last.size - fewer.size) / (last.frames - fewer.frames)
-    per_file = last.size - last.frames * per_frame
-    return recipe.shards * per_file + recipe.frames * per_frame

@@ -42,7 +42,7 @@ def law_misfit(protocol: Protocol, readings: ArrayLike) -> float:
     """Median difference of readings (measurements,) from what the others say of them; or NaN.
 
     It is relative. Readings with signs obey reciprocity and sums around loops: they are symmetric
-    forms of drive and sense currents. Of magnitudes, reciprocal ones are equal.
+    forms of drive and sense currents. Magnitudes obey reciprocity alone.
     """
     values = np.asarray(readings)
     live = np.isfinite(values) & (values != 0)

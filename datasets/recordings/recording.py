@@ -169,9 +169,7 @@ class Recording:
             misfit = law_misfit(self.protocol, part.impedance.mean(axis=0))
             named = "; names of columns count them from 1" if file.counts_from_one else ""
             protocol = f"{self.protocol}, electrodes counted from 0{named}"
-            order = (
-                f"readings differ by {misfit:.2%} (median) from reciprocity and sums around loops"
-            )
+            order = f"reciprocity and sums around loops hold to {misfit:.2%} (median)"
             order = order if np.isfinite(misfit) else "no readings that test it"
         scale = file.understood.get("--scale", 1)
         said = {
@@ -182,9 +180,7 @@ class Recording:
             "ranges": summary.ranges,
             "labels": ", ".join(f"{k} = {v}" for k, v in file.labels.items()) or "none",
             "units": f"lengths in {self._form.length_unit}, values times {scale}",
-            "not read": ", ".join(self.unused) + "; a label among them: --column LABEL=NAME"
-            if self.unused
-            else "nothing",
+            "not read": ", ".join(self.unused) or "nothing",
         }
         return {name: text for name, text in said.items() if text}, file.understood
 

@@ -185,7 +185,19 @@ class TextReader(TableReader):
         return len(line.split()) if self._delimiter == " " else line.count(self._delimiter) + 1
 
 
-class SpreadsheetReader(TableReader):
+class HeldReader(TableReader):
+    """Reader of a file whose cells are held in memory, in rows that are numbered from 0."""
+
+    _rows: "pd.DataFrame"
+
+    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        for start in range(0, len(self._rows), wanted.block_rows):
+            block = self._rows.iloc[start : start + wanted.block_rows]
+            numbers = [int(row) + 1 for row in block.index]
+            yield numbers, block.set_axis(range(block.shape[1]), axis=1)
+
+
+class SpreadsheetReader(HeldReader):
     """First sheet of an Excel file, or named ones side by side; values of formulas, as saved."""
 
     def __init__(self, path: Path, sheet: str | None = None, header_row: int | None = None) -> None:
@@ -224,13 +236,8 @@ class SpreadsheetReader(TableReader):
         self._rows = cells
         self.contents = Contents(header=tuple(header), usual_values="v")
 
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        for start in range(0, len(self._rows), wanted.block_rows):
-            block = self._rows.iloc[start : start + wanted.block_rows]
-            yield [int(row) + 1 for row in block.index], block
 
-
-class JsonReader(TableReader):
+class JsonReader(HeldReader):
     """JSON: an object with the same names in each line, or an array of such objects."""
 
     def __init__(self, path: Path) -> None:
@@ -242,14 +249,6 @@ class JsonReader(TableReader):
             read = pd.read_json(path, lines=not whole, convert_dates=False, encoding="utf-8-sig")
             self._rows = read.map(lambda cell: np.array(cell) if isinstance(cell, list) else cell)
         self.contents = Contents(header=tuple(map(str, read.columns)), usual_values="v")
-
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        for start in range(0, len(self._rows), wanted.block_rows):
-            block = self._rows.iloc[start : start + wanted.block_rows]
-            yield (
-                range(start + 1, start + 1 + len(block)),
-                block.set_axis(range(block.shape[1]), axis=1),
-            )
 
 
 class ParquetReader(TableReader):

@@ -68,7 +68,13 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     if path.is_file():
         return read_shard(path)
     manifest = read_manifest(path)
-    size = _disk_bytes(path, manifest)
+    try:
+        size = sum((path / entry.name).stat().st_size for entry in manifest.shards)
+    except OSError as error:
+        raise DataError(
+            f"cannot read {error.filename}, which the manifest names: {error.strerror}; copy it "
+            "again, or generate with --resume"
+        ) from error
     parts = _shards(path, manifest, progress)
     first = dataclasses.replace(next(parts), names=manifest.names)
     if size > READ_AT_ONCE:
@@ -183,20 +189,6 @@ def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
     if len(data) != entry.count:
         raise DataError(f"{folder / entry.name} must hold {entry.count} frames, got {len(data)}")
     return data
-
-
-def _disk_bytes(folder: Path, manifest: Manifest) -> int:
-    """Size of the shards on the disk; raises DataError where one is missing."""
-    try:
-        sizes = {entry.name: entry.stat().st_size for entry in os.scandir(folder)}
-        return sum(sizes[entry.name] for entry in manifest.shards)
-    except KeyError as missing:
-        raise DataError(
-            f"cannot read {folder / missing.args[0]}, which the manifest names: no such file; copy "
-            "it again, or generate with --resume"
-        ) from missing
-    except OSError as error:
-        raise DataError(f"cannot look into {folder}: {error}; give permission") from error
 
 
 class StoredDataset(Dataset):

@@ -71,10 +71,7 @@ class TorchDataset:
 
     def __getitem__(self, index: int) -> Item:
         """Item of frame `index`, negative from the end; raises IndexError beyond either end."""
-        if not -self._frames <= index < self._frames:
-            raise IndexError(f"frame {index} of a dataset of {self._frames}")
-        if self._data is None:
-            self._data = FrameTensors(open_dataset(self.folder), self.names)
+        self._data = self._data or FrameTensors(open_dataset(self.folder), self.names)
         return self._data[index]
 
     def __getstate__(self) -> dict[str, Any]:
