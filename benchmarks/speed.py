@@ -1,11 +1,11 @@
 """Speed of simulation, generation and pipeline: `eitskin bench speed`.
 
-Random presses of 4 to 12 N on the reference sensor in its default clamp: single ones and up to
-four, each with a bend of its own or many of one bend, by reanalysis and one by one, on two
-processes at once; and specimens of the recipe `training`, each set up and used for some scenes.
-Errors are those of the presses' signals against the resolution "fine", of other sensors' signals
-against "standard". Besides, pyEIT in the same run; frames per second and memory of making a
-dataset; and the time of a frame in the shipped pipeline.
+Random presses of 4 to 12 N on the reference sensor in its default clamp, single ones and up to
+four, each with a bend of its own, by reanalysis and one by one, on two processes at once; and
+specimens of the recipe `training`, each set up and used for some scenes. Errors are those of the
+presses' signals against the resolution "fine", of other sensors' signals against "standard".
+In the same run: pyEIT, single impedance matrices, and the least time that the operations of a scene
+take; frames per second and memory of making a dataset; the time of a frame in the shipped pipeline.
 """
 
 import dataclasses
@@ -65,7 +65,6 @@ _COLUMNS: Columns = {
 }
 ANGLES = (-20.0, 50.0)
 FORCES = (4.0, 12.0)
-PER_BEND = 32
 PER_SPECIMEN = 22  # frames, as in the recipe `training`
 _TRUE = 1e-6  # tolerance of signals that others are judged by
 JUDGED = 50  # scenes of which the error is known
@@ -79,7 +78,6 @@ class Workload:
     Attributes:
         name: of the workload.
         touches: lowest and highest number at once.
-        per_bend: scenes that share a bend.
         resolution: of the simulator.
         tolerance: of reanalysis.
         specimens: whether every `PER_SPECIMEN` scenes have a specimen of their own.
@@ -90,7 +88,6 @@ class Workload:
 
     name: str
     touches: tuple[int, int] = (1, 1)
-    per_bend: int = 1
     resolution: Resolution = "fast"
     tolerance: float = TOLERANCE
     specimens: bool = False
@@ -113,7 +110,6 @@ class Workload:
 WORKLOADS = (
     Workload("one touch"),
     Workload("one to four touches", (1, 4)),
-    Workload("one touch, 32 per bend", per_bend=PER_BEND),
     Workload("one touch, resolution `coarse`", resolution="coarse"),
     Workload("one to four touches, resolution `coarse`", (1, 4), resolution="coarse"),
     Workload("one touch, resolution `standard`", resolution="standard"),
@@ -146,13 +142,12 @@ class Rate:
 
 
 def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
-    """Scenes of random presses; scenes that share a bend follow each other."""
+    """Scenes of random presses."""
     rng = np.random.default_rng(seed)
     outline = Rectangle(0.150, 0.060)
     found: list[Scene] = []
     while len(found) < count:
-        if len(found) % workload.per_bend == 0:
-            bend = Bend(float(rng.uniform(*ANGLES)))
+        bend = Bend(float(rng.uniform(*ANGLES)))
         places = draw_positions(
             int(rng.integers(*workload.touches, endpoint=True)), outline, 0.01, 0.03, rng
         )
@@ -190,7 +185,7 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
 
 def signal_errors(workload: Workload) -> Array:
     """Relative errors of the signals of some scenes, (JUDGED,)."""
-    judged = dataclasses.replace(workload, name="", per_bend=1, specimens=False)
+    judged = dataclasses.replace(workload, name="", specimens=False)
     few = judged.electrodes == len(SensorDesign.reference().electrodes) and not judged.disc
     finest: Resolution = "fine" if few else "standard"
     truth = _true_signals(dataclasses.replace(judged, resolution=finest, tolerance=_TRUE))

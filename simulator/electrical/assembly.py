@@ -185,10 +185,6 @@ class Assembly:
         first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
         return np.maximum(first, second), np.minimum(first, second)
 
-    def stiffness(self, conductivity: Numbers) -> Stiffness:
-        """Condensed stiffness for conductivities [S/m] as in `matrices`."""
-        return self.condensed(self.matrices(conductivity))
-
     def matrices(self, conductivity: Numbers) -> Numbers:
         """Entries of element matrices, (elements, entries) [S].
 

@@ -88,7 +88,7 @@ class BatchSolver:
 
         Raises ConfigurationError for models with complex contact impedances.
         """
-        if not is_possible(model):
+        if np.iscomplexobj(model.contact_impedance):
             raise ConfigurationError(
                 f"expected real contact impedances, got {model.contact_impedance.dtype} ones; use "
                 "ForwardModel.impedance"
@@ -97,7 +97,7 @@ class BatchSolver:
         self.model = model
         ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
         contact = assembly.electrode_terms(layer.contact_impedance, ratio)
-        stiffness = assembly.stiffness(layer.entries(assembly.points))
+        stiffness = assembly.condensed(assembly.matrices(layer.entries(assembly.points)))
         system = pattern.system(stiffness.values, contact)
         self.lift, self.grounded = system.lift, float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
@@ -284,8 +284,3 @@ def projected(gram: Array, loads: Array, dependent: float) -> tuple[Array, Array
     basis = scale[:, None] * vectors[:, kept]
     found = basis @ ((basis.T @ loads) / values[kept, None])
     return found, loads.T @ found
-
-
-def is_possible(model: ForwardModel) -> bool:
-    """Whether scenes can share factors: real contact impedances."""
-    return bool(np.isrealobj(model.contact_impedance))

@@ -20,7 +20,7 @@ Conductivity: TypeAlias = complex | Numbers | Field
 
 
 def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) -> Numbers:
-    """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m].
+    """Conductivity in the form of `Assembly.matrices`, (cells, q or 1, 1 or 6) [S/m].
 
     Scalars, or entries xx, yy, zz, xy, xz, yz of tensors. Raises ConfigurationError for another
     shape, and where a scalar or tensor is not positive.

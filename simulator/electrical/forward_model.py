@@ -176,22 +176,9 @@ class ForwardModel:
         self.pattern = SystemPattern(self.assembly)
         positions = self.pattern.rows, self.pattern.columns
         numbers = self.assembly.space.numbers
-        name, blocks = choose_order(
-            solver, positions, numbers, self._element_middles(), self._end_elements()
-        )
+        middles = self.assembly.points.reshape(len(numbers), -1, 3).mean(axis=1)
+        name, blocks = choose_order(solver, positions, numbers, middles)
         self.solver = MultifrontalSolver(*positions, blocks, name)
-
-    def _end_elements(self) -> NDArray[np.int64]:
-        """Elements at the body's end of smallest x."""
-        x = self.mesh.points[self.mesh.cells, 0].min(axis=1)
-        touching = np.flatnonzero(x <= x.min() + 1e-9 * np.ptp(self.mesh.points[:, 0]))
-        return np.unique(touching // self.assembly.space.element.cells)
-
-    def _element_middles(self) -> Array:
-        """Means of the quadrature points of the elements, (elements, 3) [m]."""
-        points = self.assembly.points
-        middles: Array = points.reshape(len(self.assembly.space.numbers), -1, 3).mean(axis=1)
-        return middles
 
     @property
     def unknowns(self) -> int:
@@ -410,7 +397,7 @@ class ForwardModel:
         )
         z = self._contact_impedance(contact_impedance)
         contact = assembly.electrode_terms(z, ratio)
-        stiffness = assembly.stiffness(self._conductivity(conductivity))
+        stiffness = assembly.condensed(assembly.matrices(self._conductivity(conductivity)))
         self.factorisations += 1
         return stiffness, self.pattern.system(stiffness.values, contact)
 

@@ -24,7 +24,6 @@ from eitskin.simulator.electrical.batch import (
     Base,
     BatchSolver,
     Tolerance,
-    is_possible,
 )
 from eitskin.simulator.electrical.cem_system import zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
@@ -278,7 +277,7 @@ class SensorImpedances:
         """
         if model not in self._bases:
             found = None
-            if is_possible(model):
+            if np.isrealobj(model.contact_impedance):
                 solver = self._shared.solver(model)
                 found = solver.base
                 if self._shift is not None:

@@ -45,7 +45,6 @@ def choose_order(
     positions: tuple[Indices, Indices],
     numbers: Indices,
     middles: NDArray[np.float64],
-    first: Indices,
 ) -> tuple[OrderName, list[Block]]:
     """The order called `name`, or the faster one for the shape of the body.
 
@@ -56,8 +55,7 @@ def choose_order(
             versions, is nested dissection.
         positions: rows and columns of the matrix entries.
         numbers: unknowns of each element, (elements, functions).
-        middles: of the elements, (elements, axes) [m].
-        first: elements at one end of the body, where the first strip begins.
+        middles: of the elements, (elements, axes) [m]; strips begin where the first is lowest.
     """
     if name == "sparse LU":
         warnings.warn(
@@ -71,7 +69,8 @@ def choose_order(
             f"solver must be one of {get_args(OrderName)} or None, got {name!r}"
         )
     if name != "nested dissection":
-        level = level_structure(numbers, first)
+        x = middles[:, 0]
+        level = level_structure(numbers, np.flatnonzero(x <= x.min() + _SAME * np.ptp(x)))
         work = float((np.bincount(level).astype(float) ** 3).sum())
         if name is not None or work <= _STRIP_WORK * len(positions[0]):
             return "block Cholesky", strips(*positions, level)
