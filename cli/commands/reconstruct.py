@@ -457,6 +457,7 @@ def _write(out: Path, images: list[Image]) -> None:
     import numpy as np
 
     from eitskin.files import atomic_file
+    from eitskin.training.reconstruction.regions import segment
 
     methods = list(dict.fromkeys(each.maker.method for each in images))
     frames = list(dict.fromkeys(each.frame for each in images))
@@ -481,6 +482,9 @@ def _write(out: Path, images: list[Image]) -> None:
                 inside=grid.inside,
                 change=change.reshape(len(methods), len(frames), *grid.shape),
                 noise=np.array([each.noise for each in images[:: len(frames)]]),
+                classes=np.array([segment(each.values, grid) for each in images]).reshape(
+                    len(methods), len(frames), *grid.shape
+                ),
                 methods=np.array(methods),
                 frames=np.array(frames),
             )

@@ -10,6 +10,7 @@ from eitskin.training.reconstruction.pixel_grid import PixelGrid
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 0.3  # of the picture's largest change, below which the other sign is none
+EDGE_SHARE = 0.6  # of a region's largest change, at its edge, since images are wider than changes
 LEAST_AREA = 0.003  # of the sensor, below which a region is none
 
 
@@ -32,8 +33,8 @@ class PictureRegion(NamedTuple):
 def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
     """Classes -1, 0 and +1 of a picture (rows, columns), 0 outside the outline, too.
 
-    For each sign the pixels beyond the threshold that separates them best from the others (Otsu
-    1979), without those of small parts. A sign whose changes are small beside the other's is none.
+    Regions reach to `EDGE_SHARE` of their own largest change; small ones are left out. A sign whose
+    changes are small beside the other's is none.
     """
     inside = np.nan_to_num(values)
     classes = np.zeros(values.shape, dtype=np.int8)
@@ -41,21 +42,13 @@ def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
         part = np.maximum(sign * inside, 0.0)
         if part.max() <= LEAST_SHARE * np.abs(inside).max():
             continue
-        labels, count = ndimage.label(part > otsu_threshold(part[grid.inside]))
+        labels, count = ndimage.label(part > LEAST_SHARE * part.max())
         for label in range(1, count + 1):
-            if (labels == label).sum() >= LEAST_AREA * len(grid):
-                classes[labels == label] = sign
+            own = np.where(labels == label, part, 0.0)
+            region = own > EDGE_SHARE * own.max()
+            if region.sum() >= LEAST_AREA * len(grid):
+                classes[region] = sign
     return classes
-
-
-def otsu_threshold(values: Array) -> float:
-    """Threshold (Otsu 1979) that makes the variance between both classes of values largest."""
-    rising = np.sort(values)
-    count = np.arange(1, len(rising))
-    below = np.cumsum(rising)[:-1]
-    apart = below / count - (rising.sum() - below) / (len(rising) - count)
-    best = int((count * (len(rising) - count) * apart**2).argmax())
-    return float(0.5 * (rising[best] + rising[best + 1]))
 
 
 def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
