@@ -10,6 +10,7 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import NDArray
 
 SHORTEST, LONGEST = 1e-6, 10.0
 LEAST, MOST = 1e-15, 1e15
@@ -54,6 +55,22 @@ def require_count(name: str, value: int, least: int, most: int) -> None:
     """Raise ConfigurationError unless `value` is from `least` to `most`."""
     if not least <= value <= most:
         raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")
+
+
+def require_axes(
+    name: str, values: "NDArray[Any]", *lengths: int | None, more: bool = True
+) -> None:
+    """Raise ConfigurationError unless the last axes of an array have these lengths; None is any.
+
+    Without `more`, they are all axes.
+    """
+    extra = values.ndim - len(lengths)
+    axes = zip(lengths, values.shape[max(0, extra) :], strict=False)
+    if extra < 0 or (extra and not more) or any(each not in (None, axis) for each, axis in axes):
+        wanted = ", ".join("n" if length is None else str(length) for length in lengths)
+        raise ConfigurationError(
+            f"{name}: expected the shape ({'..., ' * more}{wanted}), got {values.shape}"
+        )
 
 
 def require_seed(value: int) -> None:

@@ -48,7 +48,7 @@ def lazy_exports(
 
     The stub beside `file` lists the public names and their modules once, for type checkers and for
     this function: `from eitskin.geometry.design.sensor import Layer as Layer`. Importing the
-    package imports none of these modules.
+    package imports none of these modules. Arguments are converted by `eitskin.arguments`.
 
     Args:
         package: its `__name__`.
@@ -65,7 +65,9 @@ def lazy_exports(
     def getattribute(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(homes[name]), name)
+        from eitskin.arguments import convert_arguments  # which needs numpy
+
+        value = convert_arguments(getattr(importlib.import_module(homes[name]), name))
         setattr(sys.modules[package], name, value)
         return value
 

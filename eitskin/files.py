@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from secrets import token_hex
 from typing import Any, Final
 
 import msgspec
@@ -39,24 +40,22 @@ def atomic_file(
     path: str | Path,
     failure: type[EitskinError] = ConfigurationError,
     remedy: str = _REMEDY,
-    mode: int = 0o644,
+    mode: int = 0o666,
 ) -> Iterator[Path]:
     """Context manager of a temporary file beside `path`, which is renamed to `path` at the end.
 
     Where the block raises, or the machine fails, an older file at `path` is left as it was. The
-    temporary file has the suffix of `path`, from which writers of pictures tell the format. Until
-    the end, when it has the permissions `mode`, only its owner can read it. Where the file cannot
-    be written, `failure` is raised with `remedy` at the end of its message.
+    temporary file has the suffix of `path`, from which writers of pictures tell the format, and the
+    permissions `mode`, less those that the umask withholds. Where the file cannot be written,
+    `failure` is raised with `remedy` at the end of its message.
     """
     path = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary = path.with_name(f"{TEMPORARY}{token_hex(8)}{path.suffix}")
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode))
         try:
             yield temporary
             sync(temporary)
-            temporary.chmod(mode)  # mkstemp's 0600 would keep others from reading the file
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
@@ -77,12 +76,12 @@ def atomic_folder(
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        temporary = path.with_name(f".{path.name}.{token_hex(8)}")
+        temporary.mkdir()
         try:
             yield temporary
             for file in temporary.rglob("*"):
                 sync(file)
-            temporary.chmod(0o755)  # mkdtemp's 0700 would keep others out
             _put_in_place(temporary, path)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)

@@ -202,7 +202,11 @@ class Protocol:
     @classmethod
     def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
         """Protocol from any iterable of rows of four integers."""
-        return cls(tuple(tuple(int(e) for e in row) for row in rows), n_electrodes)  # type: ignore[misc]
+        try:
+            table = tuple(tuple(int(e) for e in row) for row in rows)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ConfigurationError(f"rows: expected rows of four integers: {error}") from error
+        return cls(table, n_electrodes)  # type: ignore[arg-type]
 
     def __len__(self) -> int:
         """Number of measurements in one frame."""

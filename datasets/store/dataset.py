@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import require_seed
+from eitskin.bounds import require_count, require_seed
 from eitskin.config import toml_table
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import (
@@ -238,6 +238,7 @@ class Dataset:
                 "expected a recording with the electrodes of its channels, got none; import with "
                 "--protocol, or use the arrays"
             )
+        require_count("index", index, -len(self), len(self) - 1)
         lost = (self.status[index] & np.uint8(Status.NOT_FINITE)).astype(bool)
         return Frame(
             impedance=np.where(lost, np.nan, self.impedance[index].astype(np.complex128)),
@@ -317,7 +318,9 @@ class Dataset:
         Raises DataError for parts of different datasets, or another number of frames.
         """
         rest = iter(parts)
-        first = next(rest)
+        first = next(rest, None)
+        if first is None:
+            raise DataError("expected at least one part of a dataset, got none")
         collected = ColumnCollector(first, frames, {field.name for field in FIELDS})
         end = 0
         for part in itertools.chain((first,), rest):
@@ -414,6 +417,8 @@ def require_same_origin(one: Dataset, other: Dataset) -> None:
 def frame_numbers(indices: ArrayLike | slice) -> Any:
     """Slice or array that selects frames; numpy makes floats of an empty list."""
     chosen: Any = indices if isinstance(indices, slice) else np.asarray(indices)
+    if np.size(chosen) and not isinstance(chosen, slice) and chosen.dtype.kind not in "biu":
+        raise ConfigurationError("indices: expected whole numbers, a mask or a slice, got others")
     return chosen.astype(np.int64) if np.size(chosen) == 0 else chosen
 
 

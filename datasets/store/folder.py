@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from eitskin.bounds import require_count
 from eitskin.datasets.store.dataset import (
     ORIGIN,
     ColumnCollector,
@@ -27,7 +28,7 @@ from eitskin.datasets.store.manifest import (
     shard_content,
     write_manifest,
 )
-from eitskin.datasets.store.schema import FIELDS
+from eitskin.datasets.store.schema import FIELDS, LIMITS
 from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.shard_reader import read_shard, shard_of
 from eitskin.errors import ConfigurationError, DataError
@@ -131,6 +132,7 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
     """
     if not len(data):
         raise DataError("a dataset needs at least one frame, got none")
+    require_count("frames_per_shard", frames_per_shard, 1, LIMITS["frame"])
     starts = range(0, len(data), frames_per_shard)
     return save_parts((data.select(slice(i, i + frames_per_shard)) for i in starts), folder)
 

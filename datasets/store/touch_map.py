@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import require_count, require_length
+from eitskin.bounds import require_axes, require_count, require_length
 from eitskin.errors import DataError
 
 MOST_PIXELS = 4096  # of a row or column
@@ -41,6 +41,8 @@ def touch_maps(
     for name, count in zip(("rows", "columns"), shape, strict=True):
         require_count(f"{name} of a touch map", count, 1, MOST_PIXELS)
     x, y, radius = (np.asarray(values, dtype=np.float32) for values in (x, y, radius))
+    for name, values in (("x", x), ("y", y), ("radius", radius)):
+        require_axes(name, values, *(x.shape if x.ndim == 2 else (None, None)), more=False)
     if np.any(np.isfinite(x) != np.isfinite(y)):
         raise DataError("a touch needs both coordinates, got one; pass NaN in both where absent")
     if np.any(np.isfinite(x) & ~np.isfinite(radius)):

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import MOST_POINTS, require_count, require_length
+from eitskin.bounds import MOST_POINTS, require_axes, require_count, require_length
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.surface import Surface
 
@@ -101,6 +101,7 @@ class _StraightSided(_Plane):
         return np.stack([np.interp(along, sides.knots, axis) for axis in sides.closed.T], axis=-1)
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
+        require_axes("points", points, 2)
         sides = _sides(self)
         step, lengths = sides.step, sides.lengths
         away = points[..., None, :] - sides.closed[:-1]
@@ -270,6 +271,7 @@ class Disc(_Plane):
         return self.radius * (1.0 + np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
+        require_axes("points", points, 2)
         away = points - self.radius
         angle = np.mod(np.arctan2(away[..., 1], away[..., 0]), 2.0 * math.pi)
         return angle * self.radius, self.radius - np.hypot(away[..., 0], away[..., 1])

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import MOST_ELECTRODES, require_count, require_length, require_positive
+from eitskin.bounds import (
+    MOST_ELECTRODES,
+    require_axes,
+    require_count,
+    require_length,
+    require_positive,
+)
 from eitskin.config import Location, build, choose, read, read_toml, to_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.contact_areas import placed, require_apart
@@ -258,7 +264,9 @@ class SensorDesign:
 
         A point between two layers belongs to the upper one, an outer point to the nearest layer.
         """
-        z = np.asarray(points, dtype=float)[..., 2]
+        places = np.asarray(points, dtype=float)
+        require_axes("points", places, 3)
+        z = places[..., 2]
         if not self.layers:
             return np.full(z.shape, float(self.conductivity))
         bottom = self.outline.bounds[0, 2] if isinstance(self.outline, Surface) else 0.0

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import require_axes
 from eitskin.errors import ConfigurationError
 from eitskin.files import shortened
 from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
@@ -248,6 +249,7 @@ class ForwardModel:
         """
         u, _ = self.element_potentials(conductivity, area_ratio)
         if along is not None and not callable(along):
+            along = np.broadcast_to(along, len(u))
             u, along = u * np.sqrt(along)[:, None, None], None
         if pixels is not None:
             gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels, along)
@@ -288,14 +290,13 @@ class ForwardModel:
         assembly = self.assembly
         z = self._contact_impedance(contact_impedance)
         _, system, w, U = self._solve(conductivity, area_ratio, contact_impedance)
-        ratio: Array | float = 1.0
-        if area_ratio is not None:
-            ratio = area_ratio(assembly.facet_points, assembly.facet_normals)
+        ratio = self._area_ratio(area_ratio)
         return assembly.contact_gram(self.contact_drops(w, U, system.lift), z, ratio)
 
     def contact_drops(self, w: Numbers, U: Numbers, lift: Array) -> Numbers:
         """Potential drop U - u across the contacts, (pieces, q, k), for u = w + lift U."""
         assembly = self.assembly
+        require_axes("w", w, len(lift), None)
         on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
         # u - U_l is w itself on electrodes with a lifting function.
         own = U * (1.0 - lift.max(axis=0))[:, None]
@@ -384,6 +385,19 @@ class ForwardModel:
         """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
         return np.asarray(self.design.contact_impedance)
 
+    def _area_ratio(self, area_ratio: AreaRatio | None) -> Array | float:
+        """Ratio of deformed to flat area at `facet_points`; a ConfigurationError for others."""
+        if area_ratio is None:
+            return 1.0
+        points = self.assembly.facet_points
+        ratio = np.asarray(area_ratio(points, self.assembly.facet_normals))
+        if ratio.dtype.kind not in "fiu" or ratio.shape not in ((), points.shape[:-1]):
+            raise ConfigurationError(
+                f"area_ratio: expected real numbers of the shape {points.shape[:-1]}, got "
+                f"{ratio.dtype} of {ratio.shape}"
+            )
+        return np.broadcast_to(ratio, points.shape[:-1])
+
     def _system(
         self,
         conductivity: Conductivity | None,
@@ -392,9 +406,7 @@ class ForwardModel:
     ) -> tuple[Stiffness, CemSystem]:
         """Stiffness and linear system of one scene; counts as a factorisation."""
         assembly = self.assembly
-        ratio = (
-            1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
-        )
+        ratio = self._area_ratio(area_ratio)
         z = self._contact_impedance(contact_impedance)
         contact = assembly.electrode_terms(z, ratio)
         stiffness = assembly.condensed(assembly.matrices(self._conductivity(conductivity)))

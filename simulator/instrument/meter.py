@@ -19,6 +19,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import require_axes
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 
@@ -145,6 +146,7 @@ class FourTerminalMeter:
         Raises:
             ConfigurationError: for scales or offsets of another number of measurements.
         """
+        require_axes("sensed", sensed, None)
         m = sensed.shape[-1]
         gain = self.scale * _filled("channel_scale", self.channel_scale, m, 1.0, "measurements")
         zero = self.offset + _filled("channel_offset", self.channel_offset, m, 0.0, "measurements")

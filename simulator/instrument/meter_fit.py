@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from eitskin.bounds import require_seed
+from eitskin.bounds import require_axes, require_positive, require_seed
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.fit_parameters import (
@@ -155,7 +155,9 @@ def fit_meter(
     measured = _mean_frame(frames, protocol)
     quantity: Quantity = reads or _quantity(measured)
     is_complex = quantity == "complex"
+    require_axes("impedance", impedance, None, None, more=False)
     typical = float(np.median(np.abs(np.diag(impedance))))
+    require_positive("the median of the impedance's diagonal", typical, "ohm")
     parameters = meter_parameters(terms, protocol.n_electrodes, typical, complex_terms=is_complex)
     readings = len(measured) * (1 + is_complex)
     if len(parameters) + 2 >= readings:

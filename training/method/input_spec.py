@@ -10,7 +10,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import LARGEST_READING, LEAST_READING
+from eitskin.bounds import LARGEST_READING, LEAST_READING, require_axes
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets import Dataset
 from eitskin.geometry import (
@@ -302,6 +302,7 @@ class InputSpec:
         Args:
             flat: its magnitudes, flat and untouched (measurements,) [ohm]; NaN where unknown.
         """
+        require_axes("flat", flat, len(self.reference), more=False)
         known = np.isfinite(flat) & (flat > 0)
         common = np.median(flat[known] / self.reference[known])
         return replace(self, reference=np.where(known, flat, common * self.reference))
@@ -325,6 +326,7 @@ class InputSpec:
             adapting: whether known frames are to make the pipeline that of this sensor, whose
                 contacts may differ by up to `WIDEST_SPREAD`.
         """
+        require_axes("voltages", voltages, len(self.reference), more=False)
         limit, remedy = (
             self.spread,
             ("make the pipeline its own by known angles (eitskin calibrate, eitskin adapt)"),

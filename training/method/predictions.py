@@ -9,7 +9,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import require_axes
 from eitskin.datasets import UNKNOWN_STATE, State, touch_maps
+from eitskin.errors import ConfigurationError
 from eitskin.simulator import Frame
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets, most_probable
@@ -104,16 +106,19 @@ class FoundTouches:
         size = np.asarray(strength, dtype=float).reshape(-1)
         order = np.argsort(-size, kind="stable")
 
-        def sorted_or_unknown(values: ArrayLike | None) -> Array:
+        def sorted_or_unknown(name: str, values: ArrayLike | None, *axes: int) -> Array:
             if values is None:
-                return np.full(len(size), np.nan)
-            return np.asarray(values, dtype=float).reshape(-1)[order]
+                return np.full((len(size), *axes), np.nan)
+            made = np.asarray(values, dtype=float)
+            if made.size != math.prod((len(size), *axes)):
+                raise ConfigurationError(f"{name}: expected one for each strength, {len(size)}")
+            return made.reshape(-1, *axes)[order]
 
         return cls(
-            np.asarray(place, dtype=float).reshape(-1, 2)[order],
+            sorted_or_unknown("place", place, 2),
             size[order],
-            sorted_or_unknown(force),
-            sorted_or_unknown(deviation),
+            sorted_or_unknown("force", force),
+            sorted_or_unknown("deviation", deviation),
         )
 
     def __len__(self) -> int:
@@ -205,12 +210,15 @@ class Predictions:
         )
         if places is None:
             return said
-        xy = np.array(places, dtype=float).reshape(count, -1, 2)
+        xy = np.array(places, dtype=float)
+        require_axes("places", xy, count, None, 2, more=False)
         if probabilities is not None:
             xy[most_probable(state) != State.TOUCH] = np.nan
         there = np.isfinite(xy).all(axis=2)
         size = np.ones(there.shape) if strength is None else np.asarray(strength, dtype=float)
         newton = np.full(there.shape, np.nan) if force is None else np.asarray(force, dtype=float)
+        for name, values in (("strength", size), ("force", newton)):
+            require_axes(name, values, *there.shape, more=False)
         discs = np.where(there, radius, np.nan)
         x, y = (np.where(there, xy[..., axis], np.nan) for axis in (0, 1))
         return replace(
@@ -224,7 +232,9 @@ class Predictions:
 
     @classmethod
     def joined(cls, parts: "Sequence[Predictions]") -> "Predictions":
-        """Concatenate the frames of all parts, in their order."""
+        """Concatenate the frames of all parts, at least one, in their order."""
+        if not parts:
+            raise ConfigurationError("parts: expected at least one, got none")
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")

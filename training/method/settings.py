@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_seed
+from eitskin.bounds import require_seed, require_within
 from eitskin.datasets import Dataset
 from eitskin.geometry import ConfigurationError
 
@@ -101,6 +101,7 @@ class NetworkSettings:
 
     def shortened(self, share: float) -> "NetworkSettings":
         """Settings with a share of the epochs and steps, at least one."""
+        require_within("share", share, 0.0, 1.0)
         return replace(
             self,
             epochs=max(1, round(share * self.epochs)),

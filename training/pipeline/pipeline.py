@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.bounds import require_axes
 from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
@@ -345,7 +346,9 @@ class Pipeline:
 
         Empty where it may be, or where the pipeline has no `flat_sensors` to compare with.
         """
-        return "" if self.flat_sensors is None else self.flat_sensors.judge(impedance).doubt
+        values = np.asarray(impedance)
+        require_axes("impedance", values, len(self.layout.reference), more=False)
+        return "" if self.flat_sensors is None else self.flat_sensors.judge(values).doubt
 
     def reset(self) -> None:
         """Begin a new session.

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.bounds import LARGEST_READING, LEAST_READING
+from eitskin.bounds import LARGEST_READING, LEAST_READING, require_axes
 from eitskin.config import Location, build
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file, parse_json, read_bytes
@@ -151,6 +151,7 @@ class StoredReference:
 
     def magnitudes(self, usual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Magnitudes (measurements,) [ohm]; `usual` ones, scaled, where a channel was bad."""
+        require_axes("usual", usual, len(self.protocol), more=False)
         known = np.isfinite(self.impedance)
         scale = np.median(np.abs(self.impedance[known]) / usual[known])
         return np.where(known, np.abs(self.impedance), scale * usual)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from eitskin.bounds import LEAST, MOST
+from eitskin.bounds import LEAST, MOST, require_axes
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.outline import Outline, PlaneOutline
 from eitskin.geometry.design.surface import Surface
@@ -112,6 +112,7 @@ class PixelGrid:
     def image(self, values: ArrayLike) -> Array:
         """Pictures (..., rows, columns) from values (..., P) of the pixels inside; NaN outside."""
         inner = np.asarray(values, dtype=float)
+        require_axes("values", inner, len(self))
         picture = np.full((*inner.shape[:-1], *self.shape), np.nan)
         picture[..., self.inside] = inner
         return picture
@@ -121,6 +122,7 @@ class PixelGrid:
 
         A pixel that the rim cuts and whose centre is outside adds to the nearest pixel inside.
         """
+        require_axes("columns", columns, self.inside.size)
         _, nearest = cKDTree(self.centres).query(self._points.reshape(-1, 2))
         count = self.inside.size
         share = csr_array((np.ones(count), (np.arange(count), nearest)), (count, len(self)))
@@ -154,6 +156,7 @@ class PixelGrid:
         Raises ConfigurationError for numbers that are no place or radius.
         """
         places = np.asarray(centres, dtype=float)
+        require_axes("centres", places, None, 2)
         if not (np.all(np.abs(places) <= MOST) and 0.0 <= radius <= MOST):
             raise ConfigurationError(f"discs need finite centres and a radius in m, got {radius}")
         away = np.linalg.norm(places[:, None] - self.centres, axis=2)
@@ -225,7 +228,9 @@ def figures_of_merit(
             f"expected a picture and a centre up to {MOST:g}, and an integral from {LEAST:g}, got "
             f"{np.abs(given).max(initial=0.0):g} and {integral:g}"
         )
-    picture = np.asarray(values, dtype=float) * math.copysign(1.0, integral)
+    picture = np.asarray(values, dtype=float)
+    require_axes("values", picture, len(grid), more=False)
+    picture = picture * math.copysign(1.0, integral)
     largest = float(picture.max(initial=0.0))
     if not largest > 0.0:
         raise DataError("expected a picture with values of the target's sign, got none")

@@ -1,7 +1,7 @@
 """Reconstructor: pictures of the conductivity change of any design under any protocol."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,7 @@ from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.training.method.input_spec import require_usable, usable_values
 from eitskin.training.method.observations import relative_difference
@@ -28,9 +29,6 @@ from eitskin.training.reconstruction.regularised_inverse import (
     gauss_newton,
     noser_weights,
 )
-
-if TYPE_CHECKING:
-    from eitskin.simulator.electrical.forward_model import ForwardModel
 
 Array = NDArray[np.float64]
 Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit"]
@@ -74,7 +72,7 @@ class Reconstructor:
 
     def __init__(
         self,
-        design: "SensorDesign | ForwardModel",
+        design: SensorDesign | ForwardModel,
         protocol: Protocol | None = None,
         method: Method = "greit",
         regularisation: Regularisation | None = None,

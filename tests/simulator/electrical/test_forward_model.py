@@ -147,7 +147,7 @@ def test_impossible_conductivities_are_refused(model, conductivity, message) -> 
 
 @pytest.mark.parametrize("z", [0.0, -1e-3, np.nan, np.full(7, 1e-3), "good"])
 def test_impossible_contact_impedances_are_refused(model, z) -> None:
-    with pytest.raises(ConfigurationError, match="contact_impedance must be"):
+    with pytest.raises(ConfigurationError, match="contact_impedance"):
         model.impedance(contact_impedance=z)
 
 
@@ -159,7 +159,7 @@ def test_a_contact_impedance_is_that_of_all_electrodes(model) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"resolution": "finest"}, "coarse, fast, standard, fine"),
+        ({"resolution": "finest"}, "coarse.*fine"),
         ({"solver": "multigrid"}, "solver must be"),
     ],
 )

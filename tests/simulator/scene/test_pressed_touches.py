@@ -302,5 +302,5 @@ def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
 def test_impossible_touches_are_refused(arguments, says) -> None:
     with pytest.raises(ConfigurationError, match=says):
         Touch(X, Y, **arguments)
-    with pytest.raises(ConfigurationError, match=r"touch_model.*one of"):
+    with pytest.raises(ConfigurationError, match=r"touch_model.*tabulated"):
         Simulator(DESIGN, touch_model="guess")

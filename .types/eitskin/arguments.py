@@ -1,0 +1,1 @@
+../../eitskin/arguments.py
