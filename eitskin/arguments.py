@@ -30,7 +30,7 @@ Converter = Callable[[Any], Any]
 MAX_NAME = 255  # bytes of one name in a path
 MAX_TEXT = 100  # characters of a value in a message
 MAX_BITS = 1000  # of an integer that a float holds
-_FOREIGN = ("builtins", "numpy", "pandas", "torch", "decimal", "fractions", "pathlib", "eitskin")
+_FOREIGN = ("builtins", "numpy", "pandas", "torch", "decimal", "fractions", "pathlib")
 _KINDS = {"f": "real numbers", "c": "numbers", "i": "whole numbers", "b": "truth values"}
 
 
@@ -212,7 +212,7 @@ def _named(value: Any) -> Any:
     """Path, or text that is one, whose names are possible."""
     if not isinstance(value, str | Path):
         raise TypeError("expected a path")
-    parts = os.fspath(value).encode(errors="surrogatepass").split(b"/")
+    parts = os.fsencode(value).split(b"/")
     if any(len(part) > MAX_NAME or b"\0" in part for part in parts):
         raise ValueError(f"expected a path of names of at most {MAX_NAME} bytes, without NUL")
     return value
@@ -263,8 +263,8 @@ def _items(item: Converter, kind: Any, value: Any) -> Any:
         if kind is not tuple and all(map(operator.is_, made, value)):
             return value
         return list(made) if kind is list else made
-    loads = kind is Iterable or (kind is Sequence and isinstance(value, Sequence))
-    return value if loads else tuple(map(item, value))
+    loads = isinstance(value, Iterator) or (isinstance(value, Sequence) and not _foreign(value))
+    return value if loads and kind in (Sequence, Iterable) else tuple(map(item, value))
 
 
 def _row(items: tuple[Converter, ...], value: Any) -> Any:
@@ -284,10 +284,15 @@ def _any_of(members: tuple[Converter, ...], value: Any) -> Any:
     raise TypeError(f"expected {' or '.join(dict.fromkeys(reasons))}")
 
 
+def _foreign(value: Any) -> bool:
+    """Whether a value is of Python or of a library of numbers."""
+    return type(value).__module__.partition(".")[0] in _FOREIGN
+
+
 def _instance(kind: type, value: Any) -> Any:
     """Instance of a class, or a stand-in of the caller's own."""
-    foreign = type(value).__module__.partition(".")[0]
-    if isinstance(value, kind) or foreign not in _FOREIGN:
+    own = type(value).__module__.partition(".")[0] == "eitskin"
+    if isinstance(value, kind) or not (own or _foreign(value)):
         return value
     raise TypeError(f"expected {'None' if kind is types.NoneType else f'a {kind.__name__}'}")
 

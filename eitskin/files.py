@@ -12,7 +12,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, Final
@@ -31,6 +31,7 @@ _RESUME = (
 MOST_TEXT: Final = 64 << 20
 """Largest size of a text file [bytes]: a recipe with a protocol of 16,384 channels has 0.5 MB."""
 
+_LARGE: Final = 1 << 24  # bytes, from which a file is looked through for holes
 _LONGEST_QUOTE: Final = 100  # characters
 _BINARY: Final = getattr(os, "O_BINARY", 0)  # Windows changes ends of lines otherwise
 
@@ -159,7 +160,7 @@ def read_bytes(
     except ValueError as error:  # a NUL in the name
         raise failure(f"cannot read {path}: {error}; give the name of a file") from error
     try:
-        size = _regular_size(os.fstat(handle), path, most, failure)
+        size = _regular_size(handle, path, most, failure)
         with open(handle, "rb", closefd=False) as file:
             content = file.read(size + 1)
             if len(content) > size:  # a file that grows meanwhile
@@ -180,16 +181,21 @@ def require_regular(
 ) -> None:
     """Raise `failure` as `read_bytes` does, without reading; a missing file is left to others."""
     try:
-        status = Path(path).stat()
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | _BINARY)
     except (OSError, ValueError):
         return
-    _regular_size(status, path, most, failure)
+    try:
+        _regular_size(handle, path, most, failure)
+    finally:
+        os.close(handle)
 
 
-def _regular_size(
-    status: os.stat_result, path: str | Path, most: int, failure: type[EitskinError]
-) -> int:
-    """Size of a file [bytes]; raises `failure` unless it is regular and has at most `most`."""
+def _regular_size(handle: int, path: str | Path, most: int, failure: type[EitskinError]) -> int:
+    """Size of a file [bytes]; raises `failure` unless it is regular and has at most `most`.
+
+    So it does for a large file that is nearly all holes, whatever its size claims.
+    """
+    status = os.fstat(handle)
     if not stat.S_ISREG(status.st_mode):
         kind = "folder" if stat.S_ISDIR(status.st_mode) else "pipe or device"
         raise failure(f"cannot read {path}: expected a file, got a {kind}")
@@ -198,7 +204,23 @@ def _regular_size(
             f"cannot read {path}: expected at most {most} bytes, got {status.st_size}; is this the "
             "file that was meant?"
         )
+    if status.st_size > _LARGE and _stored(handle, status.st_size) < status.st_size // 100:
+        raise failure(f"cannot read {path}: most of its {status.st_size} bytes are missing")
     return status.st_size
+
+
+def _stored(handle: int, size: int) -> int:
+    """Bytes of a file that are no holes, as far as the system tells."""
+    if not hasattr(os, "SEEK_DATA"):
+        return size
+    stored = end = 0
+    with suppress(OSError):  # no data after the last
+        while end < size:
+            start = os.lseek(handle, end, os.SEEK_DATA)
+            end = os.lseek(handle, start, os.SEEK_HOLE)
+            stored += end - start
+    os.lseek(handle, 0, os.SEEK_SET)
+    return stored
 
 
 def read_text(

@@ -235,7 +235,6 @@ def _finished(
     examined: Progress | None = None,
 ) -> Entries:
     """Entries of those `shards` that lie finished in `folder`, by number."""
-    text = recipe.to_toml()
     checksums: dict[str, str] = {}
     with suppress(DataError):
         checksums = {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
@@ -245,7 +244,7 @@ def _finished(
     workers = worthwhile(workers, (folder / entry.name for entry in wanted))
     found: Entries = {}
     numbers = dict(zip(wanted, shards, strict=True))
-    examine = partial(_examine, folder, text, recipe.seed)
+    examine = partial(_examine, folder, recipe)
     with closing(run_tasks(examine, wanted, workers)) as entries:
         for count, (expected, entry) in enumerate(entries, 1):
             if entry is not None:
@@ -255,7 +254,7 @@ def _finished(
     return found
 
 
-def _examine(folder: Path, recipe: str, seed: int, wanted: ShardEntry) -> ShardEntry | None:
+def _examine(folder: Path, recipe: Recipe, wanted: ShardEntry) -> ShardEntry | None:
     """Entry of a shard that is whole and of this recipe; None where it has to be made."""
     path = folder / wanted.name
     try:
@@ -267,5 +266,7 @@ def _examine(folder: Path, recipe: str, seed: int, wanted: ShardEntry) -> ShardE
         data = shard_of(content, path, wanted.first_index)
     except DataError:
         return None
-    sound = len(data) == wanted.count and (data.recipe, data.seed) == (recipe, seed)
+    origin = data.recipe, data.seed, data.source, data.protocol, data.design
+    expected = recipe.to_toml(), recipe.seed, "simulated", recipe.measured_protocol, recipe.sensor
+    sound = len(data) == wanted.count and origin == expected
     return dataclasses.replace(wanted, sha256=found) if sound else None

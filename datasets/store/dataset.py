@@ -261,6 +261,9 @@ class Dataset:
     def select(self, indices: ArrayLike | slice) -> "Dataset":
         """Frames at `indices` (integers, slice or mask) in that order, with all specimens."""
         chosen = frame_numbers(indices)
+        if not isinstance(chosen, slice) and chosen.dtype.kind in "iu":
+            for index in (chosen.min(initial=0), chosen.max(initial=0)):
+                require_count("indices", int(index), -len(self), max(0, len(self) - 1))
         return dataclasses.replace(
             self, **{field.name: getattr(self, field.name)[chosen] for field in FRAME_FIELDS}
         )

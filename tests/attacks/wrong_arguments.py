@@ -1,14 +1,13 @@
 """Wrong and extreme arguments of the public functions, classes and methods."""
 
 import contextlib
-import dataclasses
 import enum
 import functools
 import importlib
 import inspect
 import itertools
-import pickle
 import random
+import types
 import typing
 from collections.abc import Callable
 from decimal import Decimal
@@ -18,10 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.datasets import Recipe, State, open_dataset, save_dataset
+from eitskin.datasets import Recipe, State
 from eitskin.errors import EitskinError
-from eitskin.geometry import Bend, Contacts, Hinge, Mesh, Polygon, Roll, SensorDesign, Surface, Twist
-from eitskin.hardware import Board, Counts, Script, Stage, Step
+from eitskin.geometry import (
+    Bend,
+    Hinge,
+    Polygon,
+    Roll,
+    SensorDesign,
+    Twist,
+)
+from eitskin.hardware import Counts, Script, Stage, Step
 from eitskin.simulator import (
     ForwardModel,
     FourTerminalMeter,
@@ -35,7 +41,6 @@ from eitskin.simulator import (
 )
 from eitskin.training import (
     FrameLabel,
-    InputSpec,
     PixelGrid,
     Reconstructor,
     Regularisation,
@@ -52,17 +57,24 @@ import small_dataset
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware")
 NUMBERS = (0, -1, 1, 2**31, 2**63, 10**30, 10**400, -(10**400), 0.0, -0.0, 1e300, -1e300, 5e-324)
 ODD = (float("nan"), float("inf"), -float("inf"), 1 + 2j, complex("nan"), True, None, np.float32(1))
-OTHERS = (np.int8(-1), Decimal("1e400"), Fraction(1, 3), "", "a", "\0", "a" * 300, b"a", "-1", "nan")
+OTHERS = (
+    np.int8(-1),
+    Decimal("1e400"),
+    Fraction(1, 3),
+    "",
+    "a",
+    "\0",
+    "a" * 300,
+    b"a",
+    "-1",
+    "nan",
+)
 OBJECTS = ((), [], {}, {"a": 1}, {1}, [[1], [2, 3]], range(5), ..., Path("a" * 300), "\ud800")
 ARRAYS = (
     *(np.zeros(0), np.array(np.nan), np.zeros((2, 3)), np.full(28, np.nan), np.ones(28) * 1j),
     *(np.array(["a"]), np.array([None]), np.full((3, 28), 1e300), np.arange(28) - 5, np.zeros(28)),
     *(np.ma.masked_equal(np.arange(28), 3), np.ma.ones(28), np.datetime64("2026-01-01")),
 )
-
-
-class Many:
-    """Values that are drawn."""
 
 
 @functools.cache
@@ -132,7 +144,9 @@ def calls() -> list[tuple[str, Callable[[], Callable[..., Any]]]]:
                 if isinstance(static, classmethod | staticmethod):
                     found.append((f"{name}.{key}", functools.partial(getattr, public, key)))
                 elif inspect.isfunction(static) and public in sound():
-                    found.append((f"{name}.{key}", lambda p=public, k=key: getattr(sound()[p][0], k)))
+                    found.append(
+                        (f"{name}.{key}", lambda p=public, k=key: getattr(sound()[p][0], k))
+                    )
     return [each for each in found if _parameters(each[1]())]
 
 
@@ -144,37 +158,49 @@ def _parameters(call: Any) -> list[inspect.Parameter]:
 def good(kind: Any, name: str, rng: random.Random, folder: Path) -> Any:
     """Value of an annotation, as sound as can be."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    one = functools.partial(good, name=name, rng=rng, folder=folder)
+    simple: dict[Any, Any] = {
+        int: [1, 4, 8, 28],
+        float: [0.01, 0.03, 1.0, 40.0],
+        bool: [True, False],
+    }
+    simple |= {
+        complex: [0.1, 1e-3 + 1e-4j],
+        str: ["pairwise:8", "a"],
+        type(None): [None],
+        Path: [folder],
+    }
+    choices = [*simple.get(kind, ()), *(sound().get(kind, ()) if isinstance(kind, type) else ())]
     if name in ("path", "folder", "out", "file", "folders"):
-        return folder / rng.choice(["set", "none", "new"])
-    if name in ("uri", "text", "form", "rule"):
-        return rng.choice(["virtual:?speed=max&resolution=coarse", "pairwise:8", "csv", "lambda"])
-    if isinstance(kind, type) and kind in sound():
-        return rng.choice(sound()[kind])
-    if origin is typing.Literal:
-        return rng.choice(inner)
-    if origin is np.ndarray:
-        return rng.choice([np.full(28, 500 + 1j), np.ones((3, 28)), np.full((1, 3), 0.03), np.ones(8)])
-    if origin in (typing.Union, *([type(int | str)])):
-        return good(rng.choice(inner), name, rng, folder)
-    if origin in (tuple, list) or "Sequence" in str(origin) or "Iterable" in str(origin):
-        if origin is tuple and inner[1:] != (...,):
-            return tuple(good(each, name, rng, folder) for each in inner)
-        return tuple(good(inner[0], name, rng, folder) for _ in range(rng.randrange(4)))
-    simple = {int: [1, 4, 8, 28], float: [0.01, 0.03, 1.0, 40.0], complex: [0.1, 1e-3 + 1e-4j]}
-    simple |= {bool: [True, False], str: ["pairwise:8", "a"], type(None): [None], Path: [folder]}
-    if kind in simple:
-        return rng.choice(simple[kind])
-    if "Callable" in str(origin):
-        return lambda *_: None
-    return rng.choice(ARRAYS)
+        choices = [folder / each for each in ("set", "none", "new")]
+    elif name in ("uri", "text", "form", "rule"):
+        choices = ["virtual:?speed=max&resolution=coarse", "pairwise:8", "csv", "lambda"]
+    elif origin is typing.Literal:
+        choices = list(inner)
+    elif origin is np.ndarray:
+        choices = [np.full(28, 500 + 1j), np.ones((3, 28)), np.full((1, 3), 0.03), np.ones(8)]
+    elif origin in (typing.Union, types.UnionType):
+        choices = [one(rng.choice(inner))]
+    elif origin is tuple and inner[1:] != (...,):
+        choices = [tuple(map(one, inner))]
+    elif origin in (tuple, list) or "Sequence" in str(origin) or "Iterable" in str(origin):
+        choices = [tuple(one(inner[0]) for _ in range(rng.randrange(4)))]
+    return rng.choice(choices or ARRAYS)
 
 
 def wrong(value: Any, rng: random.Random) -> Any:
     """Another value: extreme, of another type or library, or of another part of the package."""
-    if isinstance(value, np.ndarray) and value.ndim and value.dtype.kind in "fciu" and rng.random() < 0.5:
+    if (
+        isinstance(value, np.ndarray)
+        and value.ndim
+        and value.dtype.kind in "fciu"
+        and rng.random() < 0.5
+    ):
         changed = np.array(value, dtype=complex if value.dtype.kind == "c" else float)
         if changed.size:
-            changed.flat[rng.randrange(changed.size)] = rng.choice([np.nan, np.inf, -1.0, 1e300, 1e40])
+            changed.flat[rng.randrange(changed.size)] = rng.choice(
+                [np.nan, np.inf, -1.0, 1e300, 1e40]
+            )
         return rng.choice([changed, changed.T, changed[..., :-1], changed[None], changed.tolist()])
     if isinstance(value, tuple) and value and rng.random() < 0.5:
         items = list(value)
@@ -192,9 +218,13 @@ def attack(rng: random.Random, folder: Path) -> str:
     call = get()
     parameters = _parameters(call)
     chosen = rng.choice(parameters)
-    hints = typing.get_type_hints(call.__init__ if isinstance(call, type) else call) if _hints(call) else {}
+    hints = _hints(call)
     for parameter in parameters:
-        if parameter.default is not parameter.empty and parameter is not chosen and rng.random() < 0.7:
+        if (
+            parameter.default is not parameter.empty
+            and parameter is not chosen
+            and rng.random() < 0.7
+        ):
             continue
         value = good(hints.get(parameter.name, Any), parameter.name, rng, folder)
         if parameter is chosen or rng.random() < 0.15:
@@ -222,9 +252,9 @@ def attack(rng: random.Random, folder: Path) -> str:
     return "taken"
 
 
-def _hints(call: Any) -> bool:
+def _hints(call: Any) -> dict[str, Any]:
+    """Types of the parameters, as far as they are known while it runs."""
     try:
-        typing.get_type_hints(call.__init__ if isinstance(call, type) else call)
+        return typing.get_type_hints(call.__init__ if isinstance(call, type) else call)
     except NameError:
-        return False
-    return True
+        return {}

@@ -1,0 +1,724 @@
+"""Attacks by kinds of hostile input, from a seed: `python tests/attacks/attacks.py --trials 1000`.
+
+Every trial is either taken or refused by one error of the package. Anything else (a raw exception,
+an endless loop, a half-written file, damage that is accepted) is printed with the number that makes
+the trial again: `--only shards --trial 17`. The suite runs a few trials of each kind.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import errno
+import functools
+import json
+import os
+import random
+import re
+import resource
+import shlex
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+if __name__ == "__main__":
+    HERE = Path(__file__).parent
+    sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
+
+import numpy as np
+import wrong_arguments
+from typer.testing import CliRunner
+from websockets.sync.client import connect
+
+from eitskin.cli.main import app
+from eitskin.datasets import (
+    Recipe,
+    export_dataset,
+    generate,
+    open_dataset,
+    read_recording,
+    save_dataset,
+    verify,
+)
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.store.schema import FIELDS
+from eitskin.datasets.store.shard import sealed, unsealed
+from eitskin.errors import EitskinError
+from eitskin.files import TEMPORARY
+from eitskin.geometry import SensorDesign, Surface
+from eitskin.hardware import Counts, run_live
+from eitskin.hardware.streams import reading_record
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import StoredReference, Zero, open_pipeline
+from eitskin.training.pipeline.saved_form import DOCUMENT, GOLDEN, SHIPPED, SUMS
+
+import small_dataset
+from page_fakes import ask
+from shards_here import in_this_process, made_here
+
+MAX_SECONDS = 60  # of a trial
+NUMBERS = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-300, 1e300, 1e38, -1e38, 2.0**31, 1e6, 361.0)
+TEXTS = (
+    *(
+        "",
+        " ",
+        "-",
+        "--",
+        "a" * 300,
+        "\0",
+        "\x1b[2J",
+        "\u202e",
+        "../..",
+        "/dev/zero",
+        "/proc/self/mem",
+    ),
+    *(
+        "-5",
+        "1e400",
+        "nan",
+        "inf",
+        "0",
+        "0.5",
+        "1" * 5000,
+        "9" * 20,
+        "x:y",
+        ":",
+        "::1",
+        "[",
+        "a b",
+        "$(id)",
+    ),
+    *(
+        "pairwise:8",
+        "adjacent:1e9",
+        "coarse",
+        "true",
+        "{}",
+        "0-4",
+        "1,2,3",
+        "virtual:?seed=-5",
+        "set",
+        "none",
+    ),
+)
+
+
+class AcceptedDamageError(Exception):
+    """Damage that was taken for data."""
+
+
+RECIPE = Recipe(
+    "attacked", frames_per_shard=2, resolution="coarse", scenes=(SceneGroup("idle", count=4),)
+)
+
+
+def damaged(content: bytes, rng: random.Random) -> bytes:
+    """Bytes with one to three changes: bits, counts, cuts, pages, copies."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        at, other = rng.randrange(len(content) or 1), rng.randrange(len(content) or 1)
+        length = rng.choice((1, 1, 4, 8, 64, 512))
+        piece = rng.choice(
+            (
+                bytes([content[at] ^ 1 << rng.randrange(8)]) if content else b"",
+                rng.choice((b"\0", b"\xff")) * length,
+                rng.choice((1 << 31, 1 << 40, (1 << 64) - 1, 127, 65535)).to_bytes(8, "little"),
+                content[other : other + length],
+            )
+        )
+        content = rng.choice(
+            (content[:at] + piece + content[at + len(piece) :],) * 4 + (content[:at],)
+        )
+    return content
+
+
+@functools.cache
+def whole(folder: Path) -> dict[str, bytes]:
+    """Files of a generated set by name."""
+    made_here(RECIPE, folder / "whole")
+    return {path.name: path.read_bytes() for path in (folder / "whole").iterdir()}
+
+
+def shards(rng: random.Random, folder: Path) -> None:
+    """Resume a set with shards of a stranger, under seals that are right."""
+    files, out = whole(folder), folder / "resumed"
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.copytree(folder / "whole", out)
+    name = "shard-000000.h5"
+    image, _ = unsealed(files[name])
+    if rng.random() < 0.5:
+        broken = damaged(image, rng)
+    else:
+        path, broken = folder / "foreign.h5", image
+        path.write_bytes(image)
+        change_hdf5(path, rng)
+        broken = path.read_bytes()
+    (out / name).write_bytes(sealed(broken))
+    if rng.random() < 0.7:
+        (out / "manifest.json").unlink()
+    with mock_workers():
+        generate(RECIPE, out, resume=True)
+    found = {path.name: path.read_bytes() for path in out.iterdir()}
+    changed = [each for each in found if found[each] != files.get(each)]
+    if changed:
+        verify(out)
+        data, sound = open_dataset(out), open_dataset(folder / "whole")
+        for field in ("seed", "recipe", "source", "design", "protocol"):
+            if getattr(data, field) != getattr(sound, field):
+                raise AcceptedDamageError(f"another {field} was resumed")
+
+
+@contextlib.contextmanager
+def mock_workers() -> Iterator[None]:
+    """Let shards be made in this process."""
+    import pytest
+
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        yield
+
+
+def change_hdf5(path: Path, rng: random.Random) -> None:
+    """Change an attribute or a number of an HDF5 file."""
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        if rng.random() < 0.5:
+            name = rng.choice(list(file.attrs))
+            value = rng.choice((*NUMBERS[:8], -5, 2**63 - 1, "", "a" * 70000, "[[", [1.0, 2.0]))
+            with contextlib.suppress(TypeError, OSError):
+                file.attrs[name] = value
+            return
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
+        array = file[rng.choice(names)]
+        values = array[...]
+        if values.size:
+            with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
+                values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
+            array[...] = values
+
+
+def caches(rng: random.Random, folder: Path) -> None:
+    """Damage the cache of compiled kernels, or of solved tables, and compute again."""
+    import numba
+
+    from eitskin.compiled import kernel
+
+    def sums(x: Any) -> float:
+        total = 0.0
+        for each in x:
+            total += each * each
+        return total
+
+    place = folder / "kernels"
+    place.mkdir(exist_ok=True)
+    with mock.patch.object(numba.config, "CACHE_DIR", str(place)):
+        made = kernel("float64(float64[::1])")(sums)
+        assert made(np.arange(4.0)) == 14.0
+        files = [path for path in place.rglob("*") if path.is_file()]
+        path = rng.choice(files)
+        path.write_bytes(damaged(path.read_bytes(), rng))
+        if kernel("float64(float64[::1])")(sums)(np.arange(4.0)) != 14.0:
+            raise AcceptedDamageError("a damaged kernel was run")
+
+
+@functools.cache
+def commands() -> list[tuple[tuple[str, ...], Any]]:
+    """Words and parameters of every command that ends by itself."""
+    import typer
+
+    found: list[tuple[tuple[str, ...], Any]] = []
+
+    def walk(command: Any, words: tuple[str, ...]) -> None:
+        for name, inner in getattr(command, "commands", {}).items():
+            walk(inner, (*words, name))
+        if not hasattr(command, "commands") and words[0] not in ("bench", "demo", "virtual-board"):
+            found.append((words, command.params))
+
+    walk(typer.main.get_command(app), ())
+    return found
+
+
+def options(rng: random.Random, folder: Path) -> None:
+    """Run a command with wrong values of its options."""
+    words, parameters = rng.choice(commands())
+    line = list(words)
+    good = {
+        "scene": "scene.toml",
+        "recipe": "quick",
+        "model": "reference.eitmodel",
+        "files": "log.csv",
+    }
+    good |= {"design": "design.toml", "--board": "virtual:?speed=max&seed=1"}
+    for parameter in parameters:
+        name = parameter.opts[0]
+        if name.startswith("--") and name not in ("--out", "--board") and rng.random() < 0.75:
+            continue
+        if name in ("--page", "--page-port", "--page-host", "--page-folder", "--ros2", "--picture"):
+            continue
+        value = (
+            rng.choice(TEXTS)
+            if rng.random() < 0.4
+            else good.get(name, "new" if name == "--out" else "set")
+        )
+        if getattr(parameter, "is_flag", False) or "bool" in str(getattr(parameter, "type", "")):
+            line.append(name)
+        elif name.startswith("-"):
+            line += [name, value]
+        else:
+            line.append(value)
+    if words[0] in ("live", "check", "tare", "reconstruct") and "--frames" not in line:
+        line += ["--frames", "2"]
+    if words == ("generate",):
+        line.append("--dry-run")
+    ran = CliRunner().invoke(app, line, input="")
+    error = ran.exception
+    named = (
+        isinstance(error, OSError) and error.filename is not None
+    )  # answered by eitskin.cli.entry
+    if (
+        error is not None
+        and not isinstance(error, EitskinError | SystemExit | ImportError)
+        and not named
+    ):
+        error.add_note(shlex.join(line)[:600])
+        raise error
+    shutil.rmtree(folder / "new", ignore_errors=True)
+    (folder / "new").unlink(missing_ok=True)
+    if error is not None or ran.exit_code:
+        raise EitskinError("refused")
+
+
+def counts(rng: random.Random, folder: Path) -> None:
+    """Read files that claim more than they hold: huge counts, and sparse files."""
+    kind = rng.choice(("sparse", "design", "protocol", "surface", "recipe", "npy"))
+    number = rng.choice((10**7, 2 * 10**7, 2**31, 2**40, 2**63 - 1, 10**30, -1))
+    if kind == "sparse":
+        endings = ("csv", "h5", "npz", "mat", "json", "txt", "npy", "stl", "toml")
+        path = folder / f"sparse.{rng.choice(endings)}"
+        with path.open("wb") as file:
+            file.write(
+                rng.choice((b"", b"v0,v1\n1,2\n", b"\x89HDF\r\n\x1a\n", b"PK\3\4", b"[", b"solid "))
+            )
+            file.truncate(rng.choice((1 << 28, 1 << 32, 1 << 40)))
+        rng.choice((read_recording, SensorDesign.from_toml, Surface, StoredReference.read))(path)
+    elif kind == "npy":
+        head = (
+            f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({number}, 28), }}".ljust(117)
+            + "\n"
+        )
+        (folder / "big.npy").write_bytes(
+            b"\x93NUMPY\1\0" + len(head).to_bytes(2, "little") + head.encode()
+        )
+        read_recording(folder / "big.npy")
+    elif kind == "surface":
+        (folder / "big.stl").write_bytes(
+            bytes(80) + (number % 2**32).to_bytes(4, "little") + bytes(50 * 9)
+        )
+        Surface(folder / "big.stl")
+    elif kind == "protocol":
+        rng.choice((Protocol.pairwise, Protocol.adjacent, Protocol.opposite))(number)
+    else:
+        keys = {
+            "design": (
+                "electrodes = { count = N }",
+                "electrodes = { rows = N, columns = N, size = 1e-4 }",
+            ),
+            "recipe": (
+                "[[scenes]]\nstate = 'idle'\ncount = N",
+                "frames_per_shard = N\nscenes = []",
+            ),
+        }[kind]
+        text = rng.choice(keys).replace("N", str(number))
+        base = (
+            "outline = { radius = 0.03 }\nthickness = 0.004\n"
+            if kind == "design"
+            else "name = 'a'\n"
+        )
+        (folder / "big.toml").write_text(base + text)
+        (SensorDesign if kind == "design" else Recipe).from_toml(folder / "big.toml")
+
+
+def numbers(rng: random.Random, folder: Path) -> None:
+    """Put numbers that cannot be into a column, store it, and use what is accepted."""
+    path = folder / "numbers"
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.rmtree(folder / "exported", ignore_errors=True)
+    columns = small_dataset.make(12)
+    name = rng.choice([field.name for field in FIELDS])
+    values = np.array(getattr(columns, name))
+    with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
+        values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
+    data = dataclasses.replace(columns, **{name: values})
+    save_dataset(data, path, frames_per_shard=6)
+    if verify(path).damage:
+        return
+    opened = open_dataset(path)
+    list(map(opened.frame, range(12)))
+    export_dataset(path, folder / "exported", "parquet")
+    open_pipeline(SHIPPED).perceive(opened.select(range(3)))
+
+
+def pipelines(rng: random.Random, folder: Path) -> None:
+    """Open a saved pipeline whose document or arrays were changed, under sums that are right."""
+    from safetensors.numpy import load, save
+
+    path = folder / "changed.eitmodel"
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.copytree(SHIPPED, path)
+    name = rng.choice((DOCUMENT, DOCUMENT, DOCUMENT, "weights.safetensors", GOLDEN))
+    content = (path / name).read_bytes()
+    if name == DOCUMENT:
+        document = json.loads(content)
+        place: Any = document
+        key = rng.choice(list(place))
+        while isinstance(place[key], dict | list) and place[key] and rng.random() < 0.7:
+            place = place[key]
+            key = rng.choice(list(place)) if isinstance(place, dict) else rng.randrange(len(place))
+        choices = (
+            None,
+            True,
+            -1,
+            1e300,
+            10**30,
+            "",
+            "$(touch X):M",
+            "a;b:C",
+            [],
+            {},
+            ["touch", "idle"],
+            2.5,
+        )
+        place[key] = rng.choice(choices)
+        content = json.dumps(document).encode()
+    elif rng.random() < 0.5:
+        arrays = {name: np.atleast_1d(array).copy() for name, array in load(content).items()}
+        chosen = rng.choice(list(arrays))
+        if rng.random() < 0.3:
+            arrays = rng.choice(
+                ({}, {chosen: arrays[chosen]}, {n: a[:0] for n, a in arrays.items()})
+            )
+        elif arrays[chosen].size:
+            with contextlib.suppress(ValueError, OverflowError):
+                value = rng.choice((np.nan, np.inf, 1e30))
+                arrays[chosen].flat[rng.randrange(arrays[chosen].size)] = value
+        content = save(arrays)
+    else:
+        head = 8 + int.from_bytes(content[:8], "little")
+        content = damaged(content[:head], rng) + content[head:]
+    (path / name).write_bytes(content)
+    lines = (SHIPPED / SUMS).read_text().splitlines()
+    digest = sha256(content).hexdigest()
+    lines = [digest + line[64:] if line.endswith(name) else line for line in lines]
+    (path / SUMS).write_text("\n".join(lines) + "\n")
+    try:
+        opened = open_pipeline(path)
+    except EitskinError as error:
+        words = str(error).partition("--method ")[2]
+        if re.match(r"[^']*[$;`|&]", words.partition(" (in")[0]):
+            raise AcceptedDamageError(f"not quoted: {error}") from error
+        raise
+    rate = opened.process(rest_frame(opened, np.random.default_rng(0), 0))
+    if not isinstance(rate.bend_angle_deg, float | None):
+        raise AcceptedDamageError(f"bend_angle_deg is {rate.bend_angle_deg!r}")
+
+
+@functools.cache
+def pipeline() -> Any:
+    """The shipped pipeline."""
+    return open_pipeline(SHIPPED)
+
+
+def rest_frame(of: Any, numbers: np.random.Generator, count: int) -> Frame:
+    """Frame of a sensor at rest, with noise."""
+    noise = 1 + 2e-4 * numbers.standard_normal(len(of.layout.reference))
+    values = (of.layout.reference * noise).astype(complex)
+    return Frame(values, of.layout.protocol, 0.3 * count, count, frequency=of.layout.frequency)
+
+
+def damaged_frame(good: Frame, rng: random.Random) -> Frame:
+    """Frame with odd values, times, numbers or status."""
+    numbers = np.random.default_rng(rng.randrange(2**32))
+    values, count = good.impedance.copy(), len(good.impedance)
+    chosen = numbers.random(count) < rng.choice((0.04, 0.5, 1.0))
+    odd = numbers.choice([np.nan, np.inf, -np.inf, 0, -1, 1e300, 1e-300, 5e-324, 1e12, 1j], count)
+    with np.errstate(all="ignore"):
+        values = rng.choice(
+            (
+                np.where(chosen, odd, values),
+                np.where(chosen, -values, values),
+                np.where(chosen, values * 10 ** numbers.uniform(-12, 12), values),
+                values * np.exp(2j * np.pi * rng.random()),
+                numbers.permutation(values),
+                values * (1 + 0.2 * numbers.standard_normal(count)),
+            )
+        )
+    status = numbers.integers(0, 256, count).astype(np.uint8) * (chosen & (rng.random() < 0.2))
+    time_, number = rng.choice(
+        ((good.time, good.number),) * 3 + ((-1e10, 0), (np.nan, -5), (1e300, 2**40))
+    )
+    return dataclasses.replace(good, impedance=values, status=status, time=time_, number=number)
+
+
+class FrameSource:
+    """Board of frames that are made as they are asked for."""
+
+    counts = Counts()
+
+    def __init__(self, made: Iterator[Frame]) -> None:
+        self.made = made
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
+        """The frames."""
+        return self.made
+
+
+def live(rng: random.Random, folder: Path, frames: int = 100) -> None:  # noqa: ARG001
+    """Run a session of frames most of which are damaged, by a clock that is set back."""
+    pipeline().reset()
+    draws = np.random.default_rng(rng.randrange(2**32))
+
+    def source() -> Iterator[Frame]:
+        for number in range(frames):
+            good = rest_frame(pipeline(), draws, number)
+            yield good if number == 0 or rng.random() < 0.3 else damaged_frame(good, rng)
+
+    clock = lambda: rng.choice((time.perf_counter(), 0.0, -1e9, 1e12))  # noqa: E731
+    steps = time.time if rng.random() < 0.5 else clock
+    with mock.patch("time.time", steps):
+        for reading in run_live(FrameSource(source()), pipeline(), clock=clock):
+            if reading.problem.startswith("the pipeline failed"):
+                raise ArithmeticError(reading.problem)
+            json.dumps(reading_record(reading, FrameSource.counts), allow_nan=False)
+            estimate = reading.estimate
+            found = (
+                []
+                if estimate is None
+                else [estimate.bend_angle_deg or 0.0, *np.ravel(estimate.touches)]
+            )
+            if estimate is not None and not (estimate.problems or np.isfinite(found).all()):
+                raise ArithmeticError(f"not finite, without a problem: {estimate}")
+
+
+def disks(rng: random.Random, folder: Path) -> None:
+    """Write something on a disk that is full, over quota or read-only after some bytes."""
+    out = folder / "written"
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir()
+    reference = StoredReference(
+        np.full(28, 500 + 1j), Protocol.pairwise(8), 40e3, Zero.FLAT, 5, 1e-4, ""
+    )
+    writers: Mapping[str, Callable[[Path], object]] = {
+        "set": lambda path: save_dataset(small_dataset.make(40), path, frames_per_shard=8),
+        "a.eitmodel": pipeline().save,
+        "reference.json": reference.write,
+        "design.toml": SensorDesign.reference().to_toml,
+        "recipe.csv": Protocol.adjacent(8).to_file,
+        "parquet": lambda path: export_dataset(folder / "set", path, "parquet"),
+        "huggingface": lambda path: export_dataset(folder / "set", path, "huggingface"),
+        "image.png": functools.partial(command, "simulate", folder / "scene.toml", "--view"),
+        "log.mcap": functools.partial(command, "export", "mcap", folder / "set", "--out"),
+        "imported": functools.partial(command, "import", folder / "log.csv", "--out"),
+        "picture.npz": functools.partial(command, "reconstruct", folder / "set", "--out"),
+    }
+    name = rng.choice(list(writers))
+    left, code = rng.randrange(12), rng.choice((errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO))
+
+    def fails(name: str) -> Callable[..., Any]:
+        call = getattr(os, name)
+
+        def failing(path: Any, *rest: Any, **named: Any) -> Any:
+            nonlocal left
+            writes = name != "open" or (rest and rest[0] & (os.O_CREAT | os.O_RDWR))
+            if writes and str(out) in str(path):
+                left -= 1
+                if left < 0:
+                    raise OSError(code, os.strerror(code), str(path))
+            return call(path, *rest, **named)
+
+        return failing
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    refused = False
+    try:
+        with contextlib.ExitStack() as stack:
+            if rng.random() < 0.5:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (int(10 ** rng.uniform(0, 5)), limits[1]))
+            else:
+                for call in ("open", "replace", "mkdir"):
+                    stack.enter_context(mock.patch.object(os, call, fails(call)))
+            try:
+                writers[name](out / name)
+            except (EitskinError, OSError):
+                refused = True
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    if not refused:
+        return
+    for path in out.rglob("*"):
+        half = path.name.startswith((TEMPORARY, f".{name}"))
+        if half or (path == out / name and path.is_file()):
+            raise AcceptedDamageError(f"{path.relative_to(out)} was left")
+    raise EitskinError("refused")
+
+
+@functools.cache
+def servers() -> tuple[Any, Any]:
+    """A live page and a stream by WebSocket."""
+    from eitskin.cli.page.live_page import LivePage
+    from eitskin.hardware.streams import WebSocketOutlet
+
+    from page_fakes import DESIGN, FakeConnection
+
+    page = LivePage(FakeConnection(), DESIGN)
+    page.__enter__()
+    return page, WebSocketOutlet("127.0.0.1", 0)
+
+
+def network(rng: random.Random, folder: Path) -> None:  # noqa: ARG001
+    """Send damaged requests and frames to the live page and to the stream by WebSocket."""
+    page, stream = servers()
+    url = rng.choice((page, stream)).url
+    port = int(url.rstrip("/").rpartition(":")[2])
+    hello = (
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+    body = '{"bend_deg": 5, "touches": [{"x": 0.05, "y": 0.02, "force": 1e400}]}'
+    post = (
+        f"POST /scene HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nOrigin: {url.rstrip('/')}\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n{body}"
+    )
+    sent = hello.encode() if url.startswith("ws") or rng.random() < 0.3 else post.encode()
+    frames = b"".join(
+        bytes([rng.randrange(256), rng.choice((0, 5, 126, 127, 128, 133, 254, 255))])
+        + rng.randbytes(12)
+        for _ in range(4)
+    )
+    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as client:
+        client.sendall(sent if rng.random() < 0.6 else damaged(sent, rng))
+        with contextlib.suppress(OSError):
+            if url.startswith("ws"):
+                stream.send("{}")
+                client.recv(4096)
+                client.sendall(frames)
+            if rng.random() < 0.3:
+                client.shutdown(socket.SHUT_WR)
+                client.recv(65536)
+    if rng.random() < 0.05:
+        if ask(page, "GET", "/")[0] != 200:
+            raise AcceptedDamageError("the page serves nobody any more")
+        stream.send("{}")
+        with connect(stream.url) as listener:
+            listener.recv(20.0)
+
+
+def command(*words: object) -> None:
+    """Run a command in this process; its error is raised."""
+    ran = CliRunner().invoke(app, [*map(str, words), "--quiet"])
+    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
+        raise ran.exception
+
+
+def arguments(rng: random.Random, folder: Path) -> None:
+    """Call one public name with wrong arguments."""
+    if wrong_arguments.attack(rng, folder) == "refused":
+        raise EitskinError("refused")
+
+
+KINDS: Mapping[str, Callable[[random.Random, Path], None]] = {
+    each.__name__: each
+    for each in (
+        shards,
+        caches,
+        options,
+        counts,
+        numbers,
+        pipelines,
+        arguments,
+        live,
+        disks,
+        network,
+    )
+}
+
+
+def prepare(folder: Path) -> None:
+    """Make the files that trials name, and work beside them."""
+    if not (folder / "set").exists():
+        save_dataset(small_dataset.make(6, status=np.zeros((6, 28))), folder / "set")
+    SensorDesign.reference().to_toml(folder / "design.toml")
+    (folder / "scene.toml").write_text("[[touches]]\nx = 0.05\ny = 0.02\n")
+    (folder / "log.csv").write_text("v0,v1,x,y\n" + "1,2,0.01,0.02\n" * 12)
+    os.chdir(folder)
+
+
+def attempt(kind: str, seed: int, number: int, folder: Path) -> tuple[str, str]:
+    """Outcome of one trial, "taken", "refused" or "bad", and what was bad."""
+    before = threading.active_count(), sum(1 for _ in Path("/proc/self/fd").iterdir())
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.alarm(MAX_SECONDS)
+    try:
+        prepare(folder)
+        KINDS[kind](random.Random(f"{kind} {seed} {number}"), folder)
+    except (EitskinError, ImportError):
+        outcome = "refused", ""
+    except (Exception, KeyboardInterrupt) as error:
+        outcome = "bad", "".join(traceback.format_exception(error)[-4:])
+    else:
+        outcome = "taken", ""
+    finally:
+        signal.alarm(0)
+    after = threading.active_count(), sum(1 for _ in Path("/proc/self/fd").iterdir())
+    grown = [new - old for new, old in zip(after, before, strict=True)]
+    return outcome if max(grown) < 40 else ("bad", f"threads and files grew by {grown}")
+
+
+def main() -> None:
+    """Try inputs of all kinds, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=1000, help="of each kind")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="kinds, between commas")
+    parser.add_argument("--trial", type=int, help="one trial alone, whose error is shown")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    print(
+        "| kind | seed | trials | taken | refused | bad | seconds | growth of memory |\n"
+        + "|---" * 8
+        + "|"
+    )
+    for kind in given.only.split(",") if given.only else KINDS:
+        found: Counter[str] = Counter()
+        began, memory = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with tempfile.TemporaryDirectory() as folder:
+            trials = range(given.trials) if given.trial is None else [given.trial]
+            for number in trials:
+                outcome, why = attempt(kind, given.seed, number, Path(folder))
+                found[outcome] += 1
+                if why:
+                    print(f"{kind}, trial {number}: {why}", file=sys.stderr, flush=True)
+            os.chdir("/")
+        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory) // 1024
+        counts_ = " | ".join(str(found[each]) for each in ("taken", "refused", "bad"))
+        seconds = time.process_time() - began
+        print(
+            f"| {kind} | {given.seed} | {len(trials)} | {counts_} | {seconds:.0f} | {grown} MB |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
