@@ -115,7 +115,10 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, text, message
 
 REFUSED = {
     "one measurement": [lambda: Protocol((), 8), lambda: Protocol.named("pairwise:1")],
-    "each from 0 to 7": [lambda: Protocol(((0, 1, 0, 8),), 8), lambda: Protocol(((0, 1, 2),), 8)],
+    "each from 0 to 7|expected 4 items": [
+        lambda: Protocol(((0, 1, 0, 8),), 8),
+        lambda: Protocol(((0, 1, 2),), 8),
+    ],
     "two different electrodes": [lambda: Protocol(((0, 0, 1, 2),), 8)],
     r"\(8, 8\)": [lambda: Protocol.pairwise(8).measure(np.eye(7))],
     "cannot write": [lambda: Protocol.pairwise(8).to_file("none/protocol.csv")],
