@@ -37,11 +37,12 @@ _KINDS = {"f": "real numbers", "c": "numbers", "i": "whole numbers", "b": "truth
 def convert_arguments(public: Any) -> Any:
     """A public function, or class with its methods, whose arguments are converted.
 
-    Classes are changed in place, functions in the module that defines them.
+    Classes are changed in place; a function gets one public form.
     """
     if inspect.isfunction(public):
         call = _converting(public)
-        setattr(inspect.getmodule(public), public.__name__, call)
+        # Pickled by its public name; the function itself by that of its module.
+        call.__module__ = ".".join(public.__module__.split(".")[:2])
         return call
     if not isinstance(public, type) or issubclass(public, BaseException | enum.Enum):
         return public
@@ -59,8 +60,8 @@ def convert_arguments(public: Any) -> Any:
 
 def _converting(function: Callable[..., Any]) -> Callable[..., Any]:
     """Function that converts its arguments first; one that does already is returned."""
-    if hasattr(function, "_converts"):
-        return function
+    if made := getattr(function, "_public", None):
+        return made  # type: ignore[no-any-return]
     rules: dict[str, Converter] = {}
     names: list[str] = []
 
@@ -78,7 +79,7 @@ def _converting(function: Callable[..., Any]) -> Callable[..., Any]:
                 named[name] = _converted(function, name, rules[name], value)
         return function(*taken, *given[len(taken) :], **named)
 
-    call._converts = True  # type: ignore[attr-defined]
+    function._public = call._public = call  # type: ignore[attr-defined]
     return call
 
 
