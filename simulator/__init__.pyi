@@ -30,6 +30,9 @@ from eitskin.simulator.scene.indenters import (
     Cylinder as Cylinder,
 )
 from eitskin.simulator.scene.indenters import (
+    Footprint as Footprint,
+)
+from eitskin.simulator.scene.indenters import (
     Profile as Profile,
 )
 from eitskin.simulator.scene.indenters import (

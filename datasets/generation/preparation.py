@@ -121,7 +121,9 @@ def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
     ]
     episodes = [(Cylinder(), each.largest_force) for each in recipe.episodes if each.largest_force]
     for indenter, force in (*groups, *episodes):
-        found[indenter] = max(force, found.get(indenter, 0.0))
+        # On the body by whose tables it presses, at the same mean pressure.
+        alike = force * (indenter.tabled.rims[1] / indenter.rims[1]) ** 2
+        found[indenter] = max(alike, found.get(indenter, 0.0))
     return found
 
 

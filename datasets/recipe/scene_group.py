@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Roll
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import Support
-from eitskin.simulator.scene.indenters import Cylinder, Indenter, Profile, Sphere
+from eitskin.simulator.scene.indenters import Cylinder, Footprint, Indenter, Profile, Sphere
 from eitskin.simulator.scene.scene import Scene, Touch
 
 _SETS_AT_ONCE = 16
@@ -51,7 +51,8 @@ class SceneGroup:
         support: support of the sensor in these scenes; the design's when omitted.
         roll_deg: range of the roll across the width, about the other axis than the bend; none when
             omitted.
-        indenter: shape that makes all touches: cylinder, ball or profile; the default when omitted.
+        indenter: shape that makes all touches: cylinder, ball, profile or footprint; the
+            default when omitted.
     """
 
     state: Literal["idle", "bend", "touch"]
@@ -67,7 +68,7 @@ class SceneGroup:
     per_bend: int = 1
     support: Support | None = None
     roll_deg: tuple[float, float] | None = None
-    indenter: Cylinder | Sphere | Profile | None = None
+    indenter: Cylinder | Sphere | Profile | Footprint | None = None
 
     @property
     def frames(self) -> int:
@@ -127,7 +128,7 @@ class SceneGroup:
         return self.roll_deg not in (None, (0.0, 0.0))
 
     @property
-    def pressed_by(self) -> Cylinder | Sphere | Profile:
+    def pressed_by(self) -> Cylinder | Sphere | Profile | Footprint:
         """Indenter of all touches."""
         return self.indenter or Cylinder()
 
@@ -249,7 +250,7 @@ def touch_problems(
     """Reasons why touches in these ranges cannot be drawn, a sentence each; see `SceneGroup`."""
     few, many = touches
     rng = np.random.default_rng(0)
-    across = 2.0 * indenter.rims[1]
+    across = 2.0 * float(indenter.reach(np.concatenate([np.eye(2), -np.eye(2)])).max())
     if problem := range_problem("force", force, above=0.0):
         yield problem
     if from_middle is not None and (problem := range_problem("from_middle", from_middle)):

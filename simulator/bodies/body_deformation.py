@@ -27,6 +27,7 @@ from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.indenters import Footprint
 from eitskin.simulator.scene.scene import PressedTouch, Touch, neighbour_distance
 
 # Version of the solutions: raise it whenever bodies are meshed or solved in another way.
@@ -153,6 +154,11 @@ def require_pressable(surface: Surface, touches: tuple[Touch, ...]) -> None:
         )
     for touch in touches:
         require_above(surface, touch)
+        if isinstance(touch.indenter, Footprint):
+            raise ConfigurationError(
+                "a body from a surface file is pressed by bodies of revolution, got a footprint; "
+                "give a cylinder, sphere or profile"
+            )
 
 
 def _elastic(

@@ -10,19 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.simulator.mechanics.box_fields import shape_functions
 from eitskin.simulator.mechanics.face import Face
 from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
 from eitskin.simulator.mechanics.load_stepping import LinearSprings
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.scene.indenters import Cylinder, Footprint, Indenter
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _BESIDE = 1e-4  # [m]; gradients of a solution in boxes jump between them
 _AXIS = 1e-9  # [m]
+_SHALLOW = 0.05  # depth of a flat punch over the thickness of the stack
+_ON_ROUNDING = 0.25  # of the rounding of an edge, that is not touched
+_CENTRED = 0.02  # distance of a punch's middle from its force, over its size
 _AT_ONCE = 8_000  # points, so that gathered splines stay small
 _PARTS = 12  # of a facet that the rim may cut, along each side, with 2 x 2 points each
 
@@ -162,6 +167,24 @@ class DentField:
     frame: ContactFrame | None = None
 
     @property
+    def depth(self) -> float:
+        """Depth of the indenter in the unbounded stack [m]."""
+        return self.press.depth
+
+    @property
+    def half(self) -> Array:
+        """Half its extents along x and y, (2,) [m]."""
+        return np.full(2, self.contact_radius)
+
+    def inside(self, away: Array) -> Array:
+        """Distance of points (..., 2) from the axis within the contact to its rim [m]."""
+        return np.asarray(self.contact_radius - np.linalg.norm(away, axis=-1))
+
+    def held(self, away: Array) -> Array:
+        """Projections (..., 3, 3) on the directions in which points are held; (3, 3) for all."""
+        return _held(self.indenter, away, np.linalg.norm(away, axis=-1))
+
+    @property
     def contact_radius(self) -> float:
         """Undeformed radius of the contact [m]: of the point that moves to its deformed radius."""
         moved = self.press.r + self.press.displacement[:, -1, 0]
@@ -235,11 +258,88 @@ class DentField:
         return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PunchedArea:
+    """Area under a flat punch, which sinks without a tilt.
+
+    Attributes:
+        x, y: where its force acts [m].
+        indenter: its footprint.
+        force: on it [N].
+        thickness: of the stack [m].
+        frame: of a bent stack; None on a flat one.
+    """
+
+    x: float
+    y: float
+    indenter: Footprint
+    force: float
+    thickness: float
+    frame: ContactFrame | None = None
+
+    @property
+    def depth(self) -> float:
+        """Scale of its depth [m]."""
+        return _SHALLOW * self.thickness
+
+    @property
+    def contact_radius(self) -> float:
+        """Largest distance of its corners [m]."""
+        return float(np.linalg.norm(self.indenter.outline, axis=1).max())
+
+    @property
+    def half(self) -> Array:
+        """Half its extents along x and y, (2,) [m]."""
+        low, high = self.bounds
+        return np.asarray(0.5 * (high - low))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and greatest x and y, (2,) each [m]."""
+        corners = self.indenter.outline @ self.indenter.rotation.T + np.array([self.x, self.y])
+        return corners.min(axis=0) + self.inset, corners.max(axis=0) - self.inset
+
+    @property
+    def inset(self) -> float:
+        """Distance of the contact from the edge, which is as round as that of a cylinder [m]."""
+        return _ON_ROUNDING * Cylinder().edge * Cylinder().radius
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether its edges run along x and y, so that no cell is cut."""
+        plain = self.indenter
+        return not (plain.corners or plain.round or plain.angle_deg % 90.0)
+
+    def inside(self, away: Array) -> Array:
+        """Distance of points (..., 2) from its place within the footprint to its edge [m]."""
+        return self.indenter.depth_inside(away @ self.indenter.rotation) - self.inset
+
+    def held(self, away: Array) -> Array:  # noqa: ARG002
+        """Directions in which all points are held, (3, 3)."""
+        return np.diag([*[float(self.indenter.rough)] * 2, 1.0])
+
+    def require_on(self, outline: PlaneOutline, margin: float) -> None:
+        """Raise ConfigurationError for a punch that overhangs the stack or would tilt."""
+        corners = self.indenter.outline @ self.indenter.rotation.T + np.array([self.x, self.y])
+        if not outline.contains(corners, -margin).all():
+            raise ConfigurationError(
+                f"a flat punch at ({self.x:g}, {self.y:g}) m must lie on the stack, which ends "
+                f"{1e3 * margin:g} mm beyond the gel; press farther in"
+            )
+        middle = self.indenter.middle
+        if np.linalg.norm(middle) > _CENTRED * self.contact_radius:
+            raise ConfigurationError(
+                "a flat punch whose force acts off its middle tilts, which is not solved in 3D: "
+                f"its corners are about {np.round(middle, 6).tolist()} m; place them about their "
+                "middle, or use touch_model='tabulated'"
+            )
+
+
 def held_contact(
     solid: Solid,
     facets: Indices,
-    dent: DentField,
-    radius: float,
+    dent: DentField | PunchedArea,
+    within: float,
     stiffness: float,
     numbers: tuple[int, int],
     given: Callable[[Array], Array] | None = None,
@@ -256,7 +356,7 @@ def held_contact(
         solid: the body.
         facets: boundary facets of its mesh that the contact may reach.
         dent: of the indenter.
-        radius: of the undeformed contact [m].
+        within: the rim of the undeformed contact, by which the springs end before it [m].
         stiffness: of the springs [Pa/m].
         numbers: of the contact, among those of the solid, and of all of these.
         given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
@@ -268,9 +368,8 @@ def held_contact(
     )
     face = Face(solid, facets, _composite_rule(), solid.unknowns + number, turn[:, 2])
     away = (face.points[..., :2] - np.array([dent.x, dent.y])) * stretches
-    r = np.linalg.norm(away, axis=-1)
-    face.weights *= r < radius
-    held = stiffness * (turn @ _held(dent.indenter, away, r) @ turn.T)
+    face.weights *= dent.inside(away) > within
+    held = stiffness * (turn @ dent.held(away) @ turn.T)
     at_rest = np.zeros(size)
     if given is not None:
         g = given(face.points.reshape(-1, 3)).reshape(face.points.shape)

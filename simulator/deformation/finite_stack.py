@@ -15,10 +15,12 @@ A bent stack is pressed likewise: F_d = F_b + sum R G_d, with the equilibrium F_
 its pressure, and dents that are turned to the bent top (`ContactFrame`). The residual of F_b joins
 the right-hand side, as that of coarse quadrature, and the contact takes back the curvature of the
 bent top.
+
+A flat punch has no dent: c is all that it does, and its force acts on the unknown depth.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numpy as np
@@ -31,7 +33,13 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentField, held_contact
+from eitskin.simulator.deformation.contact import (
+    BentState,
+    ContactFrame,
+    DentField,
+    PunchedArea,
+    held_contact,
+)
 from eitskin.simulator.deformation.stack_mesh import Contact, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.box_fields import QuadraticField
@@ -46,6 +54,7 @@ from eitskin.simulator.mechanics.load_stepping import (
 )
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 from eitskin.simulator.mechanics.mixed_solid import Solid, StrainState
+from eitskin.simulator.scene.indenters import Footprint
 from eitskin.simulator.scene.scene import AnyIndenter, Touch
 
 Array = NDArray[np.float64]
@@ -201,17 +210,28 @@ class FiniteStack:
         self._loose = _unknowns(np.setdiff1d(base, held))
         self._bend = np.zeros(self.solid.unknowns)
 
-    def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
+    def correction(
+        self,
+        dents: Sequence[DentField],
+        start: Array | None = None,
+        punches: Sequence[PunchedArea] = (),
+    ) -> Correction:
         """Correction of dents in equilibrium, found from none or from the unknowns `start`.
+
+        Flat punches follow the dents in the numbers of presses.
 
         Where Newton's method fails, the load is applied in steps. Raises SolidError where no
         stable equilibrium is found, with the fraction of the missing forces that were applied.
         """
-        dents = list(dents)
-        contacts = [self._held(dents[k], dents[:k] + dents[k + 1 :], k) for k in range(len(dents))]
+        areas: list[DentField | PunchedArea] = [*dents, *punches]
+        contacts = [
+            self._held(area, [dent for dent in dents if dent is not area], number)
+            for number, area in enumerate(areas)
+        ]
         terms = self.solid, *contacts
-        forces = np.append(self._dented(dents), np.zeros(len(dents)))
-        scale = _NEGLIGIBLE * max(dent.press.depth for dent in dents)
+        pressing = [0.0] * len(dents) + [area.force for area in punches]
+        forces = np.append(self._dented(dents), pressing)
+        scale = _NEGLIGIBLE * max(area.depth for area in areas)
         solve = partial(newton, tolerance=_TOLERANCE, scale=scale, chords=True)
         none = np.zeros(self._size)
         x = none if start is None else start
@@ -284,7 +304,9 @@ class FiniteStack:
         traction = np.einsum("fqij,fqj->fqi", stress, sides.normals)
         return sides.forces(traction, self.solid.unknowns)
 
-    def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> LinearSprings:
+    def _held(
+        self, dent: DentField | PunchedArea, others: Sequence[DentField], number: int
+    ) -> LinearSprings:
         frame = dent.frame
 
         def given(points: Array) -> Array:
@@ -301,17 +323,20 @@ class FiniteStack:
         nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
         away = stretches[:, None] * (nearest - centre[:, None])
         near = np.linalg.norm(away, axis=0) < radius
-        rims = _INSIDE * radius * np.array([-1.0, 1.0])
+        rims = _INSIDE * np.array([-1.0, 1.0])
         cells = [
-            stretch * np.diff(line)[np.searchsorted(line[1:-1], c + rims / stretch)]
-            for line, c, stretch in zip(self.body.lines, centre, stretches, strict=False)
+            stretch * np.diff(line)[np.searchsorted(line[1:-1], c + half * rims / stretch)]
+            for line, c, half, stretch in zip(
+                self.body.lines, centre, dent.half, stretches, strict=False
+            )
         ]
         # A contact may be smaller than a cell, as those of balls are.
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
         numbers = number, self._size - self.solid.unknowns
         moves = given if others or frame is not None else None
-        return held_contact(self.solid, top[near], dent, held, stiffness, numbers, moves)
+        within = 0.0 if isinstance(dent, PunchedArea) and dent.is_aligned else radius - held
+        return held_contact(self.solid, top[near], dent, within, stiffness, numbers, moves)
 
     def _in_design(self, points: Array) -> Array:
         """Points (n, 3) with their heights over the gel's lower face [m]."""
@@ -387,17 +412,31 @@ def solved_presses(
     """
     if isinstance(design.outline, Surface):
         raise ConfigurationError("presses on a body from a surface file are solved on tetrahedra")
-    stack, contacts, dents = mechanics.stack(design), [], []
-    for x, y, depth, indenter in ((t.x, t.y, t.depth, t.indenter) for t in presses):
+    stack, contacts = mechanics.stack(design), []
+    dents: list[DentField] = []
+    punches: list[PunchedArea] = []
+    for press in presses:
+        x, y, depth, indenter = press.x, press.y, press.depth, press.indenter
+        frame = None if bent is None else ContactFrame.at(bent, x, y, stack)
+        along, across = (1.0, 1.0) if frame is None else frame.stretches.tolist()
+        if isinstance(indenter, Footprint):
+            punches.append(PunchedArea(x, y, indenter, press.force, stack.levels[-1], frame))
+            punches[-1].require_on(design.outline, mechanics.margin)
+            low, high = punches[-1].bounds
+            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            radius, (along, across) = float(half.max()), (half.max() / half).tolist()
+            at_x, at_y = middle.tolist()
+            contacts.append(Contact(at_x, at_y, radius, (along, across), is_punch=True))
+            continue
         if depth is None:
             raise ConfigurationError("presses are solved to depths, got one without")
         require_on_stack(design.outline, x, y, indenter.rims[1] - mechanics.margin)
-        frame = None if bent is None else ContactFrame.at(bent, x, y, stack)
-        along, across = (1.0, 1.0) if frame is None else frame.stretches.tolist()
         contacts.append(Contact(x, y, indenter.rims[1], (along, across)))
         dents.append(DentField(x, y, indenter, _dent(stack, indenter, depth), frame))
     body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
-    return FiniteStack(body, len(presses), bent).correction(dents)
+    found = FiniteStack(body, len(presses), bent).correction(dents, None, punches)
+    order = np.argsort([isinstance(press.indenter, Footprint) for press in presses], kind="stable")
+    return replace(found, sunk=found.sunk[np.argsort(order)])
 
 
 def require_on_stack(outline: PlaneOutline | Surface, x: float, y: float, least: float) -> None:

@@ -263,7 +263,7 @@ def press_table(
     Raises ConfigurationError where not even shallow presses are carried.
     """
     weights = StackGrid.around(design, mechanics, grid).full_weights()
-    found = [(load_press_table(stack, indenter), weight) for stack, weight in weights]
+    found = [(load_press_table(stack, indenter.tabled), weight) for stack, weight in weights]
     if len(found) == 1:
         return found[0][0]
     return weighted_sum(
@@ -277,7 +277,7 @@ def press_problems(
 ) -> list[Problem]:
     """Tables that `press_table` needs; each takes seconds to a minute to solve."""
     weights = StackGrid.around(design, mechanics, grid).full_weights()
-    return [_problem(stack, indenter) for stack, _ in weights]
+    return [_problem(stack, indenter.tabled) for stack, _ in weights]
 
 
 def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:

@@ -1,5 +1,6 @@
 """Box mesh of a whole stack on its support, for presses."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -34,12 +35,19 @@ class Contact(NamedTuple):
         x, y: its middle [m].
         radius: of the indenter [m].
         stretches: by which a bend makes it longer along x and y, to a circle.
+        is_punch: whether the mesh has to resolve all of its field.
     """
 
     x: float
     y: float
     radius: float
     stretches: tuple[float, float] = (1.0, 1.0)
+    is_punch: bool = False
+
+    @property
+    def size(self) -> float:
+        """Length by which cells are measured [m]."""
+        return self.radius / max(self.stretches) if self.is_punch else self.radius
 
     @property
     def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -69,6 +77,7 @@ class Fineness:
 
 # A stack that bends under an indenter has a kink at the rim of the contact.
 _LOOSE = Fineness(rims=0.1, growth=1.0)
+_PUNCHED = 0.15  # cells at the rims of flat punches, which have no dent to start from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +146,7 @@ def stack_mesh(
         contacts: of the indenters.
         fineness: at the faces, and through each layer.
     """
-    radius, height = min(each.radius for each in contacts), stack.levels[-1]
+    radius, height = min(each.size for each in contacts), stack.levels[-1]
     faces = _faces(outline)
     boxed = faces is None
     if fineness is None:
@@ -145,6 +154,8 @@ def stack_mesh(
         layers = 2 if isinstance(outline, Rectangle) else 1
         even = Fineness(layers=layers)
         fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else even
+        if any(each.is_punch for each in contacts):
+            fineness = dataclasses.replace(fineness, rims=_PUNCHED, growth=1.0)
     far = max(height, _UNDER * radius, _FAR * outline.length)
     coarsest = _STAIRS * height if boxed else far
     finest = min(fineness.rims * radius, 0.5 * height, coarsest)

@@ -23,14 +23,21 @@ from eitskin.simulator.deformation.corrections import (
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import solved_presses
+from eitskin.simulator.deformation.footprints import (
+    DentedTouch,
+    corrected_parts,
+    dent_touch,
+    placed_dents,
+    shape_fields,
+    solved_press,
+)
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
-from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
 
 Array = NDArray[np.float64]
@@ -47,6 +54,7 @@ _MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
+_PUNCHED = "by a footprint, whose signals were not compared; round ones move the gel within 1 %"
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -70,13 +78,13 @@ def dents(
     corrected = [(one, next(summed) if one.solved is None else one.solved) for one in dented]
     if (bend := sensor.bend) is None:
         return [
-            Dents(tuple(PlacedDent(t.x, t.y, dent) for t, dent, _ in one.acting), fields)
+            Dents(tuple(PlacedDent(t.x, t.y, dent) for t, dent in one.placed), fields)
             for one, fields in corrected
         ]
     bent = []
     for one, fields in corrected:
         shape = bend if one.solved is None else sensor.state or bend
-        placed = ((sensor.frame(shape, t.x, t.y), dent) for t, dent, _ in one.acting)
+        placed = ((sensor.frame(shape, t.x, t.y), dent) for t, dent in one.placed)
         bent.append(BentPresses(bend, tuple(placed), Dents((), fields)))
     return bent
 
@@ -97,20 +105,23 @@ class _DentedScene(NamedTuple):
     """Touches of a scene with their dents.
 
     Attributes:
-        touches: with dents, which are None where they have faded, and forces on indenters [N].
+        touches: as they press.
+        placed: dents of the unbounded stack that have not faded, with touches of bodies of
+            revolution.
+        parts: touches that are corrected: numbers of their touches in the scene, touches of bodies
+            of revolution, and dents.
+        shapes: what the footprints of flat punches change of these dents.
         solved: correction that was solved for this scene alone; None for one by tables.
         sunk: by which each indenter sinks deeper than its dent [m]; where depths are prescribed or
             it is wanted.
     """
 
-    touches: list[tuple[Touch, TabulatedDent | None, float]]
+    touches: list["DentedTouch"]
+    placed: list[tuple[Touch, TabulatedDent]]
+    parts: list[tuple[int, Touch, TabulatedDent]]
+    shapes: list[tuple[Touch, Field]]
     solved: tuple[ColumnField, ...] | None
     sunk: Array
-
-    @property
-    def acting(self) -> list[tuple[Touch, TabulatedDent, float]]:
-        """Touches whose dents have not faded."""
-        return [(t, dent, force) for t, dent, force in self.touches if dent is not None]
 
 
 def _solve_dents(
@@ -120,23 +131,31 @@ def _solve_dents(
     search = DepthSearch(touches, sensor.design)
     for _ in range(_MOST_SEARCHED):
         dented = [
-            (touch, *_dent(touch, float(depth), sensor))
+            dent_touch(touch, float(depth), sensor)
             for touch, depth in zip(touches, search.depths, strict=True)
         ]
-        one = _DentedScene(dented, None, np.zeros(len(touches)))
-        acting = one.acting
-        here = np.flatnonzero([dent is not None for _, dent, _ in dented])
-        if acting and resolve_touch_model(tuple(t for t, *_ in acting), sensor) == "solved":
-            presses = tuple(
-                Touch(t.x, t.y, indenter=t.indenter, depth=dent.depth) for t, dent, _ in acting
-            )
+        one = _DentedScene(dented, [], [], [], None, np.zeros(len(touches)))
+        here = [number for number, each in enumerate(dented) if each.dent is not None]
+        acting = tuple(touches[number] for number in here)
+        if acting and resolve_touch_model(acting, sensor) == "solved":
+            presses = tuple(map(solved_press, (dented[number] for number in here)))
             solved = solved_presses(sensor.design, sensor.mechanics, presses, sensor.state)
             one = one._replace(solved=(solved,))
             one.sunk[here] = solved.sunk
-        elif acting and (with_depths or search.is_needed):
-            one.sunk[here] = _evaluate([one], sensor, None)[1]
-        depths = np.array([0.0 if dent is None else dent.depth for _, dent, _ in dented])
-        if search.advance(depths, one.sunk):
+            for number in here:
+                if dented[number].punch is None:
+                    one.placed.extend(placed_dents(dented[number], sensor))
+                else:
+                    one.sunk[number] -= dented[number].depth  # solved as a whole
+        elif acting:
+            for number in here:
+                one.placed.extend(placed_dents(dented[number], sensor))
+                one.parts.extend(corrected_parts(number, dented[number], sensor))
+                one.shapes.extend(shape_fields(dented[number], sensor))
+            if with_depths or search.is_needed:
+                extra = _evaluate([one], sensor, None)[1]
+                np.add.at(one.sunk, [number for number, *_ in one.parts], extra)
+        if search.advance(np.array([each.depth for each in dented]), one.sunk):
             return one
     raise ConfigurationError(
         f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
@@ -148,7 +167,7 @@ def _tabulated(
     scenes: list[_DentedScene], sensor: PressedSensor
 ) -> Iterator[tuple[ColumnField, ...]]:
     """Corrections of the dents of each scene by tables."""
-    pressed = [one for one in scenes if one.acting]
+    pressed = [one for one in scenes if one.parts]
     if not pressed:
         return iter([()] * len(scenes))
     if sensor.bend is not None:
@@ -159,7 +178,11 @@ def _tabulated(
         fields[owner].append(field)
     summed = sums.fields(sensor.design.thickness, scales) if sums else [None] * len(scenes)
     return (
-        (*own, *([total] if total is not None and one.acting else []))
+        (
+            *own,
+            *(shape for _, shape in one.shapes),
+            *([total] if total is not None and one.parts else []),
+        )
         for one, own, total in zip(scenes, fields, summed, strict=True)
     )
 
@@ -169,7 +192,7 @@ def _sums_for(
 ) -> tuple[NodeSums | None, Array]:
     """Sums of fields of slots where there are such, and factors of their components."""
     design, mechanics, _, grid, plates = sensor
-    table = corrections(design, mechanics, one.acting[0][0].indenter, grid)
+    table = corrections(design, mechanics, one.parts[0][1].indenter, grid)
     components = 4 if mechanics.piezoresistivity.pressure else 3
     wanted = table.strip or plates is not None
     return sums_on(design, slots, components) if wanted else None, table.scales
@@ -182,14 +205,17 @@ def _turned_sum(
 
     Each press and each pair is turned by itself, at its middle; what plates change is not turned.
     """
-    places = np.array([(t.x, t.y) for t, *_ in one.acting])
+    places = np.array([(t.x, t.y) for _, t, _ in one.parts])
     if not len(places):
         return ()
-    pairs = np.array([(a + b) / 2.0 for a, b in combinations(places, 2)]).reshape(-1, 2)
+    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _pairs([one])]).reshape(-1, 2)
     turns = [sensor.frame(bend, x, y).rotation for x, y in np.concatenate([places, pairs]).tolist()]
     sums, scales = _sums_for(one, len(turns) + 1, sensor)
     others = _evaluate([one], sensor, sums, apart=True)[0]
     fields: list[ColumnField] = [field.turned(turns[slot]) for _, slot, field in others]
+    fields += [
+        shape.turned(sensor.frame(bend, touch.x, touch.y).rotation) for touch, shape in one.shapes
+    ]
     summed = sums.fields(sensor.design.thickness, scales) if sums else []
     parts = [field.turned(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
     total = np.sum([part.coefficients for part in parts], axis=0)
@@ -199,17 +225,17 @@ def _turned_sum(
 def _evaluate(
     scenes: list[_DentedScene], sensor: PressedSensor, sums: NodeSums | None, apart: bool = False
 ) -> tuple[list[tuple[int, int, Field]], Array]:
-    """Fields that are not in the sums, and by what acting presses sink deeper [m].
+    """Fields that are not in the sums, and by what the parts of scenes sink deeper [m].
 
     Each field comes with the numbers of its scene and of its slot in the sums. There each scene has
     a slot. Presses and pairs `apart` have one each, the presses first, and a last one of what
     plates change.
     """
     design, mechanics, _, grid, plates = sensor
-    presses = [(k, t, dent) for k, one in enumerate(scenes) for t, dent, _ in one.acting]
+    presses = [(k, t, dent) for k, one in enumerate(scenes) for _, t, dent in one.parts]
     count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
-    both = [(a, b) for a, b in combinations(range(count), 2) if owners[a] == owners[b]]
+    both = _pairs(scenes)
     slots = np.arange(count + len(both) + 1) if apart else owners
     fields: list[tuple[int, int, Field]] = []
     extra = np.zeros(count)
@@ -238,6 +264,15 @@ def _evaluate(
         owned = zip(owners[one].tolist(), slot_of.tolist(), felt, strict=True)
         fields += [(owner, slot, change) for owner, slot, change in owned if change is not None]
     return fields, extra
+
+
+def _pairs(scenes: list[_DentedScene]) -> list[tuple[int, int]]:
+    """Pairs of the parts of each scene, numbered through all, that are of different touches."""
+    owners = [(k, number) for k, one in enumerate(scenes) for number, *_ in one.parts]
+    pairs = combinations(range(len(owners)), 2)
+    return [
+        (a, b) for a, b in pairs if owners[a][0] == owners[b][0] and owners[a][1] != owners[b][1]
+    ]
 
 
 def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
@@ -277,11 +312,15 @@ def _plates_reach(touches: tuple[Touch, ...], sensor: PressedSensor) -> bool:
     """
     if sensor.plates is None:
         return True
-    dented = [t if t.depth else _dent(t, 0.0, sensor)[0] for t in touches]
-    depths = [0.0 if each is None else each.depth or 0.0 for each in dented]
-    return all(
-        map(sensor.plates.reaches, [t.indenter for t in touches], [t.x for t in touches], depths)
-    )
+    reached: list[tuple[AnyIndenter, float, float]] = []
+    for touch in touches:
+        if touch.depth and not isinstance(touch.indenter, Footprint):
+            reached.append((touch.indenter, touch.x, touch.depth))
+            continue
+        dented = dent_touch(touch, touch.depth or 0.0, sensor)
+        parts = [] if dented.dent is None else corrected_parts(0, dented, sensor)
+        reached += [(part.indenter, part.x, dent.depth) for _, part, dent in parts]
+    return all(sensor.plates.reaches(*each) for each in reached)
 
 
 def pressed_touches(
@@ -300,24 +339,30 @@ def pressed_touches(
     gap = design.support.gap(outline) if isinstance(design.support, Plates) else (0.0, 0.0)
     found = []
     dented = _solve_dents(touches, sensor, with_depths=True)
-    for (touch, dent, force), sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
+    for each, sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
+        touch, dent, force = each.touch, each.dent, each.force
         edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
         neighbour = neighbour_distance(touch, touches)
-        depth = dent.depth + sunk if dent is not None else 0.0
+        depth = each.depth + sunk
         cautions = _cautions(touch, edge, neighbour, depth, design)
         error = flat
         if bent_after:
             error = _BENT_AFTER
         elif isinstance(design.support, Plates):
             error = _OVER_GAP if gap[0] < touch.x < gap[1] else _ON_PLATES
+        cautions += [_PUNCHED] * (each.punch is not None)
         cautions += [_NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
+        # Without contact there is a dent, but no pressure.
+        radius, pressure = 0.0, 0.0
+        if dent is not None and force > 0.0:
+            radius = dent.contact_radius if each.punch is None else touch.indenter.rims[1]
+            pressure = dent.peak_pressure * force / (each.area * dent.force)
         pressed = PressedTouch(
             touch=touch,
             force=force,
             depth=depth,
-            # Without contact there is a dent, but no pressure.
-            contact_radius=dent.contact_radius if dent is not None and force > 0.0 else 0.0,
-            peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
+            contact_radius=radius,
+            peak_pressure=pressure,
             thinning=dent.thinning if dent is not None else 0.0,
             edge_distance=edge,
             neighbour_distance=neighbour,
@@ -326,30 +371,6 @@ def pressed_touches(
         )
         found.append(pressed)
     return tuple(found)
-
-
-def _dent(touch: Touch, depth: float, sensor: PressedSensor) -> tuple[TabulatedDent | None, float]:
-    """Dent of a touch, None where it has faded, and the force on the indenter [N].
-
-    `depth` is that of the first moment's dent [m] where a depth is prescribed.
-    """
-    mechanics = sensor.mechanics
-    table = press_table(sensor.design, mechanics, touch.indenter, sensor.grid)
-    first = table.at_force(touch.force) if touch.depth is None else table.at_depth(depth)
-    if touch.held is None:
-        return first, first.force
-    prony = relaxation.mixture(
-        (mechanics.gel_relaxation, mechanics.encapsulation_relaxation),
-        (first.share, 1.0 - first.share),
-    )
-    if touch.depth is None:
-        elastic = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
-        acting = touch.force
-    else:
-        elastic = relaxation.elastic_force_at_depth(prony, first.force, touch.held, touch.released)
-        acting = first.force * float(prony.relaxation(touch.held))
-    dent = table.at_force(elastic) if elastic > 0.0 else None
-    return dent, 0.0 if touch.released else acting
 
 
 def _cautions(

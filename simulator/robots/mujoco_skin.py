@@ -13,7 +13,7 @@ from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.robots.touch_table import TouchRules, TouchTable, touches_of_face
+from eitskin.simulator.robots.touch_table import TouchRules, TouchTable, touch_of_face
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
@@ -95,9 +95,10 @@ class MujocoSkin:
                 y = float(place[1]) + self._outline.width / 2
                 presser = bodies[row][0] if bodies[row][1] == self._geom else bodies[row][1]
                 contacts.setdefault(int(presser), []).append((x, y, force))
-        points: list[Touch] = []
-        for presser, pressed in contacts.items():
-            points += touches_of_face(np.array(pressed), self._indenter(presser))
+        points = [
+            touch_of_face(np.array(pressed), self._indenter(presser))
+            for presser, pressed in contacts.items()
+        ]
         return self.rules.applied(points, self._outline)
 
     def update(self, simulations: Sequence[Any]) -> list[Frame | None]:
@@ -134,7 +135,13 @@ class MujocoSkin:
     def _measured(self, touches: Sequence[tuple[Touch, ...]]) -> list[NDArray[np.complex128]]:
         """Noise-free measurements of each; those without touches are known."""
         found = [self._untouched] * len(touches)
-        single = [i for i, each in enumerate(touches) if self._table is not None and len(each) == 1]
+        single = [
+            i
+            for i, each in enumerate(touches)
+            if self._table is not None
+            and len(each) == 1
+            and each[0].indenter == self.rules.indenter
+        ]
         if self._table is not None and single:
             factors = self._table.factors([touches[i][0] for i in single])
             for i, factor in zip(single, factors, strict=True):
@@ -180,7 +187,7 @@ class MujocoSkin:
         return np.asarray(force if data.contact.geom[row][1] == self._geom else -force)
 
     def _indenter(self, geom: int) -> AnyIndenter | None:
-        """Indenter that stands for a geom; None for the face between its contacts."""
+        """Indenter that stands for a geom; None for one that presses with a face."""
         if self.rules.indenter is not None:
             return self.rules.indenter
         kinds, radius = self._mujoco.mjtGeom, float(self._model.geom_size[geom][0])

@@ -8,21 +8,20 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, make_interp_spline
+from scipy.spatial import ConvexHull
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.indenters import Cylinder, Footprint, distance
 from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 SPACING = 0.0025  # m, at most, between places of the table
 FORCES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # over the strongest
-_APART, _SAME_PLACE = 1e-6, 1e-9  # spare between indenters, relative; of two places [m]
-# Longest side of a face that one cylinder stands for, over the short one, and least radius [m].
-_COMPACT, _LEAST_RADIUS = 1.5, 1e-3
+_LEAST_RADIUS, _ROUNDED = 1e-3, 5e-4  # half the width of an edge; of corners of faces [m]
 FEWEST = 4  # places along an axis, for cubic splines
 _VERSION = 1  # raise it whenever the table is solved in another way
 
@@ -34,9 +33,9 @@ class TouchRules:
     The defaults keep every touch within the tables of the reference sensor.
 
     Attributes:
-        indenter: of all touches; None for the shape of the body that presses: of a sphere or
-            capsule its `Sphere`, of a cylinder its flat end, of others `Cylinder`s as wide as the
-            face between their contacts.
+        indenter: of all touches by faces that are not larger; None for the shape of the body that
+            presses: of a sphere or capsule its `Sphere`, of a cylinder its flat end. Faces are
+            `Footprint`s, which are the hulls of their contacts.
             Presses by other indenters than the default one are solved scene by scene, which takes
             half a minute each, unless the simulator has `touch_model="tabulated"`.
         least: weakest touch [N]; weaker ones are none.
@@ -63,15 +62,14 @@ class TouchRules:
         Points whose indenters would overlap are one touch: their forces are added, at the mean
         place weighted by force, with the indenter of the strongest.
         """
-        margin = min(self.margin, outline.length / 2, outline.width / 2)
-        inside = [
-            replace(
-                point,
-                x=min(max(point.x, margin), outline.length - margin),
-                y=min(max(point.y, margin), outline.width - margin),
-            )
-            for point in points
-        ]
+        extents = np.array([outline.length, outline.width])
+        inside = []
+        for point in points:
+            low = high = np.minimum(self.margin, extents / 2)
+            if isinstance(point.indenter, Footprint):
+                low, high = (point.indenter.reach(way * np.eye(2)) for way in (-1.0, 1.0))
+            x, y = np.clip([point.x, point.y], low, np.maximum(extents - high, low)).tolist()
+            inside.append(replace(point, x=x, y=y))
         strong = [touch for touch in merged(inside) if touch.force >= self.least]
         limited = [replace(touch, force=min(touch.force, self.most)) for touch in strong]
         return tuple(sorted(limited, key=lambda touch: (-touch.force, touch.x, touch.y)))
@@ -99,70 +97,43 @@ def merged(touches: Iterable[Touch]) -> list[Touch]:
         )
 
 
-def touches_of_face(contacts: Array, indenter: AnyIndenter | None) -> list[Touch]:
-    """Touches that stand for one rigid face, which rests on some points of its rim.
+def touch_of_face(contacts: Array, indenter: AnyIndenter | None) -> Touch:
+    """Touch of one rigid face, which rests on some points of its rim.
 
-    The face fills the least rectangle around its points. So many indenters as it holds side by side
-    fill that, with forces that vary linearly along both sides and have the moments of the contacts.
+    The face is the hull of its points; the force acts where that of the contacts does.
 
     Args:
         contacts: places and forces (x, y, force) of the points, (n, 3) [m, m, N].
-        indenter: of every touch; when None a cylinder as large as the face, or as wide as one that
-            is longer than wide.
+        indenter: of faces that are not larger; when None of single points.
     """
     places, forces = contacts[:, :2], contacts[:, 2]
     pressed, total = forces @ places / forces.sum(), float(forces.sum())
-    (low, high), axes = _least_rectangle(places)
-    if indenter is None:
-        short, long = np.sort(high - low).tolist()
-        if short <= 2.0 * _LEAST_RADIUS:
-            indenter = Cylinder()
-        else:
-            compact = long <= _COMPACT * short
-            indenter = Cylinder(math.sqrt(short * long / math.pi) if compact else 0.5 * short)
-    wide = 2.0 * indenter.rims[1] * (1.0 + _APART)
-    counts = np.maximum(np.rint((high - low) / wide), 1.0).astype(int)
-    if counts.prod() == 1:
-        return [Touch(float(pressed[0]), float(pressed[1]), total, indenter)]
-    # A single row lies where its side's moment is, others about the middle.
-    middle = np.where(counts == 1, axes @ pressed, 0.5 * (low + high))
-    rows = [
-        np.linspace(-0.5, 0.5, n) * max(extent - wide, (n - 1) * wide) if n > 1 else np.zeros(1)
-        for n, extent in zip(counts, high - low, strict=True)
-    ]
-    own = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, 2)
-    spread = np.maximum((own**2).sum(axis=0), wide**2 * 1e-6)
-    shares = 1.0 / len(own) + own @ ((axes @ pressed - middle) / spread)
-    shares = np.maximum(shares, 0.0)
-    there = (own + middle) @ axes
-    return [
-        Touch(float(x), float(y), float(share * total / shares.sum()), indenter)
-        for (x, y), share in zip(there, shares, strict=True)
-        if share > 0.0
-    ]
+    corners = _hull(places) - pressed
+    point = indenter or Cylinder()
+    widest = 2.0 * (point.rims[1] if indenter else _LEAST_RADIUS)
+    if len(corners) < 3 or np.ptp(corners, axis=0).max() <= widest:
+        return Touch(float(pressed[0]), float(pressed[1]), total, point)
+    # Shapes are solved once; those of later frames differ by less than this.
+    rounded = np.trunc(corners / _ROUNDED) * _ROUNDED
+    footprint = Footprint(corners=tuple(map(tuple, _hull(rounded).tolist())))
+    return Touch(float(pressed[0]), float(pressed[1]), total, footprint)
 
 
-def _least_rectangle(places: Array) -> tuple[tuple[Array, Array], Array]:
-    """Least and greatest coordinates of points (n, 2) along both sides of their least rectangle.
-
-    Second the directions of its sides, (2, 2), the long one first.
-    """
-    steps = np.concatenate([np.array([[1.0, 0.0]]), *(places - place for place in places)])
-    steps = steps[np.hypot(*steps.T) > _SAME_PLACE]
-    along = steps / np.hypot(*steps.T)[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    extents = np.ptp(places @ along.T, axis=0), np.ptp(places @ across.T, axis=0)
-    # Around points in a row all rectangles are equally small: that with the longest first side.
-    best = np.lexsort((-extents[0], np.round(extents[0] * extents[1], 12)))[0]
-    axes = np.stack([along[best], across[best]])
-    found = places @ axes.T
-    return (found.min(axis=0), found.max(axis=0)), axes
+def _hull(places: Array) -> Array:
+    """Corners of the hull of places, at least as wide as a needle, (n, 2) [m], anticlockwise."""
+    steps = places - places[0]
+    far = steps[np.hypot(*steps.T).argmax()]
+    if not np.hypot(*far) > _LEAST_RADIUS:
+        return places[:1]
+    across = np.array([-far[1], far[0]]) / np.hypot(*far)
+    if np.ptp(places @ across) < 2.0 * _LEAST_RADIUS:  # an edge
+        places = np.concatenate([places + way * _LEAST_RADIUS * across for way in (-1.0, 1.0)])
+    return np.asarray(places[ConvexHull(places).vertices])
 
 
 def _overlap(one: Touch, other: Touch) -> float:
     """Length by which the indenters of two touches overlap [m]; negative where they do not."""
-    apart = math.dist((one.x, one.y), (other.x, other.y))
-    return one.indenter.rims[1] + other.indenter.rims[1] - apart
+    return -distance(one.indenter, other.indenter, np.array([other.x - one.x, other.y - one.y]))
 
 
 class TouchTable:

@@ -1,4 +1,4 @@
-"""Indenters: convex rigid bodies of revolution, given as height maps."""
+"""Indenters: convex rigid bodies of revolution, given as height maps, and flat punches."""
 
 import math
 from abc import ABC, abstractmethod
@@ -25,6 +25,7 @@ _NARROWEST = 1e-4  # m, a needle; the mesh of a sharper contact has more cells t
 _CLOSEST = 1e-9  # m, between radii of a profile, whose slope is a quotient
 _SHARPEST = 1e-3  # radius of a rim over that of the cylinder, for the same reason
 _RADII, _AZIMUTHS = 48, 72
+_ROUND_CORNERS, _STEP = 64, 1.05  # of an ellipse; ratio of radii that have tables
 _UPRIGHT = 0.02  # facets of the hull whose normals point down by less are its wall
 _ROUND = 0.1  # largest difference of height round the axis, of the radius
 
@@ -47,6 +48,20 @@ class Indenter(ABC):
     @abstractmethod
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
         """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
+
+    @property
+    def tabled(self) -> "Indenter":
+        """Body of revolution by whose dents this one presses."""
+        return self
+
+    @property
+    def corrected(self) -> "Indenter":
+        """Body of revolution by whose corrections in the finite stack this one presses."""
+        return self
+
+    def reach(self, directions: Array) -> Array:
+        """Farthest distance from the touch along unit vectors (n, 2) [m], (n,)."""
+        return np.full(len(directions), self.rims[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +199,147 @@ class Profile(Indenter):
         slope = values[piece] + bends[piece] * along
         height = at_knots[piece] + (values[piece] + 0.5 * bends[piece] * along) * along
         return height, slope, bends[piece]
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint(Indenter):
+    """Flat-ended punch of a convex footprint: a rectangle, an ellipse or a polygon.
+
+    The force acts at the position of the touch. A polygon around another point than its middle
+    tilts, and may leave the contact in part.
+
+    Attributes:
+        length, width: of a rectangle, or diameters of an ellipse [m].
+        angle_deg: from the sensor's x axis to the length.
+        round: whether it is an ellipse.
+        corners: of a polygon, (x, y) from where the force acts [m]; instead of the length and
+            width.
+        rough: whether the punch sticks to the touched face.
+
+    Example:
+        >>> from eitskin.simulator import Footprint, Touch
+        >>> Touch(0.075, 0.030, indenter=Footprint(length=0.020, width=0.010)).indenter.round
+        False
+    """
+
+    length: float = 0.0
+    width: float = 0.0
+    angle_deg: float = 0.0
+    round: bool = False
+    corners: tuple[tuple[float, float], ...] = ()
+    rough: bool = True
+
+    def __post_init__(self) -> None:
+        """Check that the footprint is convex, and neither a needle nor wider than any tool."""
+        if bool(self.corners) == bool(self.length or self.width):
+            raise ConfigurationError(
+                "a footprint has a length and a width, or corners, got "
+                f"{self.length:g} x {self.width:g} m and {len(self.corners)} corners"
+            )
+        if not self.corners:
+            for name in ("length", "width"):
+                _require_radius(0.5 * getattr(self, name))
+            return
+        points = np.array(self.corners, dtype=float)
+        if len(points) < 3 or not np.all(np.abs(points) <= _WIDEST):
+            raise ConfigurationError(
+                f"a footprint needs three or more corners within {_WIDEST:g} m, got {self.corners}"
+            )
+        steps = np.roll(points, -1, axis=0) - points
+        ahead = np.roll(steps, -1, axis=0)
+        turns = steps[:, 0] * ahead[:, 1] - steps[:, 1] * ahead[:, 0]
+        turns *= np.sign(turns.sum())
+        if not turns.min() > -_CLOSEST * _WIDEST or not self.rims[1] > _NARROWEST:
+            raise ConfigurationError(
+                f"the corners of a footprint must go round a convex area, got {self.corners}"
+            )
+
+    @property
+    def outline(self) -> Array:
+        """Corners in the frame of the length, (n, 2) [m]; an ellipse has 64."""
+        if self.corners:
+            return np.array(self.corners, dtype=float)
+        half = 0.5 * np.array([self.length, self.width])
+        if not self.round:
+            square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+            return np.asarray(half * square)
+        turn = np.arange(_ROUND_CORNERS) * (2.0 * np.pi / _ROUND_CORNERS)
+        # As large as the ellipse.
+        grown = math.sqrt(2.0 * np.pi / _ROUND_CORNERS / math.sin(2.0 * np.pi / _ROUND_CORNERS))
+        return np.asarray(grown * half * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+
+    @property
+    def middle(self) -> Array:
+        """Centroid in the frame of the length, (2,) [m]."""
+        x, y = self.outline.T
+        parts = x * np.roll(y, -1) - y * np.roll(x, -1)
+        sums = [float(np.sum(parts * (at + np.roll(at, -1)))) for at in (x, y)]
+        return np.asarray(np.array(sums) / (3.0 * parts.sum()))
+
+    @property
+    def count(self) -> int:
+        """Number of cylinders side by side that have its area."""
+        low, high = np.sort(np.ptp(self.outline, axis=0))
+        return max(1, round(float(high / low)))
+
+    @property
+    def tabled(self) -> Cylinder:
+        default = Cylinder(rough=self.rough)
+        radius = self.rims[1] / math.sqrt(self.count)
+        # Few radii serve all footprints; rims are all as round as the default one's.
+        larger = _STEP ** round(math.log(radius / default.radius) / math.log(_STEP))
+        return Cylinder(default.radius * larger, min(default.edge / larger, 1.0), self.rough)
+
+    @property
+    def corrected(self) -> Cylinder:
+        return Cylinder(rough=self.rough)
+
+    @property
+    def rotation(self) -> Array:
+        """Turn of the frame of the length to the sensor's, (2, 2)."""
+        angle = math.radians(self.angle_deg)
+        return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        return self._as_large.rims
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        return self._as_large.profile(r)
+
+    def reach(self, directions: Array) -> Array:
+        return np.asarray((directions @ self.rotation @ self.outline.T).max(axis=1))
+
+    def depth_inside(self, points: Array) -> Array:
+        """Distance of points (..., 2) within the frame of the length to the nearest edge [m].
+
+        It is negative outside.
+        """
+        corners = self.outline
+        steps = np.roll(corners, -1, axis=0) - corners
+        inward = np.stack([-steps[:, 1], steps[:, 0]], axis=1) * np.sign(_area(corners))
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        return np.asarray((points @ inward.T - (corners * inward).sum(axis=1)).min(axis=-1))
+
+    @property
+    def _as_large(self) -> Cylinder:
+        """Cylinder of the same area."""
+        return Cylinder(math.sqrt(abs(_area(self.outline)) / math.pi), rough=self.rough)
+
+
+def _area(corners: Array) -> float:
+    """Area of a polygon (n, 2) [m2], positive where it goes round anticlockwise."""
+    x, y = corners.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def distance(one: Indenter, other: Indenter, step: Array) -> float:
+    """Distance between two indenters whose touches are a step (2,) apart [m], negative inside."""
+    turn = np.arange(_AZIMUTHS) * (2.0 * np.pi / _AZIMUTHS) + math.atan2(step[1], step[0])
+    directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    # Convex bodies are as far apart as the parallel planes between them.
+    gaps = directions @ step - one.reach(directions) - other.reach(-directions)
+    return float(gaps.max())
 
 
 def penetration(

@@ -6,15 +6,24 @@ from itertools import combinations
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+
 from eitskin.bounds import require_positive
 from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Roll, Twist
 from eitskin.geometry.design.sensor import Free, Plates, Support
-from eitskin.simulator.scene.indenters import Cylinder, Profile, ScannedIndenter, Sphere
+from eitskin.simulator.scene.indenters import (
+    Cylinder,
+    Footprint,
+    Profile,
+    ScannedIndenter,
+    Sphere,
+    distance,
+)
 
 DEFAULT_FORCE = 10.0
-AnyIndenter: TypeAlias = Cylinder | Sphere | Profile | ScannedIndenter
+AnyIndenter: TypeAlias = Cylinder | Sphere | Profile | ScannedIndenter | Footprint
 _SAME = 1e-9  # difference of spans that count as equal [m]
 
 
@@ -144,8 +153,9 @@ class Scene:
         """Raise ConfigurationError for indenters that overlap."""
         pressing = [touch for touch in self.touches if not touch.released]
         for one, other in combinations(pressing, 2):
-            apart = math.dist((one.x, one.y), (other.x, other.y))
-            least = one.indenter.rims[1] + other.indenter.rims[1]
+            step = np.array([other.x - one.x, other.y - one.y])
+            apart = float(np.hypot(*step))
+            least = apart - distance(one.indenter, other.indenter, step)
             if apart < least * (1.0 - 1e-9):
                 raise ConfigurationError(
                     f"touches at ({one.x:g}, {one.y:g}) and ({other.x:g}, {other.y:g}) m are "

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from eitskin.extras import require
 from eitskin.geometry.design.patches import area_vectors
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.scene.indenters import Footprint, Indenter
 from eitskin.simulator.view.render import DIRECTION, MATT
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def polygons(corners: Array) -> Any:
 
 
 def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
-    """Lower part of an indenter as a surface of revolution, open above.
+    """Lower part of an indenter as a surface of revolution or over its footprint, open above.
 
     Args:
         indenter: with the profile to revolve.
@@ -55,12 +55,12 @@ def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
     height = indenter.profile(r)[0]
     r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN * rim))
     azimuth = 2.0 * np.pi / _AZIMUTHS * np.arange(_AZIMUTHS + 1)
-    rings = np.stack(
-        np.broadcast_arrays(
-            np.outer(r, np.cos(azimuth)), np.outer(r, np.sin(azimuth)), height[:, None]
-        ),
-        axis=-1,
-    )
+    circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    if isinstance(indenter, Footprint):
+        corners = indenter.outline @ indenter.rotation.T / rim
+        circle = np.concatenate([corners, corners[:1]])
+    plane = r[:, None, None] * circle
+    rings = np.append(plane, np.broadcast_to(height[:, None, None], plane[..., :1].shape), axis=-1)
     x, y, z = np.moveaxis(rings @ turned.T + tip, -1, 0)[..., None]
     net = outside(require("pyvista", "view").StructuredGrid(x, y, z))
     return net.clean(tolerance=1e-6)  # joins the ends of every ring

@@ -22,7 +22,16 @@ from eitskin.geometry import (
     Twist,
 )
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
+from eitskin.simulator import (
+    Cylinder,
+    Footprint,
+    Mechanics,
+    Profile,
+    Scene,
+    Simulator,
+    Sphere,
+    Touch,
+)
 from eitskin.simulator.deformation import touches as presses
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.touches import pressed_touches
@@ -240,6 +249,40 @@ def test_conductivities_must_stay_positive() -> None:
         signal(mechanics, Scene(touches=(Touch(X, Y, 10.0),)))
 
 
+# Footprints
+
+
+def test_a_footprint_as_large_as_the_cylinder_is_that_cylinder(sim) -> None:
+    flat = sim.measure(Scene()).impedance.real
+
+    def change(*touch):
+        return sim.measure(Scene(touches=(Touch(*touch),))).impedance.real / flat - 1.0
+
+    disc = Footprint(0.015, 0.015, round=True)
+    cylinder, punch = change(0.05, 0.02, 8.0), change(0.05, 0.02, 8.0, disc)
+    assert np.linalg.norm(punch - cylinder) < 0.01 * np.linalg.norm(cylinder)
+    rectangle = change(0.05, 0.02, 8.0, Footprint(0.016, 0.012, angle_deg=90.0))
+    sides = ((-0.006, -0.008), (0.006, -0.008), (0.006, 0.008), (-0.006, 0.008))
+    polygon = change(0.05, 0.02, 8.0, Footprint(corners=sides))
+    assert np.linalg.norm(polygon - rectangle) < 0.01 * np.linalg.norm(rectangle)
+    found = one(Touch(X, Y, 8.0, disc))
+    pressed = one(Touch(X, Y, 8.0))
+    assert found.depth == pytest.approx(pressed.depth, rel=5e-3)
+    deep = one(Touch(X, Y, depth=found.depth, indenter=disc))
+    assert deep.force == pytest.approx(8.0, rel=5e-3)
+
+
+def test_footprints_are_convex_and_keep_apart_by_their_shapes() -> None:
+    bar = Footprint(0.03, 0.006)
+    Scene(touches=(Touch(X, 0.02, indenter=bar), Touch(X, 0.03, indenter=bar)))
+    with pytest.raises(ConfigurationError, match="apart"):
+        Scene(touches=(Touch(X, 0.02, indenter=bar), Touch(X + 0.02, 0.02, indenter=bar)))
+    dented = ((0.0, 0.0), (0.02, 0.0), (0.005, 0.005), (0.0, 0.02))
+    for wrong in ({}, {"length": 0.01}, {"corners": dented}, {"length": 0.01, "corners": dented}):
+        with pytest.raises(ConfigurationError, match=r"footprint|radius"):
+            Footprint(**wrong)
+
+
 # Files
 
 
@@ -250,11 +293,13 @@ def test_scene_files_name_indenters(tmp_path) -> None:
         "indenter = { shape = 'sphere', radius = 0.01 }\n"
         "[[touches]]\nx = 0.1\ny = 0.02\ndepth = 0.001\nheld = 3.0\nindenter = { radius = 0.005 }\n"
         "[[touches]]\nx = 0.1\ny = 0.04\nindenter = { radii = [0, 0.004], heights = [0, 0.001] }\n"
+        "[[touches]]\nx = 0.02\ny = 0.04\nindenter = { length = 0.02, width = 0.01 }\n"
     )
     expected = (
         Touch(0.05, 0.02, 3.0, Sphere(0.01)),
         Touch(0.1, 0.02, depth=0.001, held=3.0, indenter=Cylinder(0.005)),
         Touch(0.1, 0.04, indenter=Profile((0.0, 0.004), (0.0, 0.001))),
+        Touch(0.02, 0.04, indenter=Footprint(0.02, 0.01)),
     )
     assert Scene.from_toml(box) == Scene(Bend(30.0), expected)
 
