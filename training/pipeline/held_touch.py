@@ -12,6 +12,8 @@ from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import Voltages
 
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
+ONSET = 4.0  # standard deviations of the mean square that tell a change since earlier frames
+SPEED, MOVING = 0.008, 0.3  # m a frame, of touches that move, and their share before they are seen
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
 FEWEST_SCATTERS = 2  # frames that the noise of training counts as
 LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames tell
@@ -68,27 +70,65 @@ class HeldTouch:
                 self._scatter.append(scatter)
         self._changes.append(change)
         if not held:
-            self._frames.clear()
-            self._speed = 0.0
+            self.since([])
         self._frames.append(V)
         count = min(self._still(), most)
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
+    def since(self, frames: list[Voltages]) -> None:
+        """Take these for the latest frames of the touch; none before a touch."""
+        self._frames.clear()
+        self._frames.extend(frames)
+        self._speed = 0.0
+
+    def shows(self, mean: Voltages, count: int, before: Voltages, earlier: int) -> float:
+        """How clearly a mean of frames differs from one of earlier frames, over what is usual."""
+        change = relative_difference(mean, before)
+        known = change[np.isfinite(change)]
+        if not len(known):
+            return 0.0
+        variance = self.variance * (1.0 / count + 1.0 / earlier)
+        square = float(known @ known) / (len(known) * variance)
+        return (square - 1.0) / (ONSET * self._deviation(len(known)))
+
+    @staticmethod
+    def lag(deviation: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+        """Variance (k,) [m2] of places by motion that a mean of frames does not show.
+
+        A slope over n frames has 12 / (n^3 - n) times the variance of one frame, and the mean lags
+        by (n - 1) / 2 of it. Touches stand still or move at any speed up to some.
+
+        Args:
+            deviation: standard errors of the places in the mean (k,) [m].
+            count: number n of frames.
+        """
+        if count < 2:
+            return np.zeros_like(deviation)
+        slope = deviation * math.sqrt(12.0 / (count**2 - 1.0))
+        seen = (1.0 - MOVING) * SPEED / slope
+        share = MOVING / (MOVING + seen)
+        return np.asarray(share * (0.5 * (count - 1) * np.minimum(slope, SPEED)) ** 2)
+
+    @property
+    def latest(self) -> list[Voltages]:
+        """Latest frames of the touch, in their order."""
+        return list(self._frames)
+
     @property
     def weight(self) -> float:
         """Frames with the noise that the method expects that a frame of this session is worth."""
-        quiet = 0.5 * (self.scale * self.noise) ** 2 / self._variance
+        quiet = 0.5 * (self.scale * self.noise) ** 2 / self.variance
         return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
 
     @property
     def still(self) -> float:
         """Rms relative difference of two frames of a still sensor in this session, at most."""
         told = len(self._scatter) > FEWEST_SCATTERS
-        return math.sqrt(2.0 * self._variance) if told else LOUDEST * self.noise
+        return math.sqrt(2.0 * self.variance) if told else LOUDEST * self.noise
 
     @property
-    def _variance(self) -> float:
+    def variance(self) -> float:
         """Variance of a channel's relative change in one frame, the median over the latest."""
         return median([*self._scatter, *[0.5 * self.noise**2] * FEWEST_SCATTERS])
 
@@ -97,7 +137,7 @@ class HeldTouch:
         alone = float(np.sqrt(2.0 / channels))
         if len(self._scatter) < 10:
             return alone
-        return max(1.5 * median(abs(s / self._variance - 1.0) for s in self._scatter), alone)
+        return max(1.5 * median(abs(s / self.variance - 1.0) for s in self._scatter), alone)
 
     def _still(self) -> int:
         """Number of the latest frames over which the touch stands still."""
@@ -110,7 +150,7 @@ class HeldTouch:
                 break
             weight = n * (n * n - 1) / 12.0  # sum of squared times
             slope = (np.arange(n) - 0.5 * (n - 1)) @ window[:, good]
-            slope /= math.sqrt(weight * self._variance)
+            slope /= math.sqrt(weight * self.variance)
             shown = float(slope @ slope) / len(slope)
             ratio = shown / (1.0 + MOTION * self._deviation(len(slope)))
             if len(along := self.directions):

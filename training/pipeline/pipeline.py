@@ -387,6 +387,7 @@ class Pipeline:
             if first:
                 session.begin()
             raise
+        perceived = session.with_lag(perceived)
         if (touched := perceived.touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None
             session.renew(voltages, touched, perceived.probabilities[0, State.TOUCH], along)

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
-from eitskin.training.method.predictions import Zero
+from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
 from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch
 from eitskin.training.pipeline.references import (
@@ -26,7 +26,8 @@ from eitskin.training.pipeline.references import (
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-MOST_SUSPECTED = 3  # frames of what may be a touch, whose motion would not be seen, in a mean
+LINGERING = 3.0  # standard errors of a force from which a touch that was there may be there yet
+FEWEST_EARLIER = 2  # frames of the untouched sensor that an onset is told from
 SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
@@ -154,6 +155,14 @@ def _told(frame: Frame, problem: str) -> tuple[str, ...]:
     return (told,) if problem else ()
 
 
+class Earlier(NamedTuple):
+    """Frame of the untouched sensor, and the references before it."""
+
+    voltages: Voltages
+    static: RunningMean
+    dynamic: RunningMean
+
+
 @dataclass
 class Session:
     """References of consecutive frames of one sensor, and the memory of a held touch.
@@ -189,9 +198,11 @@ class Session:
     doubt: str = field(init=False)
     _health: SensorHealth | None = field(init=False)
     _order: SessionOrder = field(init=False, default_factory=SessionOrder)
+    _earlier: deque[Earlier] = field(init=False)
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
+        self._earlier = deque(maxlen=LONGEST_HELD)
         self.begin()
 
     def begin(self) -> None:
@@ -204,6 +215,9 @@ class Session:
             )
         self._held = HeldTouch(self.noise, self.noise_scale)
         self._opening = self.stored is None
+        self._earlier.clear()
+        self._onset, self._frames, self._lingers = 1, 1, False
+        self._forces = np.zeros((0, 0))
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
@@ -243,8 +257,10 @@ class Session:
 
     def average(self, voltages: Voltages) -> None:
         """Add a frame (measurements,) [ohm] of the untouched sensor to the references."""
+        self._earlier.append(Earlier(voltages, replace(self.static), replace(self.dynamic)))
         if self.dynamic.add(voltages):
             self._opening = False
+            self._earlier.clear()
         if self._opening:
             self.static.add(voltages)
 
@@ -318,23 +334,40 @@ class Session:
         Instead of a frame of a touch that stands still the mean of such frames is taken; frames of
         an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
-        elapsed = self._order.elapsed
-        most = LONGEST_HELD if self.touched else MOST_SUSPECTED
-        held, count = self._held.add(voltages, self.bend, self.averages and self._suspected, most)
-        weight = self._held.weight
+        elapsed, most = self._order.elapsed, LONGEST_HELD
+        static, dynamic = self.static, self.dynamic
+        if not self.touched and self.averages:
+            self._onset = self._frames_since_onset(voltages)
+            if not self._suspected and self._onset > 1:
+                since = list(self._earlier)[1 - self._onset :]
+                _, static, dynamic = since[0]
+                self._held.since([each.voltages for each in since])
+            most = self._onset
+        going_on = self.touched or self._suspected or most > 1
+        held, count = self._held.add(voltages, self.bend, self.averages and going_on, most)
+        self._frames, weight = count, self._held.weight
         if self.averages:
             self.static.noise = self.dynamic.noise = self._held.still
         rows = {
-            "static": relative_difference(held, self.bend),
-            "dynamic": relative_difference(held, self.touch),
-            "flat": np.abs(self.bend),
+            "static": relative_difference(held, static.mean),
+            "dynamic": relative_difference(held, dynamic.mean),
+            "flat": np.abs(static.mean),
             "frames": weight * count,
-            "static_frames": weight * self.static.count,
-            "dynamic_frames": weight * self.dynamic.count,
+            "static_frames": weight * static.count,
+            "dynamic_frames": weight * dynamic.count,
             "age": elapsed + self._age_at_start,
             "dynamic_age": elapsed - self._renewed,
         }
         return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
+
+    def with_lag(self, perceived: Predictions) -> Predictions:
+        """Predictions of one frame whose standard errors cover motion that its mean hides."""
+        if self._frames < 2 or not perceived.touches:
+            return perceived
+        found = perceived.touches[0]
+        lag = self._held.lag(found.deviation, self._frames)
+        found = replace(found, deviation=np.sqrt(found.deviation**2 + lag))
+        return replace(perceived, touches=(found,))
 
     def renew(
         self,
@@ -352,14 +385,52 @@ class Session:
                 weighed together with it.
             directions: of changes (d, measurements) by a motion of its touches.
         """
-        self.touched = touched
-        self._suspected = touched or (self.averages and chance > SUSPECTED)
+        if directions is not None:
+            self._forces = directions[2::3]
+        elif not touched:
+            self._lingers = self._may_linger(voltages)
+        started, self.touched = not self._suspected and self._onset > 1, touched
+        self._suspected = touched or (self.averages and (chance > SUSPECTED or self._lingers))
         self._held.directions = np.zeros((0, 0)) if directions is None else directions
+        if self._suspected and started:
+            _, self.static, self.dynamic = list(self._earlier)[1 - self._onset]
+        if self._suspected:
+            self._earlier.clear()
         if touched:
-            self._opening = False
+            self._opening, self._lingers = False, False
         elif not self._suspected:
             self.average(voltages)
             self._outdated, self._renewed = False, self._order.elapsed
+
+    def _frames_since_onset(self, voltages: Voltages) -> int:
+        """Number of the latest frames, V among them, that differ most from those before."""
+        if self._suspected:
+            latest = [*self._held.latest, voltages]
+            earlier = [self.dynamic] * len(latest)
+        else:
+            latest = [*(each.voltages for each in self._earlier), voltages]
+            earlier = [*(each.dynamic for each in self._earlier), self.dynamic]
+        best, count, total = 0.0 if self._suspected else 1.0, 1, np.zeros_like(voltages)
+        for n in range(1, min(len(latest), LONGEST_HELD) + 1):
+            total = total + latest[-n]
+            before = earlier[-n]
+            if before.count < FEWEST_EARLIER:
+                break
+            shown = self._held.shows(total / n, n, before.mean, before.count)
+            if shown > best:
+                best, count = shown, n
+        return count
+
+    def _may_linger(self, voltages: Voltages) -> bool:
+        """Whether what was touched last may touch yet, as far as noise tells."""
+        change = relative_difference(voltages, self.touch)
+        good = np.isfinite(change)
+        for along in self._forces[:, good] if len(self._forces) else ():
+            size = float(along @ along)
+            if along @ change[good] > LINGERING * math.sqrt(size * self._held.variance):
+                return True
+        self._forces = np.zeros((0, 0))
+        return False
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
         """Faults of the references in words; `labels` are those of the measurements."""
@@ -372,6 +443,8 @@ class Session:
             "and the board"
             for i in self._reversed
         ]
+        if self._lingers:
+            problems.append("what touched before may touch yet, too faintly to tell where")
         if self._outdated and self.touched and self.bends:
             problems.append(
                 f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
