@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.spatial.distance import pdist
 from scipy.special import ndtr
 
 from eitskin.errors import DataError
@@ -71,12 +70,14 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
     elif count and (
         found.further > FURTHER_GAIN
         or (found.division[:, 0] > DIVISION_GAIN[count > 1]).any()
-        or np.sum(pdist(found.touches[:, :2]) < found.estimate.objective.prior.separation) > 1
+        or found.wide
     ):
-        x, y = 1e3 * found.touches[:, :2].mean(axis=0)
+        middle = found.wide.centre if found.wide else found.touches[:, :2].mean(axis=0)
+        x, y = 1e3 * middle
+        size = f" of {1e3 * found.wide.length:.0f} mm" if found.wide else ""
         problems.append(
-            f"more than {count} touches may explain this frame better, or a large contact about "
-            f"({x:.0f}, {y:.0f}) mm: do not rely on their number and places"
+            f"more than {count} touches may explain this frame better, or a large contact{size} "
+            f"about ({x:.0f}, {y:.0f}) mm: do not rely on their number and places"
         )
     return tuple(problems)
 

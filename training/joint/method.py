@@ -199,6 +199,7 @@ class JointMethod(Method):
         touches = np.column_stack([found.place, found.force if self.forces else found.strength])
         response = self._specimen(observations.flat[0]).response
         changes = response.with_derivatives(np.ascontiguousarray(touches), angle)[1:]
+        changes[2] *= touches[:, 2:]
         return changes.reshape(-1, changes.shape[-1]) @ self.combinations.back
 
     def _predict(self, frame: Observations) -> Predictions:

@@ -41,6 +41,7 @@ from eitskin.training.joint.touch_search import (
     pruned,
     single_starts,
 )
+from eitskin.training.joint.wide_contact import WideContact, wide_rival
 
 Array = NDArray[np.float64]
 Seen: TypeAlias = list[tuple[MapEstimate, MapEstimate]]
@@ -75,6 +76,7 @@ class FrameFit:
         rival: faults that explain the frame about as well as its touches, in words.
         further: decrease of the misfit by a further touch, to first order.
         division: two touches in place of each: the same, and how far from it they are (k, 2).
+        wide: wide contact that explains the frame about as well as its touches, if any.
         touches: x [m], y [m] and force [N] of each (k, 3).
         angle_deg: bend angle [deg].
         angle_deviation_deg: standard error of its change since the reference [deg].
@@ -89,6 +91,7 @@ class FrameFit:
     rival: str = ""
     further: float = 0.0
     division: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    wide: WideContact | None = None
     touches: Array = field(init=False)
     angle_deg: float = field(init=False)
     angle_deviation_deg: float = field(init=False)
@@ -164,7 +167,7 @@ def fit_frame(
         if alone.improbability < found.improbability:
             found, evidence = alone, 0.0
     further, division = further_gain(found, candidates), divisions(found, candidates)
-    return FrameFit(found, evidence, tuple(faults), "", further, division)
+    return FrameFit(found, evidence, tuple(faults), "", further, division, wide_rival(found))
 
 
 def _likeliest(

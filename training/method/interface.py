@@ -240,9 +240,10 @@ class Method(ABC):
         observations: Observations,
         predictions: Predictions,  # noqa: ARG002  of use to methods that know a response
     ) -> Array:
-        """Changes of dV (d, C) by a motion of the first frame's touches, of any sizes.
+        """Changes of dV (3 k, C) by motions of the first frame's k touches.
 
-        Frames of a touch that moves so are not averaged. None by default.
+        By a motion of each along x and along y, of any sizes, and by its whole force. Frames of a
+        touch that moves so are not averaged. None by default.
         """
         return np.zeros((0, observations.static.shape[1]))
 

@@ -26,7 +26,8 @@ from eitskin.training.pipeline.references import (
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-LINGERING = 3.0  # standard errors of a force from which a touch that was there may be there yet
+LINGERING, LEAST_LEFT = 3.0, 0.3
+"""Standard errors, and share of its force, from which a touch that was there may be there yet."""
 FEWEST_EARLIER = 2  # frames of the untouched sensor that an onset is told from
 SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
@@ -383,10 +384,11 @@ class Session:
             touched: whether it is.
             chance: probability that it is; where it may be, references wait, and the next frame is
                 weighed together with it.
-            directions: of changes (d, measurements) by a motion of its touches.
+            directions: of changes by a motion of its touches along x, along y, and by all of their
+                forces (3 touches, measurements).
         """
         if directions is not None:
-            self._forces = directions[2::3]
+            self._forces = directions[-(len(directions) // 3) :]
         elif not touched:
             self._lingers = self._may_linger(voltages)
         started, self.touched = not self._suspected and self._onset > 1, touched
@@ -427,7 +429,8 @@ class Session:
         good = np.isfinite(change)
         for along in self._forces[:, good] if len(self._forces) else ():
             size = float(along @ along)
-            if along @ change[good] > LINGERING * math.sqrt(size * self._held.variance):
+            share = float(along @ change[good]) / size
+            if share > max(LEAST_LEFT, LINGERING * math.sqrt(self._held.variance / size)):
                 return True
         self._forces = np.zeros((0, 0))
         return False
