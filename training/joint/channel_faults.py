@@ -33,6 +33,7 @@ FAULT_PRICE = 2.0 * math.log(36 / 0.05)
 """Decrease of minus twice the log density that is asked of each fault: any of some three dozen has
 odds of 0.05 before a frame is seen."""
 MOST_CONTACTS = 3  # that are taken to have changed together
+AGEING = (0.03, 0.1, 0.3, 1.0)  # sizes of changes of all contacts, in those of one that has changed
 STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements
 
 
@@ -83,14 +84,18 @@ class PossibleFaults:
     changes: Array
 
     @cached_property
+    def contacts(self) -> list[int]:
+        """Numbers of the faults that are of contacts."""
+        return [i for i, fault in enumerate(self.faults) if len(fault.members) > 1]
+
+    @cached_property
     def sets(self) -> tuple[NDArray[np.intp], ...]:
         """Numbers of the faults (n, k) that may be there together, for k = 1, 2, ..."""
-        contacts = [i for i, fault in enumerate(self.faults) if len(fault.members) > 1]
-        several = (list(combinations(contacts, k)) for k in range(2, MOST_CONTACTS + 1))
+        several = (list(combinations(self.contacts, k)) for k in range(2, MOST_CONTACTS + 1))
         singles = [(i,) for i in range(len(self.faults))]
         return tuple(np.array(each) for each in (singles, *several) if each)
 
-    def alone(self, combined: CombinedChange, slopes: Array) -> FaultyChange:
+    def alone(self, combined: CombinedChange, slopes: Array, ages: bool = False) -> FaultyChange:
         """The likeliest faults, should they be all that changed, by their evidence.
 
         The size of each is normal before it is measured.
@@ -98,6 +103,7 @@ class PossibleFaults:
         Args:
             combined: change of the frame.
             slopes: changes (n, K) of unit variance that there may be besides.
+            ages: whether all contacts may have changed together, as they do with time.
         """
         scale = math.sqrt(combined.frames)
         whitening = whitening_matrix(combined.noise + slopes.T @ slopes)
@@ -106,15 +112,20 @@ class PossibleFaults:
         shown = np.concatenate([seen, rest])
         residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
         gram, on = shown.T @ shown, shown.T @ residual
-        best, gain = np.zeros(0, np.intp), -math.inf
-        for sets in self.sets:
-            information = gram[sets[:, :, None], sets[:, None]] + np.eye(sets.shape[1])
+        best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
+        every = np.array([self.contacts])
+        alternatives = [(sets, 1.0, sets.shape[1]) for sets in self.sets]
+        if ages and len(self.contacts) > MOST_CONTACTS:
+            alternatives += [(every, size, 1) for size in AGEING]
+        for sets, size, prices in alternatives:
+            prior = np.eye(sets.shape[1]) / size**2
+            information = gram[sets[:, :, None], sets[:, None]] + prior
             sizes = np.linalg.solve(information, on[sets][..., None])[..., 0]
-            gains = np.einsum("nk,nk->n", sizes, on[sets]) - np.linalg.slogdet(information)[1]
-            gains -= FAULT_PRICE * sets.shape[1]
+            gains = np.einsum("nk,nk->n", sizes, on[sets]) - FAULT_PRICE * prices
+            gains -= np.linalg.slogdet(information)[1] + 2.0 * sets.shape[1] * math.log(size)
             if gains.max() > gain:
-                gain, best = float(gains.max()), sets[int(gains.argmax())]
-        inverse = np.linalg.inv(gram[np.ix_(best, best)] + np.eye(len(best)))
+                gain, best, stiffness = float(gains.max()), sets[int(gains.argmax())], size**-2
+        inverse = np.linalg.inv(gram[np.ix_(best, best)] + stiffness * np.eye(len(best)))
         mine = changes[:, best]
         spread = combined.seen(mine) @ np.linalg.cholesky(inverse)
         further = spread @ spread.T + (0.0 if combined.further is None else combined.further)
@@ -125,7 +136,11 @@ class PossibleFaults:
         )
         width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
         improbability = float(residual @ residual) - gain - width
-        return FaultyChange(tuple(self.faults[i] for i in best), improbability, cleaned)
+        faults = tuple(self.faults[i] for i in best)
+        if len(best) > MOST_CONTACTS:
+            members = np.flatnonzero(mine.any(axis=1)).tolist()
+            faults = (ChannelFault("contacts of several electrodes have changed", tuple(members)),)
+        return FaultyChange(faults, improbability, cleaned)
 
     def likeliest(
         self,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.spatial.distance import pdist
 from scipy.special import ndtr
 
 from eitskin.errors import DataError
@@ -46,10 +47,11 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
         "session with the flat sensor"
         for fault in bend.faults
     ]
-    if found.rival:
+    if rival := found.rival or (bend.rival if not len(found.touches) else ""):
+        other = "there are touches" if found.rival else "the sensor is bent"
         problems.append(
-            f"{found.rival}, or there are touches, both of which explain this frame: do not rely "
-            "on its touches, and look at contacts and wires"
+            f"{rival}, or {other}, both of which explain this frame: do not rely "
+            "on it, and look at contacts and wires"
         )
     if bend.misfit_sigma > REPORTED_SIGMA:
         problems.append(
@@ -71,6 +73,7 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
         found.further > FURTHER_GAIN
         or (found.division[:, 0] > DIVISION_GAIN[count > 1]).any()
         or found.wide
+        or np.sum(pdist(found.touches[:, :2]) < found.estimate.objective.prior.separation) > 1
     ):
         middle = found.wide.centre if found.wide else found.touches[:, :2].mean(axis=0)
         x, y = 1e3 * middle

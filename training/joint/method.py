@@ -44,6 +44,7 @@ from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork, netw
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, TouchObjective
 from eitskin.training.joint.specimen_model import (
     LOG_ODDS,
+    RIVAL,
     AngleEstimate,
     SpecimenModel,
     candidate_rows,
@@ -70,7 +71,6 @@ from eitskin.training.method.targets import Targets, TrainingFrames
 Array = NDArray[np.float64]
 
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are stored
-RIVAL = 2.0 * math.log(20.0)  # of improbabilities; what is likelier by less does not settle it
 MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 
 

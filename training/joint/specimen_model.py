@@ -46,6 +46,7 @@ clamp are so wide there that a large bend explains almost any frame."""
 LOG_ODDS = math.log(1.0 / 50.0)
 """Logarithm of the odds that a sensor bends as usual, before any of its frames is seen: the usual
 clamp counts as one of some fifty, however many of the training specimens it holds."""
+RIVAL = 2.0 * math.log(20.0)  # of improbabilities; what is likelier by less does not settle it
 MOVED = 2.0  # standard errors below which no bend is claimed, and no fault looked for
 TEMPER = 0.7
 """Power of the evidence for the usual clamp in standard errors: a clamp near it fits as well."""
@@ -63,6 +64,7 @@ class AngleEstimate:
         log_evidence: logarithm of the density of the frame, whatever its angle, but for a constant
             (Laplace's approximation).
         usual: probability that the sensor bends as usual (`usual.py`).
+        rival: faults of a flat sensor that explain the frame about as well, in words.
         by_curve: angle and standard error [deg] by the bend curve, where networks tell the angle.
     """
 
@@ -73,6 +75,7 @@ class AngleEstimate:
     log_evidence: float = 0.0
     usual: float = 0.0
     by_curve: tuple[float, float] | None = None
+    rival: str = ""
 
     @property
     def from_flat(self) -> tuple[float, float]:
@@ -299,11 +302,12 @@ class SpecimenModel:
         if abs(bend.angle_deg) < MOVED * bend.deviation_deg:
             return None
         fewer = combined.without(bend.left_out) if bend.faults else combined
-        faulty = self.faults.alone(fewer, np.zeros((1, len(combined.change))))
+        faulty = self.faults.alone(fewer, np.zeros((1, len(combined.change))), ages=True)
         low, high = self.curve.angle_deg
         bent = bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low))
-        if faulty.improbability > -2.0 * bent:
-            return None
+        odds = -2.0 * bent - faulty.improbability
+        if odds <= 0.0:
+            return replace(bend, rival=faulty.names) if odds > -RIVAL else None
         found = self._angle(faulty.rest)
         return replace(found, faults=(*bend.faults, *faulty.faults, *found.faults))
 

@@ -10,7 +10,7 @@ from eitskin.training.joint.objective import MapEstimate, Unknowns, solution
 
 Array = NDArray[np.float64]
 
-ALLOWANCE = (-6.0, 9.0, 22.0, 35.0)
+ALLOWANCE = (-10.0, 6.0, 22.0, 35.0)
 """Most that a wide contact, of five or six unknowns, may raise the misfit of 1, 2, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
 STEPS, TOLERANCE = 7, 0.5  # of Levenberg-Marquardt, and promise of the misfit at which it ends

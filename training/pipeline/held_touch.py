@@ -13,6 +13,7 @@ from eitskin.training.pipeline.references import Voltages
 
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 ONSET = 4.0  # standard deviations of the mean square that tell a change since earlier frames
+PHASES, LEAST_PHASE = 3.0, 1e-3  # times the rms change from frame to frame; [rad]
 SPEED, MOVING = 0.008, 0.3  # m a frame, of touches that move, and their share before they are seen
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
 FEWEST_SCATTERS = 2  # frames that the noise of training counts as
@@ -22,6 +23,35 @@ MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
 TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
+
+
+@dataclass
+class Phases:
+    """Phases of the channels over a session, which no touch and no bend changes apart.
+
+    Relative changes by geometry are real, those by a capacitance are not.
+    """
+
+    _last: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
+    _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
+
+    def departed(self, V: Voltages, flat: Voltages) -> NDArray[np.float64] | None:
+        """Change of the phases (measurements,) [rad] but for a common one; None if by noise."""
+        departure = np.full(len(V), np.nan)
+        good = np.isfinite(V) & np.isfinite(flat) & (flat != 0.0)
+        departure[good] = np.imag(V[good] / flat[good])
+        departure -= np.median(departure[good]) if good.any() else 0.0
+        last, self._last = self._last, V
+        if last.size == V.size:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                step = np.imag(V / last)
+            known = step[np.isfinite(step)]
+            if len(known):
+                self._scatter.append(float(np.var(known)))
+        if len(self._scatter) <= FEWEST_SCATTERS:
+            return None
+        limit = max(LEAST_PHASE, PHASES * math.sqrt(median(self._scatter)))
+        return departure if math.sqrt(np.nanmean(departure**2)) > limit else None
 
 
 @dataclass

@@ -15,7 +15,7 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
-from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch
+from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch, Phases
 from eitskin.training.pipeline.references import (
     LONGEST_MEAN,
     RunningMean,
@@ -200,6 +200,7 @@ class Session:
     _health: SensorHealth | None = field(init=False)
     _order: SessionOrder = field(init=False, default_factory=SessionOrder)
     _earlier: deque[Earlier] = field(init=False)
+    _turned: NDArray[np.float64] | None = field(init=False)
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
@@ -217,6 +218,7 @@ class Session:
         self._held = HeldTouch(self.noise, self.noise_scale)
         self._opening = self.stored is None
         self._earlier.clear()
+        self._phases, self._turned = Phases(), None
         self._onset, self._frames, self._lingers = 1, 1, False
         self._forces = np.zeros((0, 0))
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
@@ -336,6 +338,7 @@ class Session:
         an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
         elapsed, most = self._order.elapsed, LONGEST_HELD
+        self._turned = self._phases.departed(voltages, self.bend)
         static, dynamic = self.static, self.dynamic
         if not self.touched and self.averages:
             self._onset = self._frames_since_onset(voltages)
@@ -446,6 +449,13 @@ class Session:
             "and the board"
             for i in self._reversed
         ]
+        if self._turned is not None:
+            worst = int(np.nanargmax(np.abs(self._turned)))
+            problems.append(
+                f"phases changed since {when}, by {np.degrees(self._turned[worst]):+.2g} deg in "
+                f"channel {labels[worst]}, as no touch and no bend changes them: a capacitance "
+                "across electrodes, or the board; dry the plug, look at its wires"
+            )
         if self._lingers:
             problems.append("what touched before may touch yet, too faintly to tell where")
         if self._outdated and self.touched and self.bends:
