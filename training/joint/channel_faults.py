@@ -95,7 +95,9 @@ class PossibleFaults:
         singles = [(i,) for i in range(len(self.faults))]
         return tuple(np.array(each) for each in (singles, *several) if each)
 
-    def alone(self, combined: CombinedChange, slopes: Array, ages: bool = False) -> FaultyChange:
+    def alone(
+        self, combined: CombinedChange, slopes: Array, worth: float = math.inf, ages: bool = False
+    ) -> FaultyChange | None:
         """The likeliest faults, should they be all that changed, by their evidence.
 
         The size of each is normal before it is measured.
@@ -103,6 +105,7 @@ class PossibleFaults:
         Args:
             combined: change of the frame.
             slopes: changes (n, K) of unit variance that there may be besides.
+            worth: improbability above which faults do not matter; None is returned for these.
             ages: whether all contacts may have changed together, as they do with time.
         """
         scale = math.sqrt(combined.frames)
@@ -112,19 +115,32 @@ class PossibleFaults:
         shown = np.concatenate([seen, rest])
         residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
         gram, on = shown.T @ shown, shown.T @ residual
-        best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
-        every = np.array([self.contacts])
-        alternatives = [(sets, 1.0, sets.shape[1]) for sets in self.sets]
+        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
+        nothing = float(residual @ residual) - width
+        least, every = nothing - worth, np.array([self.contacts], np.intp)
+        alternatives = [(self.sets[0], 1.0, 1)]
+        if len(self.contacts) > 1:  # all of them together gain more than any few
+            together = gram[np.ix_(self.contacts, self.contacts)] + np.eye(len(self.contacts))
+            most = float(on[self.contacts] @ np.linalg.solve(together, on[self.contacts]))
+            if most - 2.0 * FAULT_PRICE > least:
+                alternatives += [(sets, 1.0, sets.shape[1]) for sets in self.sets[1:]]
         if ages and len(self.contacts) > MOST_CONTACTS:
             alternatives += [(every, size, 1) for size in AGEING]
+        best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
         for sets, size, prices in alternatives:
-            prior = np.eye(sets.shape[1]) / size**2
-            information = gram[sets[:, :, None], sets[:, None]] + prior
-            sizes = np.linalg.solve(information, on[sets][..., None])[..., 0]
-            gains = np.einsum("nk,nk->n", sizes, on[sets]) - FAULT_PRICE * prices
-            gains -= np.linalg.slogdet(information)[1] + 2.0 * sets.shape[1] * math.log(size)
+            if sets.shape[1] == 1:
+                information = 1.0 + np.diagonal(gram)[sets[:, 0]]
+                gains = on[sets[:, 0]] ** 2 / information - np.log(information)
+            else:
+                given = gram[sets[:, :, None], sets[:, None]] + np.eye(sets.shape[1]) / size**2
+                sizes = np.linalg.solve(given, on[sets][..., None])[..., 0]
+                gains = np.einsum("nk,nk->n", sizes, on[sets]) - np.linalg.slogdet(given)[1]
+                gains -= 2.0 * sets.shape[1] * math.log(size)
+            gains -= FAULT_PRICE * prices
             if gains.max() > gain:
                 gain, best, stiffness = float(gains.max()), sets[int(gains.argmax())], size**-2
+        if gain <= least:
+            return None
         inverse = np.linalg.inv(gram[np.ix_(best, best)] + stiffness * np.eye(len(best)))
         mine = changes[:, best]
         spread = combined.seen(mine) @ np.linalg.cholesky(inverse)
@@ -134,13 +150,11 @@ class PossibleFaults:
             measured=np.where(combined.good, combined.measured - mine @ (inverse @ on[best]), 0.0),
             further=further,
         )
-        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
-        improbability = float(residual @ residual) - gain - width
         faults = tuple(self.faults[i] for i in best)
         if len(best) > MOST_CONTACTS:
             members = np.flatnonzero(mine.any(axis=1)).tolist()
             faults = (ChannelFault("contacts of several electrodes have changed", tuple(members)),)
-        return FaultyChange(faults, improbability, cleaned)
+        return FaultyChange(faults, nothing - gain, cleaned)
 
     def likeliest(
         self,
@@ -187,7 +201,7 @@ class PossibleFaults:
             residual = residual + found.whitening @ found.at.changes[replaced]
             jacobian = np.delete(jacobian, slice(1 + 3 * replaced, 4 + 3 * replaced), axis=1)
         scale = found.objective.remainder_scale(found.at)
-        residual = np.concatenate([residual, found.whole()[0]])
+        residual = np.concatenate([residual, found.whole[0]])
         combined = found.objective.combined
         return self.likeliest(combined, found.whitening, scale, residual, jacobian)
 
@@ -225,7 +239,7 @@ def fit_with_fault(
     """
     touches = len(found.at.touches)
     for alternative in _alternatives(untouched, found, possible):
-        _, misfit, degrees_of_freedom = alternative.whole()
+        _, misfit, degrees_of_freedom = alternative.whole
         fault, gain = possible.likeliest_in(alternative)
         if gain < FAULT_THRESHOLD:
             continue
@@ -235,7 +249,7 @@ def fit_with_fault(
             # A touch has three unknowns, a fault one: the fault may fit a little worse.
             allowance = 3 * (touches - len(alternative.at.touches)) + ALLOWANCE
             sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
-            likely = misfit - gain <= found.whole()[1] + allowance and sigma <= ACCEPTED_SIGMA
+            likely = misfit - gain <= found.whole[1] + allowance and sigma <= ACCEPTED_SIGMA
         fewer = found.objective.without_measurements(fault.members)
         if not likely or fewer.combined.count < len(fewer.combined.good) // 2:
             continue

@@ -1,6 +1,5 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, field, replace
 from typing import Annotated, ClassVar
@@ -191,7 +190,7 @@ class JointMethod(Method):
     def predict(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""
         frames = (observations[i : i + 1] for i in range(len(observations)))
-        with kernels():
+        with kernels(), one_thread():  # more of them wait for each other longer than they work
             return Predictions.joined([self._predict(frame) for frame in frames])
 
     def motions(self, observations: Observations, predictions: Predictions) -> Array:
@@ -216,7 +215,8 @@ class JointMethod(Method):
         reference = AngleEstimate(0.0, 0.0, 0.0)
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             shares = static_share + dynamic_share
-            reference = specimen.angle(self._combined(static - dynamic, shares, frame.age[0]))
+            apart = frame.age[0] - frame.dynamic_age[0]
+            reference = specimen.angle(self._combined(static - dynamic, shares, apart))
         change = self._combined(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
         def untouched() -> CombinedChange:
@@ -230,13 +230,12 @@ class JointMethod(Method):
         static[[member for fault in found.faults for member in fault.members]] = np.nan
         if len(found.touches) and not found.faults:
             turn = MOVED_DEG * found.estimate.objective.curve.slope(reference.angle_deg)
-            faulty = specimen.faults.alone(change, turn[None])
-            odds = found.improbability - faulty.improbability
-            if odds > 0.0:
+            faulty = specimen.faults.alone(change, turn[None], found.improbability + RIVAL)
+            if faulty and faulty.improbability < found.improbability:
                 objective = replace(found.estimate.objective, combined=faulty.rest)
                 found = FrameFit.untouched(objective, faulty.faults)
                 static -= change.measured - faulty.rest.measured
-            elif odds > -RIVAL:
+            elif faulty:
                 found.rival = faulty.names
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)

@@ -59,6 +59,7 @@ CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its
 # explains the frame and where it does not.
 FAR_DEG, NEAR_DEG = 5.0, 1.0
 SAME = 4.0  # rise of the misfit from one estimate to another, below which both are taken for one
+LEAST_DIVISION = -2.0  # gain of two touches in place of one, from which that may be a wide contact
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -103,7 +104,7 @@ class FrameFit:
         """Give the estimate in physical units, with its covariances."""
         found = self.estimate
         self.touches, self.angle_deg = found.minimum(FINE[1])
-        _, self.misfit, self.degrees_of_freedom = found.whole()
+        _, self.misfit, self.degrees_of_freedom = found.whole
         covariance = max(found.misfit / found.degrees_of_freedom, 1.0) * inverse(found.hessian)
         self.angle_deviation_deg = ANGLE_UNIT * math.sqrt(covariance[0, 0])
         blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(self.touches))]
@@ -128,7 +129,7 @@ class FrameFit:
     @property
     def improbability(self) -> float:
         """That of the estimate, with what no combination of measurements has."""
-        rest = self.estimate.whole()[0]
+        rest = self.estimate.whole[0]
         return self.estimate.improbability + float(rest @ rest)
 
 
@@ -167,7 +168,9 @@ def fit_frame(
         if alone.improbability < found.improbability:
             found, evidence = alone, 0.0
     further, division = further_gain(found, candidates), divisions(found, candidates)
-    return FrameFit(found, evidence, tuple(faults), "", further, division, wide_rival(found))
+    several = len(division) > 1 or (division[:, 0] > LEAST_DIVISION).any()
+    wide = wide_rival(found) if several else None
+    return FrameFit(found, evidence, tuple(faults), "", further, division, wide)
 
 
 def _likeliest(

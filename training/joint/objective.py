@@ -10,6 +10,7 @@ Changes, curves and responses are those of K combinations of measurements (`Comb
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -217,7 +218,7 @@ def price(touches: int) -> float:
     return TOUCH_THRESHOLD + FURTHER_THRESHOLD * (touches - 1) if touches else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MapEstimate:
     """Estimate of the unknowns for a given number of touches, and the objective about it.
 
@@ -274,6 +275,7 @@ class MapEstimate:
         """Misfit above its expectation, in standard deviations."""
         return misfit_sigma(self.misfit, self.degrees_of_freedom)
 
+    @cached_property
     def whole(self) -> tuple[Array, float, int]:
         """Whitened remainder of the measurements, and misfit and degrees of freedom with it.
 
@@ -287,9 +289,9 @@ class MapEstimate:
     @property
     def whole_sigma(self) -> float:
         """Misfit with the remainder above its expectation, in standard deviations."""
-        return misfit_sigma(*self.whole()[1:])
+        return misfit_sigma(*self.whole[1:])
 
-    @property
+    @cached_property
     def improbability(self) -> float:
         """Minus twice the logarithm of the model's posterior density, but for a constant.
 
@@ -299,7 +301,7 @@ class MapEstimate:
         width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
         return self.objective.misfit(self.at, whitening) - width + price(len(self.at.touches))
 
-    @property
+    @cached_property
     def gains(self) -> Array:
         """Rise of the misfit, to second order, were each touch's force zero (k,)."""
         variance = np.diagonal(inverse(self.hessian))

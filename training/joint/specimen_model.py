@@ -302,12 +302,14 @@ class SpecimenModel:
         if abs(bend.angle_deg) < MOVED * bend.deviation_deg:
             return None
         fewer = combined.without(bend.left_out) if bend.faults else combined
-        faulty = self.faults.alone(fewer, np.zeros((1, len(combined.change))), ages=True)
         low, high = self.curve.angle_deg
-        bent = bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low))
-        odds = -2.0 * bent - faulty.improbability
-        if odds <= 0.0:
-            return replace(bend, rival=faulty.names) if odds > -RIVAL else None
+        bent = -2.0 * (bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low)))
+        nothing = np.zeros((1, len(combined.change)))
+        faulty = self.faults.alone(fewer, nothing, bent + RIVAL, ages=True)
+        if faulty is None:
+            return None
+        if faulty.improbability >= bent:
+            return replace(bend, rival=faulty.names)
         found = self._angle(faulty.rest)
         return replace(found, faults=(*bend.faults, *faulty.faults, *found.faults))
 

@@ -16,6 +16,10 @@ be a rival: each touch that it spares has three unknowns, and a wide contact les
 STEPS, TOLERANCE = 7, 0.5  # of Levenberg-Marquardt, and promise of the misfit at which it ends
 DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and its factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
+WIDTH, RADIUS = (
+    0.010,
+    0.025,
+)  # m, spread of touches across that may be a bar, and that may be a disc
 WEAKEST = 0.1  # times the least force of a touch: least of each point of a wide contact
 _TURNS = np.arange(6) * np.pi / 3.0
 _RING = np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])
@@ -49,15 +53,13 @@ def wide_rival(found: MapEstimate) -> WideContact | None:
     spread = touches[:, :2] - centre
     values, vectors = np.linalg.eigh((share[:, None] * spread).T @ spread)
     half, radius = np.sqrt(np.maximum([2.0 * values[1], 1.2 * values.sum()], LEAST_SIZE**2))
-    rivals = [
-        each
-        for each in (
-            _fitted(found, BAR, centre, half * vectors[:, 1]),
-            _fitted(found, DISC, centre, np.array([radius])),
-        )
-        if each is not None
-    ]
-    return min(rivals, key=lambda each: each.misfit, default=None)
+    starts = []
+    if values[0] < WIDTH**2:
+        starts.append((BAR, half * vectors[:, 1]))
+    if values.sum() < RADIUS**2:
+        starts.append((DISC, np.array([radius])))
+    rivals = [_fitted(found, shape, centre, size) for shape, size in starts]
+    return min(filter(None, rivals), key=lambda each: each.misfit, default=None)
 
 
 def _fitted(found: MapEstimate, shape: Array, centre: Array, size: Array) -> WideContact | None:

@@ -20,6 +20,7 @@ FEWEST_SCATTERS = 2  # frames that the noise of training counts as
 LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames tell
 MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
 """Of a frame, in frames with the noise of training; beyond the largest the model errs more."""
+WEIGHTS = 4  # steps of weights in a factor of two, so that what follows from one stays known
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
 TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
@@ -70,11 +71,13 @@ class HeldTouch:
         noise: rms relative difference of two frames of a still sensor, until frames tell.
         scale: of the noise that the method weighs frames by.
         directions: of changes (d, measurements) by a motion of the touches found last.
+        variance: of a channel's relative change in one frame, the median over the latest.
     """
 
     noise: float
     scale: float = 1.0
     directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    variance: float = field(init=False)
     _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
@@ -98,6 +101,8 @@ class HeldTouch:
             scatter = float(known @ known) / (1.5 * max(len(known), 1))
             if 0.0 < scatter < (JUMPS * self.noise) ** 2:
                 self._scatter.append(scatter)
+                expected = [0.5 * self.noise**2] * FEWEST_SCATTERS
+                self.variance = median([*self._scatter, *expected])
         self._changes.append(change)
         if not held:
             self.since([])
@@ -149,6 +154,7 @@ class HeldTouch:
     def weight(self) -> float:
         """Frames with the noise that the method expects that a frame of this session is worth."""
         quiet = 0.5 * (self.scale * self.noise) ** 2 / self.variance
+        quiet = 2.0 ** (round(WEIGHTS * math.log2(quiet)) / WEIGHTS)
         return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
 
     @property
@@ -157,10 +163,9 @@ class HeldTouch:
         told = len(self._scatter) > FEWEST_SCATTERS
         return math.sqrt(2.0 * self.variance) if told else LOUDEST * self.noise
 
-    @property
-    def variance(self) -> float:
-        """Variance of a channel's relative change in one frame, the median over the latest."""
-        return median([*self._scatter, *[0.5 * self.noise**2] * FEWEST_SCATTERS])
+    def __post_init__(self) -> None:
+        """No frame so far."""
+        self.variance = 0.5 * self.noise**2
 
     def _deviation(self, channels: int) -> float:
         """Relative deviation of the mean square over channels, larger where these share noise."""
@@ -172,19 +177,19 @@ class HeldTouch:
     def _still(self) -> int:
         """Number of the latest frames over which the touch stands still."""
         rows = np.array(self._changes)[-len(self._frames) :]
-        count = 1
+        count, good = 1, np.isfinite(rows).all(axis=0)
+        if len(rows) < 2 or not good.any():
+            return 1
+        rows, along, deviation = rows[:, good], self.directions, self._deviation(int(good.sum()))
+        if len(along):
+            along = np.linalg.qr(np.vstack([along[:, good], rows.mean(axis=0)]).T)[0]
         for n in range(2, len(rows) + 1):
-            window = rows[-n:]
-            good = np.isfinite(window).all(axis=0)
-            if not good.any():
-                break
             weight = n * (n * n - 1) / 12.0  # sum of squared times
-            slope = (np.arange(n) - 0.5 * (n - 1)) @ window[:, good]
+            slope = (np.arange(n) - 0.5 * (n - 1)) @ rows[-n:]
             slope /= math.sqrt(weight * self.variance)
             shown = float(slope @ slope) / len(slope)
-            ratio = shown / (1.0 + MOTION * self._deviation(len(slope)))
-            if len(along := self.directions):
-                along = np.linalg.qr(np.vstack([along, window.mean(axis=0)])[:, good].T)[0]
+            ratio = shown / (1.0 + MOTION * deviation)
+            if len(along):
                 share, size = slope @ along, along.shape[1]
                 most = size + TOUCH_MOTION * math.sqrt(2.0 * size) + 5.0
                 ratio = max(ratio, float(share @ share) / most)
