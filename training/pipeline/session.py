@@ -26,8 +26,9 @@ from eitskin.training.pipeline.references import (
 NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-LINGERING, LEAST_LEFT = 3.0, 0.3
-"""Standard errors, and share of its force, from which a touch that was there may be there yet."""
+LINGERING, LEAST_LEFT, MOST_REST = 3.0, 0.3, 2.0
+"""Standard errors, and share of its force, from which a touch that was there may be there yet, and
+the most that it may leave unexplained, in variances."""
 FEWEST_EARLIER = 2  # frames of the untouched sensor that an onset is told from
 SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
@@ -433,7 +434,11 @@ class Session:
         for along in self._forces[:, good] if len(self._forces) else ():
             size = float(along @ along)
             share = float(along @ change[good]) / size
-            if share > max(LEAST_LEFT, LINGERING * math.sqrt(self._held.variance / size)):
+            rest = change[good] - share * along
+            if (
+                share > max(LEAST_LEFT, LINGERING * math.sqrt(self._held.variance / size))
+                and float(rest @ rest) < MOST_REST * len(rest) * self._held.variance
+            ):
                 return True
         self._forces = np.zeros((0, 0))
         return False
