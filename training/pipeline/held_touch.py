@@ -154,7 +154,7 @@ class HeldTouch:
     def weight(self) -> float:
         """Frames with the noise that the method expects that a frame of this session is worth."""
         quiet = 0.5 * (self.scale * self.noise) ** 2 / self.variance
-        quiet = 2.0 ** (round(WEIGHTS * math.log2(quiet)) / WEIGHTS)
+        quiet = math.exp2(round(WEIGHTS * math.log2(quiet)) / WEIGHTS)
         return min(max(quiet, MIN_WEIGHT), MAX_WEIGHT)
 
     @property

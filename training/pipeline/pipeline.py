@@ -1,6 +1,5 @@
 """Perception pipeline: estimates from the frames of a session, training, calibration, saving."""
 
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
@@ -16,8 +15,6 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
-from eitskin.training.adaptation.press_fit import touch_places
-from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, Calibration, Method
 from eitskin.training.method.known_frames import FrameLabel, KnownFrames, TwinPresses
@@ -32,12 +29,11 @@ from eitskin.training.method.settings import (
     single_touches,
 )
 from eitskin.training.method.stored_fields import arrays_as, arrays_under
-from eitskin.training.method.targets import Targets, TrainingFrames, learnable, with_implied_labels
+from eitskin.training.method.targets import Targets, with_implied_labels
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import (
     MethodCodeError,
     method_class,
-    require_sound,
     told_errors,
 )
 from eitskin.training.pipeline.references import StoredReference
@@ -49,12 +45,7 @@ from eitskin.training.pipeline.saved_form import (
     write_pipeline,
 )
 from eitskin.training.pipeline.session import COMMON, Session
-
-FLAT_SENSORS = "flat_sensors"
-USUAL = "healthy"
-# Beginnings of names of arrays that are not the method's.
-FOREIGN = ("layout.", f"{FLAT_SENSORS}.", f"{USUAL}.")
-GOLDEN_PER_STATE = 2
+from eitskin.training.pipeline.trained_parts import FLAT_SENSORS, FOREIGN, USUAL, trained_parts
 
 
 @dataclass(eq=False)
@@ -129,64 +120,7 @@ class Pipeline:
                 few frames of a kind.
             ConfigurationError: for a method of your own whose predictions or arrays are wrong.
         """
-        settings = settings or TrainingSettings()
-        if method is not None:
-            settings = replace(settings, method=method.KIND)
-        if settings.method == POSITIONS:
-            return cls._fit_positions(dataset, settings, progress)
-        dataset, design, protocol = learnable(dataset)
-        seen, unseen, _ = settings.split(dataset)
-        train, validation = dataset.select(seen), dataset.select(unseen)
-        layout = InputSpec.of(train, design, protocol)
-        frames = TrainingFrames.of(train, layout, validation)
-        chosen = np.concatenate(
-            [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
-        )
-        examples = frames.observations[chosen]
-        fitted = method_class(settings.method, method).fit(frames, settings, progress)
-        if method is not None:
-            require_sound(fitted, examples, layout, settings, FOREIGN)
-        return cls(
-            layout,
-            fitted,
-            frames.noise,
-            settings,
-            {
-                "sha256": fingerprint(dataset),
-                "frames": len(train),
-                "specimens": len(np.unique(train.specimen)),
-                "source": dataset.source,
-            },
-            examples,
-            flat_sensors=FlatSensors.of(train),
-            usual=ReadingRange.of(1.0 + frames.observations.static, reference=True),
-        )
-
-    @classmethod
-    def _fit_positions(
-        cls, dataset: Dataset, settings: TrainingSettings, progress: Progress
-    ) -> Self:
-        """Positions of touches alone, of the recorded sensor alone."""
-        train = follow_recording(dataset.select(settings.split(dataset)[0]))[0]
-        places = touch_places(train)
-        layout = InputSpec(
-            dataset.design,
-            dataset.protocol,
-            dataset.frequency if dataset.protocol else math.nan,
-            np.full(dataset.impedance.shape[1], np.nan),
-            extent=np.array([places.min(axis=0), places.max(axis=0)]) if len(places) else None,
-        )
-        frames = TrainingFrames(Observations.of(train), train, layout, math.nan)
-        method = TouchPositions.fit(frames, settings, progress)
-        trained_on = {
-            "sha256": fingerprint(dataset),
-            "frames": len(train),
-            "source": dataset.source,
-            **method.learned,
-        }
-        usual = ReadingRange.of_recording(train) if train.has_touch_reference.any() else None
-        examples = method.examples(train)
-        return cls(layout, method, method.noise, settings, trained_on, examples, usual=usual)
+        return cls(**trained_parts(dataset, settings or TrainingSettings(), progress, method))
 
     @property
     def targets(self) -> Targets:

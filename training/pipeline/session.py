@@ -1,9 +1,8 @@
-"""Session of a pipeline: order of its frames, references, and doubts about both."""
+"""Session of a pipeline: references, the frames of a held touch, and doubts about both."""
 
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
+from eitskin.training.pipeline.frame_order import LONGEST_GAP, SessionOrder
 from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch, Phases
 from eitskin.training.pipeline.references import (
     LONGEST_MEAN,
@@ -36,125 +36,6 @@ START_REMEDY = (
     "angle, idle and bend are unknown; straighten and release it and begin anew, or use its stored "
     "reference (eitskin tare, --reference)"
 )
-
-LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
-NUMBERS = 2**32  # frame numbers on the wire are counted modulo this
-STEPS = 9  # latest steps of time whose median is the usual one
-FEWEST_STEPS = 3
-JUMP = 20  # usual steps that make a jump
-LONGEST_ELAPSED = 1e7  # s; four months without a restart, after which all drift has happened
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """Step from one frame to the next.
-
-    Attributes:
-        new_session: whether the frame begins a new session.
-        gap: whether no frames came for more than `LONGEST_GAP`.
-        problems: faults of clock and counters, and a session's beginning, in words.
-    """
-
-    new_session: bool = False
-    gap: bool = False
-    problems: tuple[str, ...] = ()
-
-
-class _Seen(NamedTuple):
-    """Frame's number and time [s], NaN where it had none, and the time elapsed until then [s]."""
-
-    number: int
-    time: float
-    elapsed: float = 0.0
-
-    def advance(self, frame: Frame) -> int:
-        """Number of frames from this one to another; half of `NUMBERS` or more backwards."""
-        return (frame.number - self.number) % NUMBERS
-
-
-@dataclass
-class SessionOrder:
-    """Frames of a session in their order.
-
-    A frame of another session begins a new session, and so does one whose number and time both ran
-    back; a number that wraps at 2^32 did not. A fault of one of the two, or of both in a single
-    frame, is told and changes nothing: a session that it began would take the sensor as it then is
-    for its zero.
-    """
-
-    _session: int = 0
-    _last: _Seen | None = None
-    _before: _Seen | None = None  # the latest jump ahead, while the frames may yet come back
-    _steps: deque[float] = field(default_factory=lambda: deque(maxlen=STEPS))
-
-    @property
-    def elapsed(self) -> float:
-        """Time since the session's first frame [s], without steps backwards."""
-        return 0.0 if self._last is None else self._last.elapsed
-
-    def follow(self, frame: Frame) -> Step:
-        """Take the next frame."""
-        last = self._last
-        if last is None:
-            return self._begin(frame, "")
-        if frame.session != self._session:
-            return self._begin(frame, f"session {frame.session} follows session {self._session}")
-        if self._before is not None and self._returns(frame, self._before, last):
-            last = self._before
-        advance, step = last.advance(frame), frame.time - last.time
-        backwards = advance >= NUMBERS // 2
-        if backwards and step < 0:
-            return self._begin(frame, f"frame number {frame.number} follows {last.number}")
-        timed = math.isfinite(frame.time)
-        if not timed or math.isnan(last.time):
-            time = frame.time if timed else last.time
-            self._last = _Seen(frame.number, time, last.elapsed)
-            return Step(problems=_told(frame, "" if timed else f"its time is {frame.time}"))
-        problem = self._clock_problem(step, max(advance, 1))
-        if backwards:
-            problem = f"its number follows {last.number}, but its time went on"
-        if not problem:
-            self._steps.append(step / max(advance, 1))
-        self._before = last if problem and step >= 0 and not backwards else None
-        elapsed = min(last.elapsed + max(step, 0.0), LONGEST_ELAPSED)
-        self._last = _Seen(frame.number, frame.time, elapsed)
-        return Step(False, step > LONGEST_GAP, _told(frame, problem))
-
-    def _begin(self, frame: Frame, reason: str) -> Step:
-        """A session's first step; `reason`: of a session after the first."""
-        time = frame.time if math.isfinite(frame.time) else math.nan
-        self._session, self._last, self._before = frame.session, _Seen(frame.number, time), None
-        self._steps.clear()
-        problems: tuple[str, ...] = (f"a new session begins: {reason}",) if reason else ()
-        problems += _told(frame, f"its time is {frame.time}") if math.isnan(time) else ()
-        return Step(new_session=bool(reason), problems=problems)
-
-    def _returns(self, frame: Frame, before: _Seen, last: _Seen) -> bool:
-        """Whether a frame goes on where the frames were `before` they jumped ahead to `last`."""
-        ran_back = frame.time < last.time or last.advance(frame) >= NUMBERS // 2
-        step, advance = frame.time - before.time, before.advance(frame)
-        goes_on = advance < NUMBERS // 2 and step >= 0
-        return ran_back and goes_on and not self._clock_problem(step, max(advance, 1))
-
-    def _clock_problem(self, step: float, advance: int) -> str:
-        """Fault of a step of time [s] between frames `advance` apart, in words; empty without."""
-        if step < 0:
-            return f"the clock ran back by {-step:.3g} s"
-        if len(self._steps) < FEWEST_STEPS:
-            return ""
-        usual = median(self._steps)
-        due = usual * advance
-        if step > max(LONGEST_GAP, JUMP * usual) + due:
-            return f"the clock jumped ahead by {step:.3g} s, {due:.3g} s are usual"
-        if due > max(LONGEST_GAP, JUMP * usual) + JUMP * step:
-            return f"its number jumped ahead by {advance}, in {step:.3g} s"
-        return ""
-
-
-def _told(frame: Frame, problem: str) -> tuple[str, ...]:
-    """Fault of a frame's number or time, as a problem of its estimate; none where it is empty."""
-    told = f"frame {frame.number}: {problem}; the references stay as they were"
-    return (told,) if problem else ()
 
 
 class Earlier(NamedTuple):

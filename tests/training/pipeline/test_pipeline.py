@@ -13,7 +13,7 @@ from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Pipeline, PositionScore, TrainingSettings, evaluate
 from eitskin.training.method.input_spec import LARGEST_SCALE
-from eitskin.training.pipeline.session import LONGEST_GAP
+from eitskin.training.pipeline.frame_order import LONGEST_GAP
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 

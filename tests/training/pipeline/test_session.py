@@ -11,14 +11,10 @@ from hypothesis import strategies as st
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, FEWEST_SPECIMENS, FlatSensors
+from eitskin.training.pipeline.frame_order import LONGEST_ELAPSED, LONGEST_GAP, SessionOrder
 from eitskin.training.pipeline.held_touch import HeldTouch
 from eitskin.training.pipeline.references import LONGEST_MEAN
-from eitskin.training.pipeline.session import (
-    LONGEST_ELAPSED,
-    LONGEST_GAP,
-    Session,
-    SessionOrder,
-)
+from eitskin.training.pipeline.session import Session
 
 NOISE = 3e-4  # of the difference of two frames
 FLAT = np.linspace(400.0, 820.0, 28) * np.exp(-0.02j)
