@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
 RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
 DIVISION_STRIDE = 2  # the same of a pair in place of one touch
+NEAREST = 0.5  # of the least distance of touches: that of two in place of one
+REFINED = -10.0  # gain to first order from which two touches in place of the only one are fitted
 FAINT = 2.5  # times the least force: least of either
 LEAST_OWN = 0.01  # share of its change that a further touch does not share with the others
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
@@ -165,14 +167,30 @@ def divisions(found: MapEstimate, candidates: TouchCandidates) -> Array:
         others = np.delete(found.white[1:], slice(1 + 3 * number, 4 + 3 * number), axis=0)
         shapes = candidates.change[around] @ found.whitening.T
         shapes, residual = _beside(others, shapes, found.white[0] + found.whitening @ change)
-        apart = cdist(places, places) > 0.5 * objective.prior.separation
-        gain, (one, _), (other, _) = _best_pair(
+        apart = cdist(places, places) > NEAREST * objective.prior.separation
+        gain, (one, a), (other, b) = _best_pair(
             shapes @ shapes.T, shapes @ residual, apart, free, least, most
         )
         if gain > 0.0:
             left = float(residual @ residual) - float(rest @ rest)
             found_so[number] = gain - left, max(away[around[one]], away[around[other]])
+        if len(found.at.touches) == 1 and found_so[number, 0] > REFINED:
+            pair = np.column_stack([places[[one, other]], candidates.force * np.array([a, b])])
+            found_so[number] = _refined(found, pair)
     return found_so
+
+
+def _refined(found: MapEstimate, pair: Array) -> tuple[float, float]:
+    """Decrease of the misfit by a pair (2, 3) in place of a touch, fitted, and its distance [m]."""
+    prior = found.objective.prior
+    objective = replace(
+        found.objective, prior=replace(prior, separation=NEAREST * prior.separation)
+    )
+    fitted = levenberg_marquardt(
+        objective, Unknowns(pair, found.at.angle_deg), *FINE, found.whitening
+    )
+    away = np.hypot(*(fitted.at.touches[:, :2] - found.at.touches[0, :2]).T)
+    return found.misfit - fitted.misfit, float(away.max())
 
 
 def _beside(explained: Array, shapes: Array, residual: Array) -> tuple[Array, Array]:

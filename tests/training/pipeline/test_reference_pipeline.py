@@ -178,6 +178,70 @@ def test_a_palm_is_no_touch_that_it_knows(session):
         assert said.problems or said.touches[0].deviation > 5e-3
 
 
+def test_a_line_is_no_row_of_touches(session):
+    line = Scene(touches=tuple(Touch(0.044 + 0.0155 * k, 0.032, 4.5) for k in range(5)))
+    said = [session(line) for _ in range(6)][1:]
+    assert all("a large contact of" in " ".join(each.problems) for each in said)
+    apart = Scene(touches=tuple(Touch(x, y, 9.0) for x, y in ((0.03, 0.02), (0.08, 0.04))))
+    session(Scene())
+    assert not any(session(apart).problems for _ in range(3))
+
+
+def test_unequal_touches_are_two_or_one_that_covers_both(session):
+    places = np.array([[0.060, 0.030], [0.084, 0.030]])
+    pair = Scene(touches=(Touch(*places[0], 8.0), Touch(*places[1], 4.9)))
+    covered = []
+    for said in [session(pair) for _ in range(8)][1:]:
+        found = np.array([[each.x, each.y, each.deviation] for each in said.touches])
+        away = np.linalg.norm(places[:, None] - found[:, :2], axis=2)
+        covered.append((away < np.maximum(3.0 * found[:, 2], 5e-3)).any(axis=1).all())
+        covered[-1] |= bool(said.problems)
+    assert sum(covered) >= len(covered) - 1
+
+
+def test_a_faint_touch_is_told_by_its_frames_together(simulator):
+    """Too faint for one frame; the references take in none of it."""
+    session, loud = Session(simulator), Instrument(snr_db=66.0)
+    session.frame = lambda scene, **changes: replace(
+        Session.frame(session, scene, **changes),
+        impedance=simulator.measure(scene, loud, session.rng).impedance,
+    )
+    for _ in range(16):
+        session(Scene())
+    faint = Scene(touches=(Touch(0.060, 0.040, 4.5),))
+    said = [session(faint).state for _ in range(14)]
+    assert said[0] is not State.TOUCH
+    assert set(said[8:]) == {State.TOUCH}
+
+
+def test_a_force_that_fades_is_followed_or_said_to_linger(session):
+    forces = [*[9.0] * 3, *np.linspace(9.0, 2.0, 10)]
+    for force in forces:
+        said = session(Scene(touches=(Touch(0.040, 0.020, force),)))
+        assert said.state is State.TOUCH or said.problems
+    assert session(Scene()).state is State.IDLE
+    assert not session(Scene()).problems
+
+
+def test_a_capacitance_across_electrodes_is_told_by_phases(session):
+    flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
+    leaking = flat / (1.0 + 0.02j * (np.arange(len(flat)) == 5))
+    for impedance, told in ((flat, False), (leaking, True), (leaking * np.exp(0.003j), True)):
+        said = session(Scene(), impedance=impedance)
+        assert any("a capacitance" in each for each in said.problems) == told
+
+
+def test_contacts_that_age_together_are_no_bend(session):
+    table = np.array(session.pipeline.layout.protocol.table)
+    rates = np.random.default_rng(7).uniform(0.0, 2.0, 8)
+    ageing = np.array([rates[[row[0], row[1]]].sum() for row in table])
+    for share in np.linspace(0.1, 1.0, 6):
+        flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
+        said = session(Scene(), impedance=flat + share * ageing)
+        assert said.state is not State.BEND or said.problems
+    assert any("contacts of several" in each for each in said.problems)
+
+
 @pytest.mark.slow
 def test_it_tells_angles_of_another_clamp_and_how_surely():
     """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""

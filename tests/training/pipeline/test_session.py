@@ -311,3 +311,11 @@ def test_a_motion_along_the_directions_of_a_touch_is_seen_though_noise_hides_it_
         counts.append([held.add(V, FLAT, held=n > 0)[1] for n, V in enumerate(frames)])
     assert [max(each[15:20]) for each in counts] == [8, 8]
     assert np.mean(counts[1][26:]) < 0.7 * np.mean(counts[0][26:])
+
+
+def test_a_standard_error_covers_a_motion_that_the_mean_of_frames_hides():
+    """Nothing for one frame or sharp ones; for blurred ones what a line through them leaves."""
+    sharp, blurred = np.array([0.0005]), np.array([0.006])
+    assert HeldTouch.lag(blurred, 1) == 0.0
+    assert HeldTouch.lag(sharp, 8) < (0.2 * sharp) ** 2
+    assert 0.3 * blurred < np.sqrt(HeldTouch.lag(blurred, 3)) < 0.008
