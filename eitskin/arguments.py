@@ -122,6 +122,9 @@ def _rules(function: Callable[..., Any]) -> dict[str, Converter]:
 def converter(kind: Any) -> Converter:
     """Converter to values of a type annotation."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if kind not in _PLAIN and hasattr(origin or kind, "__value__"):  # an alias by `type`
+        alias = (origin or kind).__value__
+        return converter(alias[inner] if inner else alias)
     rule: Converter = _unchanged
     if isinstance(kind, InitVar):
         rule = converter(kind.type)
@@ -149,7 +152,7 @@ def _members(inner: tuple[Any, ...]) -> Iterator[Converter]:
     """Converters of the members of a union, of which some stand for one."""
     left = list(inner)
     for kind, parts in ((ArrayLike, typing.get_args(ArrayLike)), (Path, (str, Path))):
-        if set(parts) <= set(left):
+        if parts and set(parts) <= set(left):
             named = kind is ArrayLike and left.index(str) < left.index(parts[0])  # str | ArrayLike
             left = [each for each in left if each not in parts] + [str] * named
             yield _PLAIN[kind]
