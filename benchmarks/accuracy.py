@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from eitskin.benchmarks import forward_models as models
 from eitskin.benchmarks.forward_models import ModelCase, Truth, judge, model_frame
-from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import (
+    Columns,
+    Report,
+    ReportTable,
+    Watch,
+    make_results,
+    plot_errors,
+)
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.sensor import SensorDesign
@@ -52,7 +59,7 @@ QUICK_DEFORMED_REFERENCES: References = (
 FIXTURE = Hinge(transition=0.010)
 
 
-def sheared(axis: int) -> Displaced:
+def shear_deformation(axis: int) -> Displaced:
     """Simple shear of the whole layer by 45 deg, along x (0) or y (1)."""
     slope = np.zeros((3, 3))
     slope[axis, 2] = 1.0
@@ -73,21 +80,24 @@ PRESSES: Mapping[str, Scene] = {
     "10 N, bend 30": Scene(Bend(30.0), (Touch(0.110, 0.035),)),
     "10 N in the bend": Scene(Bend(30.0), (Touch(0.075, 0.030),)),
 }
-SHEARS: Mapping[str, Displaced] = {"sheared along x": sheared(0), "sheared along y": sheared(1)}
+SHEARS: Mapping[str, Displaced] = {
+    "sheared along x": shear_deformation(0),
+    "sheared along y": shear_deformation(1),
+}
 BENDS = {f"bend {angle:g}": Scene(Bend(angle)) for angle in (50.0, -20.0)}
 SCENES: Mapping[str, Scene | Displaced] = {**BENDS, **PRESSES, **SHEARS}
 QUICK_SCENES = ("bend 50", "10 N", "sheared along x")
 
 
 @dataclass(frozen=True, slots=True)
-class Deformed:
+class DeformedCase:
     """Signal errors of one resolution.
 
     Attributes:
-        name: of the resolution.
-        frame_seconds: median per frame, deformation evaluated, assembled and solved anew.
-        signal_errors: per scene, norm of the error of the relative change over norm of the
-            change, of the bend or, in scenes that are pressed, of the press.
+        name: name of the resolution.
+        frame_seconds: median per frame, deformation evaluated, assembled and solved again.
+        signal_errors: signal errors per scene, norm of the error of the relative change over norm
+            of the change, of the bend or, in scenes that are pressed, of the press.
     """
 
     name: str
@@ -104,7 +114,7 @@ def signals(
     @cache
     def resistances(scene: Scene | Displaced) -> Array:
         start = time.process_time()
-        frame = sim.measure(scene) if isinstance(scene, Scene) else sim.deformed(scene)
+        frame = sim.measure(scene) if isinstance(scene, Scene) else sim.simulate_deformation(scene)
         times.append(time.process_time() - start)
         return frame.impedance.real
 
@@ -116,7 +126,7 @@ def signals(
     return changes, times
 
 
-def compare_deformed(quick: bool) -> list[Deformed]:
+def compare_deformed(quick: bool) -> list[DeformedCase]:
     """Errors of resolutions, and of the second reference, against the first reference.
 
     On the reference sensor, bent by a hinge with transitions.
@@ -136,7 +146,7 @@ def compare_deformed(quick: bool) -> list[Deformed]:
             scene: float(np.linalg.norm(found[scene] - truth[scene]) / np.linalg.norm(truth[scene]))
             for scene in scenes
         }
-        rows.append(Deformed(name, float(np.median(times)), errors))
+        rows.append(DeformedCase(name, float(np.median(times)), errors))
     return rows
 
 
@@ -148,10 +158,10 @@ class ModelResult:
         family, name: the line of the plot, and the point on it.
         cells: kind of mesh.
         element: orders in the plane of the constant, linear ... part upwards.
-        solver: that factorised.
+        solver: solver that factorised.
         nodes, unknowns: of the mesh, and of the matrix.
-        setup_seconds: for a new geometry; of pyEIT without the mesh.
-        frame_seconds: per frame of 28, all but the mesh done anew.
+        setup_seconds: setup seconds for a new geometry; of pyEIT without the mesh.
+        frame_seconds: seconds per frame of 28, all but the mesh repeated.
         resistance_error, signal_error: as in `judge`.
         published_error: largest relative error against the published flat resistances at
             z = 1e-4 ohm m2; None for pyEIT, whose electrodes have no contact impedance.
@@ -285,10 +295,10 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     }
     x, y, rows = "time per frame of 28 [ms]", "error", [asdict(point) for point in points]
     return Report(
-        results=measured("accuracy", figures.items(), began=began, seed=seed, quick=quick),
+        results=make_results("accuracy", figures.items(), began=began, seed=seed, quick=quick),
         rows=rows,
         tables=[
-            ReportTable.of(rows, _COLUMNS, 2),
+            ReportTable.from_rows(rows, _COLUMNS, 2),
             ReportTable(("signal errors", *(row.name for row in deformed)), scenes),
         ],
         sentences=sentences,
@@ -317,8 +327,8 @@ _PANELS = {
 
 def _figures(points: Sequence[tuple[str, ModelResult]]) -> dict[str, float]:
     """Figures of results by their labels."""
-    found = {f"{label}.frame_ms": 1e3 * point.frame_seconds for label, point in points}
+    figures = {f"{label}.frame_ms": 1e3 * point.frame_seconds for label, point in points}
     for name in _QUANTITIES:
         values = {f"{label}.{name}": getattr(point, name) for label, point in points}
-        found |= {key: value for key, value in values.items() if value is not None}
-    return found
+        figures |= {key: value for key, value in values.items() if value is not None}
+    return figures

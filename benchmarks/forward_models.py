@@ -33,7 +33,7 @@ class ModelCase:
 
     Attributes:
         family: name of the line.
-        name: of this point of it.
+        name: name of this point of it.
         resolution: a name, or element order and grading.
         cells: kind of mesh.
         solver: chosen by the shape when omitted.
@@ -76,7 +76,9 @@ def _length(metres: float) -> str:
     return f"{1e3 * metres:.3g} mm" if metres >= 1e-3 else f"{1e6 * metres:.3g} um"
 
 
-def named(cells: CellKind, names: Sequence[Resolution] = get_args(Resolution)) -> list[ModelCase]:
+def select_cases(
+    cells: CellKind, names: Sequence[Resolution] = get_args(Resolution)
+) -> list[ModelCase]:
     """The named resolutions for one kind of mesh."""
     return [ModelCase(f"{cells}, named", name, name, cells) for name in names]
 
@@ -94,24 +96,24 @@ def uniform(size: float, layers: int) -> ModelCase:
 CUBIC: tuple[tuple[int, ...], Grading] = ((3, 2, 1), Grading(1e-3, 5e-3, 2.0))
 
 FULL: tuple[ModelCase, ...] = (
-    *named("hexahedra"),
+    *select_cases("hexahedra"),
     *ladder((1, 1), Grading(2e-3, 4e-3, 1.0), 3),
     *ladder((2, 2, 1), Grading(1e-3, 4e-3, 1.0), 3),
     *ladder(*CUBIC, rungs=4),
     *ladder((4, 3, 2), Grading(1e-3, 6e-3, 3.0), 4),
     *ladder(*CUBIC, rungs=3, solver="nested dissection"),
-    *named("prisms"),
+    *select_cases("prisms"),
     *ladder((1, 1), Grading(2e-3, 4e-3, 0.7), 3, "prisms"),
     *ladder((2, 2, 1), Grading(1e-3, 5e-3, 0.7), 2, "prisms"),
     *ladder((3, 2, 1), Grading(1e-3, 6e-3, 0.7), 3, "prisms"),
-    *named("tetrahedra"),
+    *select_cases("tetrahedra"),
 )
 # Meshes that pyEIT is measured on, cut into tetrahedra or, the plane ones, into triangles.
 PEERS = (uniform(4.4e-3, 2), uniform(2.2e-3, 4), uniform(2e-3, 0), uniform(9.5e-4, 0))
 QUICK_PEERS = (uniform(8e-3, 2),)
 
 QUICK: tuple[ModelCase, ...] = (
-    *named("hexahedra", ("fast",)),
+    *select_cases("hexahedra", ("fast",)),
     *ladder((1, 1), Grading(4e-3, 5e-3, 1.0), 2),
     *ladder((3, 2, 1), Grading(2e-3, 6e-3, 2.0), 2, solver="nested dissection"),
     *ladder((2, 2, 1), Grading(4e-3, 1e-2, 1.0), 2, "prisms"),
@@ -180,12 +182,12 @@ def model_frame(model: ForwardModel) -> Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Reference resistances and signals, far more accurate than the models that are judged.
+    """Reference resistances and signals, far more accurate than the models that are tested.
 
     Attributes:
         design: the sensor.
         drops: what changes it.
-        resistances: of the flat sensor, (28,) [ohm].
+        resistances: resistances of the flat sensor, (28,) [ohm].
         signals: their change by each drop, (drops, 28) [ohm].
         resistance_error, signal_error: by which a second reference differs, as in `judge`.
     """
@@ -202,7 +204,7 @@ class Truth:
         """Solve the reference sensor by the first reference, and check it by the second."""
         design = SensorDesign.reference()
         changes = drops(design, seed)
-        first, second = (model_frame(each.model(design)) for each in references)
+        first, second = (model_frame(reference.model(design)) for reference in references)
         flat = first(None)
         signals = np.array([first(drop) - flat for drop in changes])
         unchecked = cls(design, changes, flat, signals, np.nan, np.nan)
@@ -220,16 +222,16 @@ def judge(frame: Frame, truth: Truth, least_seconds: float = 0.4) -> dict[str, f
     Returns "resistance_error", the largest relative error of the flat resistances; "signal_error",
     norm of the error of the change over norm of the change, the largest of all drops; and
     "frame_seconds", median processor time per frame of 28, conductivity evaluated, assembled and
-    solved anew.
+    solved again.
     """
     flat = frame(None)
-    found: list[Array] = []
+    frames: list[Array] = []
     times: list[float] = []
-    while len(found) < len(truth.drops) or sum(times) < least_seconds:
+    while len(frames) < len(truth.drops) or sum(times) < least_seconds:
         start = time.process_time()
-        found.append(frame(truth.drops[len(found) % len(truth.drops)]))
+        frames.append(frame(truth.drops[len(frames) % len(truth.drops)]))
         times.append(time.process_time() - start)
-    signals = np.array(found[: len(truth.drops)]) - flat
+    signals = np.array(frames[: len(truth.drops)]) - flat
     missed = np.linalg.norm(signals - truth.signals, axis=1)
     return {
         "resistance_error": float(np.abs(flat / truth.resistances - 1.0).max()),

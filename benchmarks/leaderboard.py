@@ -19,7 +19,7 @@ from eitskin.files import atomic_file, read_bytes
 from eitskin.geometry import ConfigurationError, DataError
 from eitskin.provenance import Provenance
 
-_MOST_BYTES = 1 << 24
+_MAX_BYTES = 1 << 24
 NAME, VERSION = "skinbench", 2
 _DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
@@ -56,7 +56,7 @@ class Score:
         unit: "mm", "deg", "%" or "ms".
         pattern: key of the figure; NAME stands for the method, WORLD for any world.
         more: whether more of it is better, which the worst of all worlds depends on.
-        factor: from the figure to the unit.
+        factor: factor from the figure to the unit.
     """
 
     text: str
@@ -67,15 +67,15 @@ class Score:
 
     def values(self, figures: Mapping[str, float]) -> dict[str, float]:
         """Value of each method among the figures of a run; the worst where WORLD is in the key."""
-        wanted = re.escape(self.pattern)
-        wanted = wanted.replace("NAME", "(?P<name>[^,/]+)", 1).replace("WORLD", f"(?:{_WORLDS})")
-        found: dict[str, list[float]] = {}
+        pattern = re.escape(self.pattern)
+        pattern = pattern.replace("NAME", "(?P<name>[^,/]+)", 1).replace("WORLD", f"(?:{_WORLDS})")
+        values_by_name: dict[str, list[float]] = {}
         for key, value in figures.items():
-            match = re.fullmatch(wanted, key)
+            match = re.fullmatch(pattern, key)
             if match:
-                found.setdefault(match["name"].strip(), []).append(self.factor * value)
+                values_by_name.setdefault(match["name"].strip(), []).append(self.factor * value)
         worst = min if self.more else max
-        return {name: worst(values) for name, values in found.items()}
+        return {name: worst(values) for name, values in values_by_name.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Track:
     """Track of skinbench.
 
     Attributes:
-        name: of the track.
+        name: name of the track.
         results: name of the benchmark whose results it is made of.
         about: question of the track, for its page.
         scores: the first ranks.
@@ -97,19 +97,19 @@ class Track:
     def rows(self, figures: Mapping[str, float]) -> Iterator[tuple[str, dict[str, float]]]:
         """Each method that has figures, and its scores by their texts."""
         values = {score.text: score.values(figures) for score in self.scores}
-        names = dict.fromkeys(name for found in values.values() for name in found)
+        names = dict.fromkeys(name for values in values.values() for name in values)
         for name in names:
-            yield name, {text: found[name] for text, found in values.items() if name in found}
+            yield name, {text: values[name] for text, values in values.items() if name in values}
 
 
-def _adapted(labelled: str, text: str) -> Iterator[Score]:
+def _adaptation_scores(labelled: str, text: str) -> Iterator[Score]:
     start = f"NAME / WORLD, {labelled} / "
     yield Score(f"{text}: place", "mm", f"{start}place, mean [mm]")
     yield Score(f"{text}: found", "%", f"{start}touches found", more=True, factor=100.0)
     yield Score(f"{text}: angle", "deg", f"{start}angle, rms [deg]")
 
 
-_UNSEEN = {
+_UNSEEN_CONDITIONS = {
     "four touches: error": ("mm", "touch.4.error_mm"),
     "found": ("%", "touch.4.found"),
     "false": ("%", "touch.4.false"),
@@ -135,7 +135,10 @@ TRACKS = (
         "paper",
         "States, angle and one to four touches on unseen sensors. Your methods learn from one "
         "sensor, as the paper did. By `eitskin bench paper --method my.py:Net --leaderboard FILE`.",
-        tuple(Score(text, unit, f"NAME, unseen: {key}") for text, (unit, key) in _UNSEEN.items()),
+        tuple(
+            Score(text, unit, f"NAME, unseen: {key}")
+            for text, (unit, key) in _UNSEEN_CONDITIONS.items()
+        ),
     ),
     Track(
         "common",
@@ -150,7 +153,10 @@ TRACKS = (
         "Sensors with other clamps, stiffness, electrodes and boards: the worst of five test "
         "conditions, as it is, and adapted by 5 angles and 15 touches. By `eitskin bench transfer "
         "my.eitmodel --leaderboard FILE`.",
-        (*_adapted("0 angles", "as it is"), *_adapted("5 angles, 15 presses", "adapted by 20")),
+        (
+            *_adaptation_scores("0 angles", "as it is"),
+            *_adaptation_scores("5 angles, 15 presses", "adapted by 20"),
+        ),
     ),
     Track(
         "real",
@@ -168,12 +174,12 @@ class Entry:
 
     Attributes:
         track: name of the track.
-        name: of the method or the pipeline.
-        scores: by their texts, in their units; what a method does not give is left out.
-        command: that measured them.
+        name: name of the method or the pipeline.
+        scores: scores by their texts, in their units; what a method does not give is left out.
+        command: command that measured them.
         provenance: machine, versions, seed and date.
         frames: SHA-256 of the manifests of the frames; empty where that was not noted.
-        code: SHA-256 of the file of a method of one's own; empty for others.
+        code: SHA-256 of the file of a custom method; empty for others.
     """
 
     track: str
@@ -196,7 +202,7 @@ class Leaderboard:
     """Entries of all tracks.
 
     Attributes:
-        entries: in the order of the tracks, the best first.
+        entries: entries in the order of the tracks, the best first.
         benchmark, version: of the set that they were measured on.
     """
 
@@ -213,9 +219,9 @@ class Leaderboard:
         ConfigurationError for results of other benchmarks, seeds, or quick runs.
         """
         new = tuple(_entries(results, frames, codes or {}))
-        made = {each.run for each in new}
-        kept = (each for each in self.entries if each.run not in made)
-        return replace(self, entries=_ranked((*kept, *new)))
+        new_runs = {each.run for each in new}
+        other_entries = (entry for entry in self.entries if entry.run not in new_runs)
+        return replace(self, entries=_rank_entries((*other_entries, *new)))
 
     def table(self, track: Track) -> str:
         """Markdown of the entries of a track."""
@@ -229,8 +235,8 @@ class Leaderboard:
                 else ""
                 for score in track.scores
             )
-            made = (each.provenance.packages["eitskin"], each.provenance.date[:10])
-            lines.append("| " + " | ".join((each.name, *cells, *made)) + " |")
+            run_facts = (each.provenance.packages["eitskin"], each.provenance.date[:10])
+            lines.append("| " + " | ".join((each.name, *cells, *run_facts)) + " |")
         return "\n".join(lines) + "\n"
 
 
@@ -238,7 +244,7 @@ def read_leaderboard(path: Path) -> Leaderboard:
     """Leaderboard of a file, empty where there is none; raises DataError for another file."""
     if not path.exists():
         return Leaderboard()
-    content = read_bytes(path, _MOST_BYTES, DataError)
+    content = read_bytes(path, _MAX_BYTES, DataError)
     try:
         board = msgspec.json.decode(content, type=Leaderboard)
     except msgspec.DecodeError as error:
@@ -263,8 +269,8 @@ def enter(path: Path, results: Results, folder: Path, codes: Mapping[str, str]) 
 
     `folder` has the frames; `codes` are FILE.py:CLASS of own methods, by their names.
     """
-    made = {name: code_digest(code) for name, code in codes.items()}
-    board = read_leaderboard(path).with_results(results, frames_digest(folder), made)
+    digests = {name: code_digest(code) for name, code in codes.items()}
+    board = read_leaderboard(path).with_results(results, frames_digest(folder), digests)
     write_leaderboard(path, board)
 
 
@@ -299,7 +305,7 @@ def _entries(results: Results, frames: str, codes: Mapping[str, str]) -> Iterato
         yield Entry(track.name, name, rounded, *run, frames, code)
 
 
-def _ranked(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+def _rank_entries(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
     """Entries by track, first score and date."""
     order = {track.name: number for number, track in enumerate(TRACKS)}
     first = {track.name: track.scores[0].text for track in TRACKS}

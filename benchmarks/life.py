@@ -1,8 +1,8 @@
-"""Run of `bench life`: a pipeline in streams of what skins meet every day, judged by event.
+"""Run of `bench life`: a pipeline in streams of what skins meet every day, tested by event.
 
 Two shares of frames count. A frame is confidently wrong where state, number of touches, a place or
 the angle is off, by more than three claimed standard errors and 5 mm or 2 deg, and no problem is
-told; it is flagged though right where a problem is told that nothing called for.
+reported; it is flagged though right where a problem is reported that nothing called for.
 """
 
 import time
@@ -23,7 +23,7 @@ from eitskin.benchmarks.life_world import (
     Stream,
     lives,
 )
-from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets.store.schema import State
 from eitskin.training.evaluation.scores import match, root_mean_square
 from eitskin.training.method.predictions import Estimate
@@ -35,7 +35,7 @@ SENSORS, QUICK_SENSORS = 15, 5
 SENSORS_AN_HOUR = 14  # whose streams last an hour together
 DEVIATIONS, LEAST_PLACE, LEAST_ANGLE = 3.0, 0.005, 2.0  # [m], [deg]: further off is wrong
 FLAT_DEG = 4.0  # bends below this may be called idle
-MOST = "all events"
+ALL_EVENTS = "all events"
 _COLUMNS: Columns = {
     "event": ("event", "", 1),
     "frames": ("frames", "d", 1),
@@ -53,7 +53,7 @@ _COLUMNS: Columns = {
 
 @dataclass(slots=True)
 class Judgements:
-    """Judged frames of one event: shares, errors, and errors over standard errors."""
+    """Tested frames of one event: shares, errors, and errors over standard errors."""
 
     wrong: list[bool] = field(default_factory=list)
     flagged: list[bool] = field(default_factory=list)
@@ -66,41 +66,41 @@ class Judgements:
     delay: list[float] = field(default_factory=list)
 
     def add(self, said: Estimate, touches: Array, angle_deg: float, event: Event) -> bool:
-        """Judge an estimate by the touches (k, 3) and the angle [deg]; returns whether right."""
+        """Test an estimate by the touches (k, 3) and the angle [deg]; returns whether right."""
         true = touches[np.isfinite(touches[:, 0])]
         right = self._places(said, true, event) and self._angle(said, angle_deg, bool(len(true)))
         if not len(true) and abs(angle_deg) < FLAT_DEG:
             right &= said.state is State.IDLE or (said.state is State.BEND and angle_deg != 0.0)
         else:
             right &= said.state is (State.TOUCH if len(true) else State.BEND)
-        told = bool(said.problems)
-        self.wrong.append(not right and not told)
-        self.flagged.append(right and told and event.healthy)
-        self.told.append(told)
+        has_problem = bool(said.problems)
+        self.wrong.append(not right and not has_problem)
+        self.flagged.append(right and has_problem and event.healthy)
+        self.told.append(has_problem)
         return right
 
-    def _places(self, said: Estimate, true: Array, event: Event) -> bool:
+    def _places(self, estimate: Estimate, true: Array, event: Event) -> bool:
         """Whether the places are right and as many, or fewer whose standard errors cover all.
 
         Keeps the errors.
         """
-        found = np.array([[t.x, t.y, t.force, t.deviation] for t in said.touches or ()])
-        found = found.reshape(-1, 4)
+        estimated = np.array([[t.x, t.y, t.force, t.deviation] for t in estimate.touches or ()])
+        estimated = estimated.reshape(-1, 4)
         if not event.known:
-            if len(found) != 1 or not len(true):
+            if len(estimated) != 1 or not len(true):
                 return False
             true = true.mean(axis=0, keepdims=True)
-        rows, columns = match(true[:, :2], found[:, :2])
-        errors = np.linalg.norm(true[rows, :2] - found[columns, :2], axis=1)
-        deviations = found[columns, 3]
+        rows, columns = match(true[:, :2], estimated[:, :2])
+        errors = np.linalg.norm(true[rows, :2] - estimated[columns, :2], axis=1)
+        deviations = estimated[columns, 3]
         self.place += errors.tolist()
         self.place_ratio += (errors / deviations).tolist()
-        self.force += (found[columns, 2] - true[rows, 2]).tolist() if event.known else []
-        if 0 < len(found) < len(true):  # one that says that it may be anywhere about both
-            apart = np.linalg.norm(true[:, None, :2] - found[:, :2], axis=2)
-            return bool((apart <= DEVIATIONS * found[:, 3]).any(axis=1).all())
+        self.force += (estimated[columns, 2] - true[rows, 2]).tolist() if event.known else []
+        if 0 < len(estimated) < len(true):  # one that says that it may be anywhere about both
+            apart = np.linalg.norm(true[:, None, :2] - estimated[:, :2], axis=2)
+            return bool((apart <= DEVIATIONS * estimated[:, 3]).any(axis=1).all())
         near = errors <= np.maximum(DEVIATIONS * deviations, LEAST_PLACE)
-        return bool(near.all()) and len(near) == len(found) == len(true)
+        return bool(near.all()) and len(near) == len(estimated) == len(true)
 
     def _angle(self, said: Estimate, angle_deg: float, touched: bool) -> bool:
         """Whether the angle is right; keeps its error, of bent sensors."""
@@ -116,8 +116,8 @@ class Judgements:
         """Figures by their names; None where there are none."""
 
         def rms(values: Sequence[float], factor: float = 1.0) -> float | None:
-            known = [value for value in values if np.isfinite(value)]
-            return factor * root_mean_square(np.array(known)) if known else None
+            finite_values = [value for value in values if np.isfinite(value)]
+            return factor * root_mean_square(np.array(finite_values)) if finite_values else None
 
         return {
             "event": name,
@@ -135,7 +135,7 @@ class Judgements:
 
 
 def judge(pipeline: Pipeline, stream: Stream, frames: Sequence[Any], event: Event) -> Judgements:
-    """Judge the estimates of a session's frames after its opening.
+    """Test the estimates of a session's frames after its opening.
 
     The delay is the number of frames from each change of the touches to the first right estimate.
     """
@@ -166,18 +166,18 @@ def run(
     """Measure a pipeline in the streams of some sensors.
 
     Args:
-        path: of the pipeline.
-        folder: of the streams, which are kept.
+        path: path of the pipeline.
+        folder: folder of the streams, which are kept.
         seed: of sensors, events and noise.
-        hours: of streams; of `SENSORS` sensors when omitted.
+        hours: hours of streams; of `SENSORS` sensors when omitted.
         quick: fewer sensors.
-        progress: told of sensors that are done.
+        progress: called after sensors that are done.
     """
     began = time.perf_counter()
     count = QUICK_SENSORS if quick else SENSORS
     if hours is not None:
         count = max(1, round(SENSORS_AN_HOUR * hours))
-    all_judged: dict[str, Judgements] = {name: Judgements() for name in (*EVENTS, MOST)}
+    all_judged: dict[str, Judgements] = {name: Judgements() for name in (*EVENTS, ALL_EVENTS)}
     trained = Pipeline.load(path)
     for number, life in enumerate(lives(folder, seed, count, progress)):
         low, high = np.log(NOISE)
@@ -187,14 +187,14 @@ def run(
             noise = float(np.exp(np.random.default_rng(drawn).uniform(low, high)))
             pipeline, stream = replace(trained), life.streams[name]
             if event.calibrated:
-                known = life.known.frames(*parts, 1.0, (*drawn, 1))[OPENING:]
-                pipeline.calibrate(known, KNOWN_DEG)
+                known_frames = life.known.frames(*parts, 1.0, (*drawn, 1))[OPENING:]
+                pipeline.calibrate(known_frames, KNOWN_DEG)
             frames = stream.frames(*parts, noise, (*drawn, 0))
-            found = judge(pipeline, stream, frames, event)
-            for each in (all_judged[name], all_judged[MOST]):
+            judgements = judge(pipeline, stream, frames, event)
+            for each in (all_judged[name], all_judged[ALL_EVENTS]):
                 for part in Judgements.__slots__:
-                    getattr(each, part).extend(getattr(found, part))
-    rows = [found.row(name) for name, found in all_judged.items()]
+                    getattr(each, part).extend(getattr(judgements, part))
+    rows = [judgements.row(name) for name, judgements in all_judged.items()]
     figures = [
         (f"{row['event']} / {name}", value)
         for row in rows
@@ -202,5 +202,5 @@ def run(
         if name != "event" and value is not None
     ]
     options = f"--seed {seed}" + (f" --hours {hours:g}" if hours is not None else "")
-    results = measured("life", figures, began=began, seed=seed, quick=quick, options=options)
-    return Report(results=results, rows=rows, tables=[ReportTable.of(rows, _COLUMNS)])
+    results = make_results("life", figures, began=began, seed=seed, quick=quick, options=options)
+    return Report(results=results, rows=rows, tables=[ReportTable.from_rows(rows, _COLUMNS)])

@@ -26,10 +26,10 @@ from eitskin.simulator.simulator import Simulator
 Array = NDArray[np.float64]
 Matrices = NDArray[np.complex128]
 
-SENSORS_OF = ("as trained", "other clamps", "other stiffness", "rough electrodes", "other board")
+SENSOR_GROUPS = ("as trained", "other clamps", "other stiffness", "rough electrodes", "other board")
 """Worlds of `bench transfer` that the sensors are of, in turn."""
 OPENING = 12  # frames of the flat, untouched sensor before each event
-HELD = 12  # frames that a touch is held for
+HELD_FRAMES = 12  # frames that a touch is held for
 PERIOD = 0.303  # s, from frame to frame
 NOISE = (0.5, 3.0)  # range of the noise, in units of the instrument's, even in its logarithm
 ANGLES = np.array([-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0])  # deg, that are solved
@@ -46,10 +46,10 @@ class Stream:
     """Frames of one event on one sensor, without noise.
 
     Attributes:
-        impedance: of the electrodes (n, electrodes, electrodes) [ohm].
+        impedance: impedance of the electrodes (n, electrodes, electrodes) [ohm].
         touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent.
-        angle_deg: of the bend (n,) [deg].
-        factor: of the board's readings (n,).
+        angle_deg: angle of the bend (n,) [deg].
+        factor: factor of the board's readings (n,).
     """
 
     impedance: Matrices
@@ -67,11 +67,11 @@ class Stream:
     ) -> list[Frame]:
         """Frames as a board reads them in one session, with `noise` times its white noise."""
         start, further = np.random.default_rng(seed).spawn(2)
-        both = board.terminal_impedances(self.impedance, protocol)
+        impedances = board.terminal_impedances(self.impedance, protocol)
         louder = replace(board, snr_db=board.snr_db - 20.0 * float(np.log10(noise)))
-        session = louder.session(protocol, float(np.abs(both[0, 0]).max()), start)
-        times = PERIOD * np.arange(len(both), dtype=np.float64)
-        values, status = session.measure(both, times, further)
+        session = louder.session(protocol, float(np.abs(impedances[0, 0]).max()), start)
+        times = PERIOD * np.arange(len(impedances), dtype=np.float64)
+        values, status = session.measure(impedances, times, further)
         return [
             Frame(value, protocol, PERIOD * n, n, frequency=frequency, status=bits)
             for n, (value, bits) in enumerate(
@@ -85,8 +85,8 @@ class Sensor:
     """One unseen sensor, and the random numbers of its events.
 
     Attributes:
-        simulator: of the sensor.
-        rng: of its events.
+        simulator: simulator of the sensor.
+        rng: rng of its events.
         flat: electrode impedances of the flat, untouched sensor [ohm].
     """
 
@@ -96,21 +96,21 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Solve the flat sensor."""
-        self.flat = self.solved([Scene()])[0]
+        self.flat = self.solve_scenes([Scene()])[0]
 
-    def solved(self, scenes: list[Scene]) -> Matrices:
+    def solve_scenes(self, scenes: list[Scene]) -> Matrices:
         """Electrode impedances of scenes (n, electrodes, electrodes) [ohm]."""
         return np.asarray(self.simulator.impedances(scenes), dtype=complex)
 
-    def pressed(self, touches: ArrayLike, angle_deg: float = 0.0) -> Matrices:
+    def solve_touches(self, touches: ArrayLike, angle_deg: float = 0.0) -> Matrices:
         """Electrode impedances under touches (k, 3) of x [m], y [m] and force [N]."""
         pressing = tuple(Touch(*row) for row in np.asarray(touches).tolist())
-        matrix: Matrices = self.solved([Scene(Bend(angle_deg), pressing)])[0]
+        matrix: Matrices = self.solve_scenes([Scene(Bend(angle_deg), pressing)])[0]
         return matrix
 
-    def bent(self, angle_deg: ArrayLike) -> Matrices:
+    def solve_angles(self, angle_deg: ArrayLike) -> Matrices:
         """Electrode impedances at angles (n,) [deg]."""
-        solved = self.solved([Scene(Bend(angle)) for angle in ANGLES.tolist()])
+        solved = self.solve_scenes([Scene(Bend(angle)) for angle in ANGLES.tolist()])
         return np.asarray(CubicSpline(ANGLES, solved)(np.asarray(angle_deg)))
 
     def places(self, count: int, least: float = 0.030, most: float = np.inf) -> Array:
@@ -118,10 +118,10 @@ class Sensor:
         outline = self.simulator.design.outline
         size = np.array([outline.length, outline.width]) - MARGIN
         while True:
-            found = self.rng.uniform(MARGIN, size, (count, 2))
-            apart = np.linalg.norm(found[:, None] - found, axis=2)[np.triu_indices(count, 1)]
+            places = self.rng.uniform(MARGIN, size, (count, 2))
+            apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(count, 1)]
             if not len(apart) or least <= apart.min() <= most:
-                return found
+                return places
 
     def touches(self, count: int, least: float = 0.030, most: float = np.inf) -> Array:
         """Touches (count, 3) of x [m], y [m] and force [N], as `places`."""
@@ -143,41 +143,43 @@ class Sensor:
         none = np.full(
             (OPENING, 1, 3) if touches is None else (OPENING, touches.shape[-2], 3), np.nan
         )
-        given = np.full((count, 1, 3), np.nan) if touches is None else touches
-        given = np.broadcast_to(given, (count, *none.shape[1:]))
+        all_touches = np.full((count, 1, 3), np.nan) if touches is None else touches
+        all_touches = np.broadcast_to(all_touches, (count, *none.shape[1:]))
         angles, factors = (np.broadcast_to(each, count) for each in (angle_deg, factor))
         return Stream(
             np.concatenate([np.repeat(self.flat[None], OPENING, axis=0), event]),
-            np.concatenate([none, given]),
+            np.concatenate([none, all_touches]),
             np.concatenate([np.zeros(OPENING), angles]),
             np.concatenate([np.ones(OPENING), factors]).astype(complex),
         )
 
-    def flat_with(self, contacts: Array) -> Matrices:
+    def solve_flat(self, contacts: Array) -> Matrices:
         """The flat sensor with further resistances of its contacts (n, electrodes) [ohm]."""
         return np.asarray(self.flat + contacts[:, :, None] * np.eye(len(self.flat)))
 
 
-def _held(sensor: Sensor, touches: Array, angle_deg: float = 0.0) -> Stream:
+def _held_touches(sensor: Sensor, touches: Array, angle_deg: float = 0.0) -> Stream:
     """Touches that are held."""
-    pressed = np.repeat(sensor.pressed(touches, angle_deg)[None], HELD, axis=0)
+    pressed = np.repeat(sensor.solve_touches(touches, angle_deg)[None], HELD_FRAMES, axis=0)
     return sensor.stream(pressed, touches, angle_deg)
 
 
 def _tap(sensor: Sensor) -> Stream:
     """A touch that is held and released."""
     touch = sensor.touches(1)
-    matrices = np.repeat([sensor.pressed(touch), sensor.flat], [HELD, HELD // 2], axis=0)
-    rows = np.where(np.arange(len(matrices))[:, None, None] < HELD, touch, np.nan)
+    matrices = np.repeat(
+        [sensor.solve_touches(touch), sensor.flat], [HELD_FRAMES, HELD_FRAMES // 2], axis=0
+    )
+    rows = np.where(np.arange(len(matrices))[:, None, None] < HELD_FRAMES, touch, np.nan)
     return sensor.stream(matrices, rows)
 
 
 def _slide(sensor: Sensor, step: float) -> Stream:
     """A touch that slides along x by a step a frame [m]."""
     x, y, force = (*sensor.rng.uniform((0.020, 0.015), (0.070, 0.045)), sensor.rng.uniform(*FORCE))
-    solved = np.array([sensor.pressed([[x + s, y, force]]) for s in PATH.tolist()])
+    solved = np.array([sensor.solve_touches([[x + s, y, force]]) for s in PATH.tolist()])
     way = np.arange(0.0, PATH[-1] + 1e-9, step)
-    way = np.concatenate([np.zeros(4), way[: 4 * HELD]])
+    way = np.concatenate([np.zeros(4), way[: 4 * HELD_FRAMES]])
     touches = np.stack([x + way, np.full_like(way, y), np.full_like(way, force)], axis=1)
     return sensor.stream(CubicSpline(PATH, solved)(way), touches[:, None])
 
@@ -185,8 +187,10 @@ def _slide(sensor: Sensor, step: float) -> Stream:
 def _ramp(sensor: Sensor) -> Stream:
     """A touch whose force falls from 12 to 2 N."""
     place = sensor.places(1)[0]
-    solved = np.array([sensor.pressed([[*place, force]]) for force in FORCES.tolist()])
-    forces = np.concatenate([np.full(3, FORCES[-1]), np.linspace(FORCES[-1], FORCES[0], HELD)])
+    solved = np.array([sensor.solve_touches([[*place, force]]) for force in FORCES.tolist()])
+    forces = np.concatenate(
+        [np.full(3, FORCES[-1]), np.linspace(FORCES[-1], FORCES[0], HELD_FRAMES)]
+    )
     touches = np.column_stack([np.tile(place, (len(forces), 1)), forces])
     return sensor.stream(CubicSpline(FORCES, solved)(forces), touches[:, None])
 
@@ -196,7 +200,7 @@ def _pair(sensor: Sensor, ratio: tuple[float, float], apart: tuple[float, float]
     touches = sensor.touches(2, *apart)
     touches[0, 2] = sensor.rng.uniform(8.0, 12.0)
     touches[1, 2] = touches[0, 2] * sensor.rng.uniform(*ratio)
-    return _held(sensor, touches)
+    return _held_touches(sensor, touches)
 
 
 def _cluster(sensor: Sensor, offsets: ArrayLike, force: tuple[float, float]) -> Stream:
@@ -208,7 +212,9 @@ def _cluster(sensor: Sensor, offsets: ArrayLike, force: tuple[float, float]) -> 
         places = sensor.rng.uniform(0.0, size) + np.column_stack([turn.real, turn.imag])
         if (places >= MARGIN).all() and (places <= size - MARGIN).all():
             break
-    return _held(sensor, np.column_stack([places, np.full(len(rows), sensor.rng.uniform(*force))]))
+    return _held_touches(
+        sensor, np.column_stack([places, np.full(len(rows), sensor.rng.uniform(*force))])
+    )
 
 
 def _bend(sensor: Sensor) -> Stream:
@@ -216,54 +222,58 @@ def _bend(sensor: Sensor) -> Stream:
     largest = sensor.rng.choice([-1.0, 1.0, 1.0]) * sensor.rng.uniform(10.0, 20.0)
     largest *= 1.0 if largest < 0.0 else 2.3
     count = int(abs(largest) // 3.0)
-    angles = np.concatenate([np.linspace(0.0, largest, count + 1)[1:], np.full(HELD, largest)])
-    return sensor.stream(sensor.bent(angles), angle_deg=angles)
+    angles = np.concatenate(
+        [np.linspace(0.0, largest, count + 1)[1:], np.full(HELD_FRAMES, largest)]
+    )
+    return sensor.stream(sensor.solve_angles(angles), angle_deg=angles)
 
 
 def _bent_touch(sensor: Sensor) -> Stream:
     """A touch on a sensor that was bent before."""
     angle, touch = sensor.rng.uniform(10.0, 40.0), sensor.touches(1)
     angles = np.concatenate([np.linspace(0.0, angle, 8)[1:], np.full(4, angle)])
-    pressed = np.repeat(sensor.pressed(touch, angle)[None], HELD, axis=0)
-    rows = np.concatenate([np.full((len(angles), 1, 3), np.nan), np.tile(touch, (HELD, 1, 1))])
-    matrices = np.concatenate([sensor.bent(angles), pressed])
-    return sensor.stream(matrices, rows, np.concatenate([angles, np.full(HELD, angle)]))
+    pressed = np.repeat(sensor.solve_touches(touch, angle)[None], HELD_FRAMES, axis=0)
+    rows = np.concatenate(
+        [np.full((len(angles), 1, 3), np.nan), np.tile(touch, (HELD_FRAMES, 1, 1))]
+    )
+    matrices = np.concatenate([sensor.solve_angles(angles), pressed])
+    return sensor.stream(matrices, rows, np.concatenate([angles, np.full(HELD_FRAMES, angle)]))
 
 
 def _contacts(sensor: Sensor, count: int, ohms: tuple[float, float]) -> Stream:
     """Contacts at random that change at once, each by a size in a range [ohm]."""
-    added = np.zeros((HELD, len(sensor.flat)))
+    added = np.zeros((HELD_FRAMES, len(sensor.flat)))
     which = sensor.rng.choice(added.shape[1], count, replace=False)
     added[:, which] = sensor.rng.uniform(*ohms, count)
-    return sensor.stream(sensor.flat_with(added))
+    return sensor.stream(sensor.solve_flat(added))
 
 
 def _ageing(sensor: Sensor) -> Stream:
     """Contacts that age, each at a rate of its own, then a touch."""
     rates = sensor.rng.uniform(0.0, 0.05, len(sensor.flat))
-    touch, untouched = sensor.touches(1), 4 * HELD
-    added = np.arange(1, untouched + HELD + 1)[:, None] * rates
-    matrices = sensor.flat_with(added)
-    matrices[untouched:] += sensor.pressed(touch) - sensor.flat
+    touch, untouched = sensor.touches(1), 4 * HELD_FRAMES
+    added = np.arange(1, untouched + HELD_FRAMES + 1)[:, None] * rates
+    matrices = sensor.solve_flat(added)
+    matrices[untouched:] += sensor.solve_touches(touch) - sensor.flat
     rows = np.where(np.arange(len(added))[:, None, None] < untouched, np.nan, touch)
     return sensor.stream(matrices, rows)
 
 
 def _leak(sensor: Sensor, admittance: complex) -> Stream:
     """A leak of an admittance [S] between two electrodes."""
-    one, other = sensor.rng.choice(len(sensor.flat), 2, replace=False)
-    across = sensor.flat[:, one] - sensor.flat[:, other]
-    share = admittance / (1.0 + admittance * (across[one] - across[other]))
+    first, second = sensor.rng.choice(len(sensor.flat), 2, replace=False)
+    across = sensor.flat[:, first] - sensor.flat[:, second]
+    share = admittance / (1.0 + admittance * (across[first] - across[second]))
     leaking = sensor.flat - share * np.outer(across, across)
-    return sensor.stream(np.repeat(leaking[None], HELD, axis=0))
+    return sensor.stream(np.repeat(leaking[None], HELD_FRAMES, axis=0))
 
 
 def _factor(sensor: Sensor, factor: complex) -> Stream:
     """A step of the board's gain or phase."""
-    return sensor.stream(np.repeat(sensor.flat[None], HELD, axis=0), factor=factor)
+    return sensor.stream(np.repeat(sensor.flat[None], HELD_FRAMES, axis=0), factor=factor)
 
 
-def _signed(sensor: Sensor, low: float, high: float) -> float:
+def _draw_signed(sensor: Sensor, low: float, high: float) -> float:
     """A number whose magnitude is in a range, of either sign."""
     return float(sensor.rng.choice([-1.0, 1.0]) * sensor.rng.uniform(low, high))
 
@@ -289,7 +299,7 @@ class Event:
 _RING = [[0.0, 0.0], *([CLOSE * np.cos(a), CLOSE * np.sin(a)] for a in np.arange(6) * np.pi / 3)]
 _TRIANGLE = np.array([[0.0, 0.0], [0.016, 0.0], [0.008, 0.0139]])
 EVENTS: dict[str, Event] = {
-    "idle": Event(lambda s: s.stream(np.repeat(s.flat[None], 2 * HELD, axis=0))),
+    "idle": Event(lambda s: s.stream(np.repeat(s.flat[None], 2 * HELD_FRAMES, axis=0))),
     "touch, held and released": Event(_tap),
     "slide, 1 mm a frame": Event(lambda s: _slide(s, 0.001)),
     "slide, 2 mm a frame": Event(lambda s: _slide(s, 0.002)),
@@ -299,20 +309,24 @@ EVENTS: dict[str, Event] = {
     "two touches, 30 to 60 mm": Event(lambda s: _pair(s, (0.8, 1.25), (0.030, 0.060))),
     "two uneven, 24 to 40 mm": Event(lambda s: _pair(s, (0.45, 0.7), (0.024, 0.040))),
     "two uneven, 16 to 24 mm": Event(lambda s: _pair(s, (0.45, 0.7), (CLOSE, 0.024)), False),
-    "three touches": Event(lambda s: _held(s, s.touches(3))),
-    "four touches": Event(lambda s: _held(s, s.touches(4))),
+    "three touches": Event(lambda s: _held_touches(s, s.touches(3))),
+    "four touches": Event(lambda s: _held_touches(s, s.touches(4))),
     "bend": Event(_bend),
     "touch on a bend": Event(_bent_touch),
     "bend, calibrated": Event(_bend, calibrated=True),
     "three touches, 16 mm": Event(lambda s: _cluster(s, _TRIANGLE, (4.0, 8.0)), False, False),
-    "five touches": Event(lambda s: _held(s, s.touches(5, 0.022)), False, False),
+    "five touches": Event(lambda s: _held_touches(s, s.touches(5, 0.022)), False, False),
     "palm of 40 mm": Event(lambda s: _cluster(s, _RING, (2.0, 6.0)), False, False),
     "line of 64 mm": Event(
         lambda s: _cluster(s, [[CLOSE * k, 0.0] for k in range(5)], (3.0, 7.0)), False, False
     ),
     "twist": Event(
         lambda s: s.stream(
-            np.repeat(s.solved([Scene(twist=Twist(_signed(s, 5.0, 20.0)))]), HELD, axis=0)
+            np.repeat(
+                s.solve_scenes([Scene(twist=Twist(_draw_signed(s, 5.0, 20.0)))]),
+                HELD_FRAMES,
+                axis=0,
+            )
         ),
         False,
     ),
@@ -322,9 +336,9 @@ EVENTS: dict[str, Event] = {
     "contacts that age": Event(_ageing, False),
     "leak of 100 kohm": Event(lambda s: _leak(s, 1e-5), False),
     "leak of 400 pF": Event(lambda s: _leak(s, 2j * np.pi * 40e3 * 400e-12), False),
-    "step of the gain": Event(lambda s: _factor(s, 1.0 + _signed(s, 0.001, 0.01)), False),
+    "step of the gain": Event(lambda s: _factor(s, 1.0 + _draw_signed(s, 0.001, 0.01)), False),
     "step of the phase": Event(
-        lambda s: _factor(s, np.exp(1j * np.radians(_signed(s, 1.0, 5.0)))), False
+        lambda s: _factor(s, np.exp(1j * np.radians(_draw_signed(s, 1.0, 5.0)))), False
     ),
 }
 
@@ -344,16 +358,16 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
     """Streams of sensors; those that `folder` does not have yet are solved."""
     for number in range(count):
         progress("streams", number, count)
-        world = SENSORS_OF[number % len(SENSORS_OF)]
-        recipe, mine = recipes(world, seed, quick=False)[0], number // len(SENSORS_OF)
+        world = SENSOR_GROUPS[number % len(SENSOR_GROUPS)]
+        recipe, mine = recipes(world, seed, quick=False)[0], number // len(SENSOR_GROUPS)
         board, path = instrument(recipe, mine), folder / f"sensor-{seed}-{number}.npz"
-        made = specimen(recipe, mine)
+        drawn_specimen = specimen(recipe, mine)
         if not path.is_file():
             parts = recipe.sensor, recipe.resolution, recipe.protocol
             rng = np.random.default_rng([seed, number])
-            sensor = Sensor(made.simulator(*parts), rng)
+            sensor = Sensor(drawn_specimen.simulator(*parts), rng)
             streams = {name: event.make(sensor) for name, event in EVENTS.items()}
-            streams["known"] = sensor.stream(sensor.bent(KNOWN_DEG), angle_deg=KNOWN_DEG)
+            streams["known"] = sensor.stream(sensor.solve_angles(KNOWN_DEG), angle_deg=KNOWN_DEG)
             with atomic_file(path) as temporary, temporary.open("wb") as file:
                 np.savez_compressed(
                     file,
@@ -368,7 +382,7 @@ def lives(folder: Path, seed: int, count: int, progress: Progress) -> Iterator[S
                 name: Stream(*(arrays[f"{name}/{part}"] for part in Stream.__slots__))
                 for name in ("known", *EVENTS)
             }
-        known = stored.pop("known")
-        protocol = recipe.protocol or Protocol.pairwise(len(made.design.electrodes))
-        yield SensorLife(world, board, protocol, known, stored)
+        known_stream = stored.pop("known")
+        protocol = recipe.protocol or Protocol.pairwise(len(drawn_specimen.design.electrodes))
+        yield SensorLife(world, board, protocol, known_stream, stored)
     progress("streams", count, count)

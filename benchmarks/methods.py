@@ -1,7 +1,7 @@
 """Methods side by side, on the same frames and the same unseen specimens: `eitskin bench methods`.
 
 The frames are a small part of the recipe `training`, on a coarse mesh. The last row is the pipeline
-that comes with eitskin, which has learned from other frames, of 500 other specimens. Times are of
+that ships with eitskin, which has learned from other frames, of 500 other specimens. Times are of
 the processor, which other programs do not lengthen.
 """
 
@@ -15,17 +15,17 @@ import numpy as np
 
 from eitskin.benchmarks.frames import frame_times, generate_missing
 from eitskin.benchmarks.paper.run import Contender
-from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets import Dataset, Recipe
 from eitskin.training import Method, Pipeline
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.selection import Trial
 from eitskin.training.method.settings import BASELINES
-from eitskin.training.pipeline.saved_form import SHIPPED
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
 FRAMES, SPECIMENS = 2000, 40
 QUICK_FRAMES, QUICK_SPECIMENS = 300, 6
-TIMED = 100  # frames
+TIMED_FRAMES = 100  # frames
 _COLUMNS: Columns = {
     "": ("method", "", 1),
     "states right, %": ("states", ".1f", 100.0),
@@ -47,7 +47,7 @@ def run(
     workers: int,
     progress: Progress,
 ) -> Report:
-    """Train and judge methods of presets and one's own; the baselines where none is named.
+    """Train and test methods of presets and one's own; the baselines where none is named.
 
     Frames are kept in `folder`; a quick run has fewer frames and specimens.
     """
@@ -55,23 +55,23 @@ def run(
     recipe = small_recipe(*((QUICK_FRAMES, QUICK_SPECIMENS) if quick else (FRAMES, SPECIMENS)))
 
     data = generate_missing(recipe, place, workers, progress, "frames")
-    named = [*map(Contender, presets), *(Contender(method=each) for each in methods)]
+    named = [*map(Contender, presets), *(Contender(method=method) for method in methods)]
     contenders = named or [*map(Contender, BASELINES)]
     rows = []
-    for number, each in enumerate(contenders):
-        progress(each.name, number, len(contenders))
+    for number, contender in enumerate(contenders):
+        progress(contender.name, number, len(contenders))
         start = time.process_time()
-        settings = replace(each.settings(seed), whole_specimens=True)
-        pipeline = Pipeline.fit(data, settings, method=each.method)
+        settings = replace(contender.settings(seed), whole_specimens=True)
+        pipeline = Pipeline.fit(data, settings, method=contender.method)
         seconds = time.process_time() - start
         unseen = data.select(pipeline.held_out(data))
-        rows.append(_row(each.name, pipeline, unseen) | {"training_s": seconds})
-    rows.append(_row("shipped", Pipeline.load(SHIPPED), unseen))
-    shown = ReportTable.of(rows, _COLUMNS)
+        rows.append(_row(contender.name, pipeline, unseen) | {"training_s": seconds})
+    rows.append(_row("shipped", Pipeline.load(SHIPPED_PATH), unseen))
+    shown = ReportTable.from_rows(rows, _COLUMNS)
     options = "".join(f" {each.option}" for each in named)
     specimens = len(np.unique(unseen.specimen))
     return Report(
-        results=measured(
+        results=make_results(
             "methods",
             shown.figures(),
             began=began,
@@ -89,7 +89,7 @@ def run(
 
 def small_recipe(frames: int, specimens: int) -> Recipe:
     """Recipe `training` with fewer frames and specimens, on a coarse mesh."""
-    recipe = Recipe.shipped("training")
+    recipe = Recipe.from_shipped("training")
     share = frames / sum(group.count for group in recipe.scenes)
     return replace(
         recipe,
@@ -106,7 +106,7 @@ def small_recipe(frames: int, specimens: int) -> Recipe:
 
 def _row(name: str, pipeline: Pipeline, unseen: Dataset) -> dict[str, Any]:
     """Figures of a pipeline on unseen frames."""
-    touched = np.flatnonzero(unseen.touch_count > 0)[:TIMED].tolist()
+    touched = np.flatnonzero(unseen.touch_count > 0)[:TIMED_FRAMES].tolist()
     seconds = frame_times(pipeline, unseen, touched, time.process_time)
-    figures = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
+    figures = Trial(name, 0.0, "", Evaluation.from_dataset(pipeline, unseen), {}).figures
     return {"method": name, "frame_ms": 1e3 * float(np.median(seconds)), **figures}

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.world import PUBLISHED, ReferenceCase, cases
+from eitskin.benchmarks.world import PUBLISHED_FILE, ReferenceCase, cases
 from eitskin.extras import require, require_all
 from eitskin.files import atomic_file
 from eitskin.geometry import Free, Plates, Substrate
@@ -53,7 +53,7 @@ class Numerics:
     """Discretisation: order of the displacements, and edge lengths of the triangles [mm].
 
     Attributes:
-        order: of the displacements; the load rises at one less, down to 2.
+        order: order of the displacements; the load rises at one less, down to 2.
         rim, inside, far: edges along the rims of the contacts, within these, and elsewhere.
     """
 
@@ -63,7 +63,7 @@ class Numerics:
     far: float = 12.0
 
 
-def triangulated(
+def triangulate_box(
     box: tuple[float, float, float, float],
     lines: Sequence[tuple[tuple[float, float], tuple[float, float]]],
     centres: Sequence[tuple[float, float]],
@@ -93,7 +93,7 @@ def triangulated(
     plan = occ.Glue(parts)
     for each in plan.faces:
         corners = np.array([[v.p.x, v.p.y] for v in each.vertices])
-        inside = any(np.all(within(corners, centre, radius)) for centre in centres)
+        inside = any(np.all(is_within(corners, centre, radius)) for centre in centres)
         each.maxh = sizes.inside if inside else sizes.far
     mesh = occ.OCCGeometry(plan, dim=2).GenerateMesh(maxh=sizes.far, grading=0.45)
     points = np.array([point.p[:2] for point in mesh.Points()])
@@ -104,12 +104,12 @@ def triangulated(
     return points, triangles
 
 
-def within(points: Array, centre: tuple[float, float], radius: float) -> NDArray[np.bool_]:
+def is_within(points: Array, centre: tuple[float, float], radius: float) -> NDArray[np.bool_]:
     """Whether points (..., 2) lie in a circle, the corners of its polygon included."""
     return np.asarray(np.sum((points - centre) ** 2, axis=-1) < 1.05 * radius**2)
 
 
-def extruded(
+def extrude(
     points: Array, triangles: Indices, heights: Sequence[float], material: Naming, boundary: Naming
 ) -> Any:
     """Mesh of prisms, an `ngsolve.Mesh`, between heights of a plan (n, 2) [mm], (m, 3).
@@ -151,13 +151,13 @@ def extruded(
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldContact:
     """Patch of the boundary whose shape is prescribed, free to translate along one direction.
 
     Attributes:
         boundary: name of the boundary.
         shape: displacement of the patch, a coefficient function of 3 components [mm].
-        force: on the patch along `direction` [mN].
+        force: force on the patch along `direction` [mN].
         direction: unit vector of the translation.
     """
 
@@ -217,7 +217,7 @@ class MixedSolid:
         self.state.vec.FV().NumPy()[~np.array(list(self._space.FreeDofs()))] = 0.0
         self.steps = other.steps
 
-    def settle(self, held: Sequence[Held]) -> int:
+    def settle(self, held_contacts: Sequence[HeldContact]) -> int:
         """Equilibrium under prescribed shapes and forces by Newton's method, from `state`.
 
         Returns the number of iterations; raises SolidError, with `state` as it was, where there
@@ -225,14 +225,14 @@ class MixedSolid:
         """
         state, before, steps = self.state, self.state.vec.CreateVector(), self.steps
         before.data = state.vec
-        if len(steps) != len(held):
-            self.steps = np.zeros(len(held))
+        if len(steps) != len(held_contacts):
+            self.steps = np.zeros(len(held_contacts))
         # NGSolve raises an error of its own where the guess is too far from an equilibrium.
         singular = require("netgen.libngpy._meshing", "reference").NgException
         displacements = int(self._space.components[0].ndof)
         try:
             for iteration in range(_MAX_ITERATIONS):
-                increment, moved = self._increment(held)
+                increment, moved = self._increment(held_contacts)
                 state.vec.data += increment
                 self.steps = self.steps + moved
                 vectors = (each.FV().NumPy()[:displacements] for each in (increment, state.vec))
@@ -246,13 +246,13 @@ class MixedSolid:
             state.vec.data, self.steps = before, steps
             raise SolidError(str(error), 0.0) from error
 
-    def _displaced(self, boundary: str, value: Any) -> Any:
+    def _boundary_displacement(self, boundary: str, value: Any) -> Any:
         """Vector of a displacement on one boundary, zero elsewhere."""
         field = self._ng.GridFunction(self._space)
         field.components[0].Set(value, definedon=self.mesh.Boundaries(boundary))
         return field.vec
 
-    def _increment(self, held: Sequence[Held]) -> tuple[Any, Array]:
+    def _increment(self, held: Sequence[HeldContact]) -> tuple[Any, Array]:
         """Newton increment of the state and of the translations."""
         form, product, state = self._form, self._ng.InnerProduct, self.state.vec
         free = self._ng.BitArray(self._space.FreeDofs(True))
@@ -261,7 +261,7 @@ class MixedSolid:
         for patch, step in zip(held, self.steps, strict=True):
             dofs = self._space.components[0].GetDofs(self.mesh.Boundaries(patch.boundary))
             shift = self._ng.CoefficientFunction(tuple(step * np.array(patch.direction)))
-            target = self._displaced(patch.boundary, patch.shape + shift)
+            target = self._boundary_displacement(patch.boundary, patch.shape + shift)
             for number in np.flatnonzero(np.array(list(dofs))).tolist():
                 free[number] = False
                 jump[number] = target[number] - state[number]
@@ -275,7 +275,10 @@ class MixedSolid:
         total = (jump - inverse * load).Evaluate()
         reaction = (form.mat * total + condensed).Evaluate()
         direction = self._ng.CoefficientFunction
-        lifts = [self._displaced(patch.boundary, direction(patch.direction)) for patch in held]
+        lifts = [
+            self._boundary_displacement(patch.boundary, direction(patch.direction))
+            for patch in held
+        ]
         moved = [(lift - inverse * (form.mat * lift).Evaluate()).Evaluate() for lift in lifts]
         forces = [(form.mat * each).Evaluate() for each in moved]
         stiffness = [[product(lift, force) for force in forces] for lift in lifts]
@@ -298,17 +301,17 @@ def contact_profile(stack: Stack, indenter: Indenter, force: float) -> tuple[flo
     press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     # Small steps, since a rough indenter sticks to newly touched points only after each.
     for part in (np.arange(1, _STEPS + 1) / _STEPS) ** 1.5:
-        found = press.to_force(part * force)
+        pressed = press.to_force(part * force)
     pressure = press.contact.nominal_pressure(press.unknowns).ravel()
     r = press.contact.face.points[..., 0].ravel()
     order = np.argsort(r)
     last = np.flatnonzero(pressure[order] > 0.0)[-1]
     radius = 1e3 * float(r[order][last : last + 2].mean())
     knots = np.arange(0.0, 1.1 * radius, _KNOTS)
-    spline, top = require("ngsolve", "reference").BSpline, found.displacement[:, -1]
+    spline, top = require("ngsolve", "reference").BSpline, pressed.displacement[:, -1]
     outwards, upwards = (
-        spline(2, [0.0, *knots], (1e3 * np.interp(knots, 1e3 * found.r, values)).tolist())
-        for values in (top + np.array([0.0, found.depth])).T
+        spline(2, [0.0, *knots], (1e3 * np.interp(knots, 1e3 * pressed.r, values)).tolist())
+        for values in (top + np.array([0.0, pressed.depth])).T
     )
     return radius, outwards, upwards
 
@@ -317,8 +320,8 @@ class ReferenceStack:
     """Meshed sensor of one case; `solve` gives its equilibrium.
 
     Attributes:
-        solid: of the last order.
-        depths: of the indenters' lowest points under the undeformed top [mm].
+        solid: solid of the last order.
+        depths: depths of the indenters' lowest points under the undeformed top [mm].
     """
 
     def __init__(self, case: ReferenceCase, numerics: Numerics | None = None) -> None:
@@ -338,7 +341,7 @@ class ReferenceStack:
         breaks = [0.0, length, *(1e3 * x for x in gap)]
         lines = [((x, box[2]), (x, box[3])) for x in breaks]
         lines += [((box[0], y), (box[1], y)) for y in (0.0, width)]
-        plan = triangulated(box, lines, self._touches, self._profile[0], self._numerics)
+        plan = triangulate_box(box, lines, self._touches, self._profile[0], self._numerics)
         levels = [-self._around, 0.0, height, height + self._around]
         if isinstance(support, Substrate):
             levels = [levels[0] - 1e3 * support.thickness, *levels]
@@ -346,21 +349,23 @@ class ReferenceStack:
         for (low, high), count in zip(pairwise(levels), _LAYERS[-len(levels) + 1 :], strict=True):
             heights += np.linspace(low, high, count + 1)[1:].tolist()
         self._top, self._bottom = levels[-1], levels[0]
-        self._mesh = extruded(*plan, heights, self._material, self._boundary)
+        self._mesh = extrude(*plan, heights, self._material, self._boundary)
         self.solid = self._solid(max(2, self._numerics.order - 1))
 
     def solve(self) -> None:
         """Equilibrium by steps of the load, then of full order; raises SolidError without one."""
         shapes = [self._shape(touch) for touch in self._touches]
 
-        def held(t: float) -> list[Held]:
-            return [Held(f"contact {k}", t * u, t * self._force) for k, u in enumerate(shapes)]
+        def held_contacts(t: float) -> list[HeldContact]:
+            return [
+                HeldContact(f"contact {k}", t * u, t * self._force) for k, u in enumerate(shapes)
+            ]
 
         reached, step = 0.0, 0.5
         while reached < 1.0:
             t = min(1.0, reached + step)
             try:
-                iterations = self.solid.settle(held(t))
+                iterations = self.solid.settle(held_contacts(t))
             except SolidError:
                 if (step := 0.5 * (t - reached)) < _MIN_LOAD_STEP:
                     raise
@@ -368,7 +373,7 @@ class ReferenceStack:
             reached, step = t, (1.5 if iterations < 7 else 1.0) * step
         lower, self.solid = self.solid, self._solid(self._numerics.order)
         self.solid.start(lower)
-        self.solid.settle(held(1.0))
+        self.solid.settle(held_contacts(1.0))
         self.depths = self.solid.steps
 
     def gradient(self, points: Array) -> Array:
@@ -396,7 +401,7 @@ class ReferenceStack:
     def _boundary(self, centre: Array) -> str:
         if centre[2] > self._top - _SAME:
             for number, touch in enumerate(self._touches):
-                if within(centre[:2], touch, self._profile[0]):
+                if is_within(centre[:2], touch, self._profile[0]):
                     return f"contact {number}"
             return "top"
         if centre[2] > self._bottom + _SAME:
@@ -425,7 +430,9 @@ def solution(case: ReferenceCase) -> dict[str, Any]:
         return {"changes": None, "refused": str(error)}
     seconds = time.perf_counter() - start
     flat = simulator.protocol.measure(simulator.model.impedance()).real
-    pressed = simulator.deformed(Displaced(np.zeros_like, stack.gradient)).impedance.real
+    pressed = simulator.simulate_deformation(
+        Displaced(np.zeros_like, stack.gradient)
+    ).impedance.real
     return {
         "depth": stack.depths.tolist(),
         "unknowns": stack.solid.unknowns,
@@ -441,17 +448,17 @@ def main() -> None:
     options.add_argument("--out", type=Path, required=True, help="JSON file; gone on with")
     options.add_argument("--only", nargs="*", help="names of cases")
     chosen = options.parse_args()
-    found = json.loads(chosen.out.read_text())["solutions"] if chosen.out.is_file() else []
-    known = {one["name"] for one in found}
+    solutions = json.loads(chosen.out.read_text())["solutions"] if chosen.out.is_file() else []
+    solved_names = {one["name"] for one in solutions}
     provenance = msgspec.to_builtins(Provenance.now(seed=0))
     provenance["packages"]["ngsolve"] = metadata.version("ngsolve")
-    described = {one["name"]: one for one in json.loads(PUBLISHED.read_text())["solutions"]}
+    described = {one["name"]: one for one in json.loads(PUBLISHED_FILE.read_text())["solutions"]}
     for case in cases():
         flat = case.kind in ("press", "supported press")
-        if flat and case.name not in known and case.name in (chosen.only or described):
+        if flat and case.name not in solved_names and case.name in (chosen.only or described):
             print(case.name, flush=True)
-            found.append(described[case.name] | solution(case))
-            data = {"command": _COMMAND, "provenance": provenance, "solutions": found}
+            solutions.append(described[case.name] | solution(case))
+            data = {"command": _COMMAND, "provenance": provenance, "solutions": solutions}
             with atomic_file(chosen.out) as temporary:
                 temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 

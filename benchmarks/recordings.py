@@ -7,8 +7,8 @@ electrodes (Kuopio Tomography Challenge 2023, Zenodo 8252370).
 
 Measured are the places of the last 100 presses, learned from k random presses of the first 400
 (means over seven draws), by maps of the channels with and without the sensor's design, and by
-regression; the same presses with an electrode that fails, beside maps that were never taught it;
-the size of the other board's values beside those of the shipped pipeline, and whether
+regression; the same presses with an electrode that fails, next to maps that were never taught it;
+the size of the other board's values next to those of the shipped pipeline, and whether
 it accepts them; and what a fit of one conductivity leaves of the tank's voltages.
 """
 
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results, plot_errors
 from eitskin.datasets import RecordingForm, RecordingNames, read_recording
 from eitskin.extras import require
 from eitskin.geometry import DataError, Disc, Electrode, FrameError, SensorDesign
@@ -85,10 +85,12 @@ def run(folder: Path, quick: bool, watch: Watch = lambda _, items: items) -> Rep
     for name, residuals in fits:
         figures |= {f"tank, {name} / {part}": 100 * value for part, value in residuals.items()}
     rows = [(str(k), *(f"{places[f'{k} / {name}']:.1f}" for name in methods)) for k in counts]
-    tank = [(name, *(f"{value:.2%}" for value in found.values())) for name, found in fits]
+    tank = [(name, *(f"{value:.2%}" for value in errors.values())) for name, errors in fits]
     points = {name: [(k, places[f"{k} / {name}"]) for k in counts] for name in methods}
     return Report(
-        results=measured("recordings", figures.items(), began=began, quick=quick, options="DATA"),
+        results=make_results(
+            "recordings", figures.items(), began=began, quick=quick, options="DATA"
+        ),
         rows=[
             {"method": method, "presses": count, "error_mm": error, "error_ratio": over}
             for method, count, error, over in errors
@@ -122,7 +124,7 @@ def read_skin(folder: Path) -> LabelledPresses:
     protocol = Protocol.from_file(DESCRIPTIONS / "round-skin.csv", 8)
     form = RecordingForm(origin="centre")
     recording = read_recording(folder / PRESSES, names, protocol, design=design, form=form)
-    return LabelledPresses.of(recording)
+    return LabelledPresses.from_dataset(recording)
 
 
 def failed_electrode_errors(
@@ -137,7 +139,7 @@ def failed_electrode_errors(
     learned = learn_places(skin.select(np.arange(first))).locator
     members = electrode_members(skin.protocol, skin.ratios.shape[1])
     steady = np.tile(np.linspace(1.0, 2.0, skin.ratios.shape[1]), (first, 1))
-    usual = ReadingRange.of(steady, skin.ratios[:first])
+    usual = ReadingRange.fit(steady, skin.ratios[:first])
     for electrode in electrodes:
         rng = np.random.default_rng(electrode)
         mine = rng.permutation(np.flatnonzero(members[electrode]))
@@ -152,19 +154,19 @@ def failed_electrode_errors(
         for row, reading in enumerate(before):
             ratios[row, health.follow(reading, row, float(row), untouched=True)] = np.nan
             named = min(named, row) if electrode in health.faults else named
-        found, _ = learned.locate(ratios)
+        located, _ = learned.locate(ratios)
         other = skin.ratios.copy()
         other[:, members[electrode]] = np.nan
         alone = learn_places(replace(skin, ratios=other).select(np.arange(first))).locator
         true = skin.places[first:]
-        error, wanted = (
+        error, target = (
             np.linalg.norm(place - true, axis=1)
-            for place in (found.place, alone.apply(other[first:]))
+            for place in (located.place, alone.apply(other[first:]))
         )
         name = f"electrode {electrode} fails"
         yield f"{name} / error [mm]", 1e3 * float(error.mean())
-        yield f"{name} / never taught it [mm]", 1e3 * float(wanted.mean())
-        over = float(np.sqrt(np.mean((error / found.deviation) ** 2)))
+        yield f"{name} / never taught it [mm]", 1e3 * float(target.mean())
+        over = float(np.sqrt(np.mean((error / located.deviation) ** 2)))
         yield f"{name} / error over standard error", over
         yield f"{name} / frames until it is named", float(named)
 
@@ -193,8 +195,8 @@ def _methods() -> dict[str, Method]:
     def maps(design: bool, skin: LabelledPresses, train: Rows, test: Rows) -> tuple[Array, Array]:
         presses = skin.select(train)
         places = learn_places(presses if design else replace(presses, design=None))
-        found, _ = places.locator.locate(skin.ratios[test])
-        return found.place, found.deviation
+        located, _ = places.locator.locate(skin.ratios[test])
+        return located.place, located.deviation
 
     def regression(
         make: Callable[[], Any], skin: LabelledPresses, train: Rows, test: Rows
@@ -222,14 +224,14 @@ def _methods() -> dict[str, Method]:
 def _mean_errors(errors: list[tuple[str, int, float, float]]) -> Iterator[tuple[str, float]]:
     """Means over the draws, by number of presses and method."""
     for method, count in dict.fromkeys((method, count) for method, count, *_ in errors):
-        mine = np.array([each[2:] for each in errors if each[:2] == (method, count)])
+        mine = np.array([error[2:] for error in errors if error[:2] == (method, count)])
         error, ratio = mine.mean(axis=0).tolist()
         yield f"{count} / {method}", error
         yield f"{count} / {method}, error over standard error", ratio
 
 
 def judge_board_frame(path: Path) -> tuple[float, str]:
-    """Size of another board's values over those that were trained with, and what is said of them.
+    """Size of another board's values over those that were trained with, and what is reported.
 
     The shipped pipeline refuses a frame whose values are not those of its sensor.
     """

@@ -21,7 +21,7 @@ from eitskin.benchmarks.results import NUMBER, Results, found_results
 from eitskin.geometry import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
-PUBLISHED = ROOT / "benchmarks" / "published"
+PUBLISHED_FOLDER = ROOT / "benchmarks" / "published"
 TITLES = {
     "accuracy": "Accuracy: error and run time of the forward model",
     "layouts": "Layouts: Cramer-Rao bounds of electrode layouts",
@@ -35,15 +35,15 @@ TITLES = {
 }
 
 
-def full_results(folder: Path = PUBLISHED) -> dict[str, Results]:
+def full_results(folder: Path = PUBLISHED_FOLDER) -> dict[str, Results]:
     """Results of full runs by name; quick runs are left out."""
-    return {each.name: each for each in found_results(folder) if not each.quick}
+    return {result.name: result for result in found_results(folder) if not result.quick}
 
 
 def result_page(results: Results) -> str:
     """Markdown page of all figures of a benchmark, in tables of rows with the same columns."""
-    made = results.provenance
-    packages = ", ".join(" ".join(each) for each in made.packages.items())
+    provenance = results.provenance
+    packages = ", ".join(" ".join(item) for item in provenance.packages.items())
     took = "" if results.seconds is None else f" It took {results.seconds:.0f} s."
     lines = [
         f"# {TITLES.get(results.name, results.name)}",
@@ -52,8 +52,8 @@ def result_page(results: Results) -> str:
         "",
         f"    {results.command}",
         "",
-        f"on {made.machine}, Python {made.python}, {packages}; seed {made.seed}, "
-        f"{made.date[:10]}.{took}",
+        f"on {provenance.machine}, Python {provenance.python}, {packages}; seed {provenance.seed}, "
+        f"{provenance.date[:10]}.{took}",
     ]
     for columns, rows in _tables(results.figures):
         lines += ["", "| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
@@ -80,11 +80,11 @@ def with_figures(text: str, keys: Mapping[str, Sequence[str]], results: Results)
         head = len(f"| {label} |")
         cells, number = rows[0][head:], iter(row_keys)
 
-        def published(match: re.Match[str], number: Iterator[str] = number) -> str:
+        def publish_figure(match: re.Match[str], number: Iterator[str] = number) -> str:
             key = next(number, "")
             return rewritten(match[0], results.figures[key]) if key else match[0]
 
-        text = text.replace(rows[0], rows[0][:head] + NUMBER.sub(published, cells))
+        text = text.replace(rows[0], rows[0][:head] + NUMBER.sub(publish_figure, cells))
     return text
 
 
@@ -142,7 +142,7 @@ def _tables(
     for row, cells in rows.items():
         for columns, members in tables:
             if 2 * len(set(columns) & set(cells)) >= max(len(cells), len(columns) // 2):
-                columns += [each for each in cells if each not in columns]
+                columns += [cell for cell in cells if cell not in columns]
                 members[row] = cells
                 break
         else:

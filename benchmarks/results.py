@@ -1,7 +1,7 @@
 """Results of a benchmark, as they are written to its folder `OUT/NAME` and shown.
 
 results.json has the figures by name, and what they were measured with; table.csv holds the rows;
-pictures stand beside them. All benchmarks write through here, each file whole.
+pictures stand next to them. All benchmarks write through here, each file whole.
 """
 
 import csv
@@ -32,7 +32,7 @@ Columns = Mapping[str, tuple[str, str, int | float]]
 Watch = Callable[[str, Sequence[Any]], Iterable[Any]]
 """Gives back the items that its text is about; shows progress where wanted."""
 Progress = Callable[[str, int, int], None]
-"""Is told of the work that its text is about how much of how much is done."""
+"""Is called with the work that its text is about how much of how much is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +40,12 @@ class Results:
     """Results of one run of one benchmark.
 
     Attributes:
-        name: of the benchmark, and of its folder.
-        command: that makes it again.
+        name: name of the benchmark, and of its folder.
+        command: command that makes it again.
         provenance: machine, versions, seed and date.
-        seconds: that the run took [s]; None where that was not noted.
+        seconds: seconds that the run took [s]; None where that was not noted.
         quick: whether fewer and smaller cases had to do; such figures are not for quoting.
-        figures: by name, whose end says the unit; finite ones alone.
+        figures: figures by name, whose end says the unit; finite ones alone.
     """
 
     name: str
@@ -74,7 +74,7 @@ class ReportTable:
     names: int = 1
 
     @classmethod
-    def of(
+    def from_rows(
         cls,
         rows: Sequence[Mapping[str, Any]],
         columns: Columns,
@@ -111,15 +111,15 @@ def row_labels(rows: Sequence[Sequence[str]]) -> list[str]:
     if len(set(firsts)) == len(firsts):
         return firsts
     seconds = [row[1] for row in rows]
-    both = [", ".join(pair) for pair in zip(firsts, seconds, strict=True)]
+    joint_labels = [", ".join(pair) for pair in zip(firsts, seconds, strict=True)]
     named = all(cell and not NUMBER.fullmatch(cell) for cell in seconds)
-    if named and len(set(both)) == len(both):
-        return both
-    seen: Counter[str] = Counter()
+    if named and len(set(joint_labels)) == len(joint_labels):
+        return joint_labels
+    label_counts: Counter[str] = Counter()
     names = []
     for first in firsts:
-        seen[first] += 1
-        names.append(f"{first} ({seen[first]})" if seen[first] > 1 else first)
+        label_counts[first] += 1
+        names.append(f"{first} ({label_counts[first]})" if label_counts[first] > 1 else first)
     return names
 
 
@@ -128,10 +128,10 @@ class Report:
     """One run of one benchmark: its results, and how they are shown.
 
     Attributes:
-        results: of the run.
-        rows: of table.csv; the figures themselves where there are none.
+        results: results of the run.
+        rows: rows of table.csv; the figures themselves where there are none.
         tables: as shown.
-        sentences: below the tables.
+        sentences: sentences below the tables.
         plots: what draws each picture into the path given, by the picture's name.
         failed: whether the run found something wrong.
     """
@@ -168,7 +168,7 @@ class Report:
         return [folder / name for name in (*self.plots, TABLE, RESULTS)]
 
 
-def measured(
+def make_results(
     name: str,
     figures: Iterable[tuple[str, float]],
     *,
@@ -215,7 +215,7 @@ def write_index(out: Path, left_out: Mapping[str, str] | None = None) -> Path:
     lines.append("|---" * 6 + "|")
     machines = set()
     for one in found_results(out):
-        packages = ", ".join(" ".join(each) for each in one.provenance.packages.items())
+        packages = ", ".join(" ".join(item) for item in one.provenance.packages.items())
         made = f"{one.provenance.machine}; Python {one.provenance.python}, {packages}"
         machines.add(f"- {made}")
         files = sorted(p.name for p in (out / one.name).iterdir() if p.is_file())

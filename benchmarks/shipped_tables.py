@@ -1,4 +1,4 @@
-"""Tables of presses and bends that ship with the package, solved anew.
+"""Tables of presses and bends that ship with the package, solved again.
 
 Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.shipped_tables [--bends]`.
 
@@ -6,7 +6,7 @@ Solves the tables that neither the package nor `FOLDER` has, of the reference se
 neighbours, and prints how long they took and how large each file is. Those in the package's
 `simulator/deformation/library` are dents by the 15 mm cylinder on all stacks that the shipped
 recipes draw, their corrections with neighbours in thickness and stiffness of the encapsulation,
-those beside one straight side, presses on plates, and bends by the default clamp, both faces held
+those next to one straight side, presses on plates, and bends by the default clamp, both faces held
 or the bottom, with neighbours in span and offset too. With `--bends`, bends only.
 """
 
@@ -26,7 +26,7 @@ from eitskin.simulator.deformation.press_table import press_problems
 from eitskin.simulator.deformation.solution_store import Problem, cache_folder, prepare
 from eitskin.simulator.mechanics.materials import NeoHookean
 
-_VARIED = 1.02  # values that need all next neighbours, relative to the nominal ones
+_VARIATION_FACTOR = 1.02  # values that need all next neighbours, relative to the nominal ones
 _FARTHER = (0.5, 2.0)  # moduli of the encapsulation two steps away, relative to the nominal one
 _SPREAD = (0.68, 1.47)  # those whose presses need all moduli up to three steps away
 
@@ -37,12 +37,12 @@ def main(only_bends: bool) -> None:
     reference, materials = SensorDesign.reference(), Mechanics()
     varied = replace(
         reference,
-        thickness=_VARIED * reference.thickness,
-        encapsulated_thickness=_VARIED * reference.encapsulated_thickness,
+        thickness=_VARIATION_FACTOR * reference.thickness,
+        encapsulated_thickness=_VARIATION_FACTOR * reference.encapsulated_thickness,
     )
-    stiffer, clamp = _stiffened(materials, _VARIED), Clamp()
-    moved = Clamp(_VARIED * clamp.span, _VARIED * clamp.offset)
-    grid = SensorGrid.about(reference, clamp, materials)
+    stiffer, clamp = _stiffen_encapsulation(materials, _VARIATION_FACTOR), Clamp()
+    moved = Clamp(_VARIATION_FACTOR * clamp.span, _VARIATION_FACTOR * clamp.offset)
+    grid = SensorGrid.from_nominal(reference, clamp, materials)
     below = replace(clamp, faces="bottom")
     _solve("bends held on both faces", bend_problems(reference, clamp, materials))
     _solve("bends held below", bend_problems(reference, below, materials))
@@ -54,7 +54,7 @@ def main(only_bends: bool) -> None:
     polygon = replace(reference, outline=square, electrodes=uniform(square, 8))
     _solve("dents of the reference", press_problems(reference, materials, press))
     for factor in _SPREAD:
-        dents = press_problems(varied, _stiffened(materials, factor), press, grid)
+        dents = press_problems(varied, _stiffen_encapsulation(materials, factor), press, grid)
         _solve(f"dents of neighbours, {factor:g} times as stiff", dents)
     _solve("reference", correction_problems(reference, materials, press))
     _solve("a straight side, for polygons", correction_problems(polygon, materials, press))
@@ -63,11 +63,11 @@ def main(only_bends: bool) -> None:
     held = held_by_plates(on_plates, clamp, materials, grid)
     _solve("presses on plates", [held.problem(press)] if held else [])
     for factor in _FARTHER:
-        farther = correction_problems(reference, _stiffened(materials, factor), press)
+        farther = correction_problems(reference, _stiffen_encapsulation(materials, factor), press)
         _solve(f"encapsulation {factor:g} times as stiff", farther)
 
 
-def _stiffened(materials: Mechanics, factor: float) -> Mechanics:
+def _stiffen_encapsulation(materials: Mechanics, factor: float) -> Mechanics:
     """Materials with an encapsulation `factor` times as stiff."""
     law = NeoHookean(factor * materials.encapsulation.shear_modulus)
     return replace(materials, encapsulation=law)

@@ -33,7 +33,14 @@ from eitskin.benchmarks.forward_models import (
     has_pyeit,
     model_frame,
 )
-from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import (
+    Columns,
+    Report,
+    ReportTable,
+    Watch,
+    make_results,
+    plot_errors,
+)
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
@@ -55,7 +62,7 @@ Array = NDArray[np.float64]
 
 SCENES, QUICK_SCENES = 384, 32  # of each process
 FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
-SETTLED = 20  # frames before those whose time counts: references are taken then
+SETTLING_FRAMES = 20  # frames before those whose time counts: references are taken then
 _COLUMNS: Columns = {
     "scenes": ("name", "", 1),
     "per second": ("scenes_per_second", ".0f", 1),
@@ -66,8 +73,8 @@ _COLUMNS: Columns = {
 ANGLES = (-20.0, 50.0)
 FORCES = (4.0, 12.0)
 PER_SPECIMEN = 22  # frames, as in the recipe `training`
-_TRUE = 1e-6  # tolerance of signals that others are judged by
-JUDGED = 50  # scenes of which the error is known
+_TRUE = 1e-6  # tolerance of signals that others are tested by
+JUDGED_SCENES = 50  # scenes of which the error is known
 PROCESSES = 2
 
 
@@ -76,12 +83,12 @@ class Workload:
     """Workload: a kind of scenes and how they are solved.
 
     Attributes:
-        name: of the workload.
+        name: name of the workload.
         touches: lowest and highest number at once.
-        resolution: of the simulator.
-        tolerance: of reanalysis.
+        resolution: resolution of the simulator.
+        tolerance: tolerance of reanalysis.
         specimens: whether every `PER_SPECIMEN` scenes have a specimen of their own.
-        electrodes: at equal distances around the reference's rectangle.
+        electrodes: electrodes at equal distances around the reference's rectangle.
         disc: whether the sensor is a disc on a hinge, which is bent alone.
         plates: whether it rests on plates; scenes are those that tables hold.
     """
@@ -101,7 +108,7 @@ class Workload:
             sim = _simulator(self.resolution, self.electrodes, self.disc)
             yield from repeat(sim, count)
             return
-        recipe = Recipe.shipped("training")
+        recipe = Recipe.from_shipped("training")
         for number in range(-(-count // PER_SPECIMEN)):
             sim = specimen(recipe, number).simulator(recipe.sensor, self.resolution)
             yield from repeat(sim, min(PER_SPECIMEN, count - number * PER_SPECIMEN))
@@ -128,9 +135,10 @@ class Rate:
     """Speed and error of one workload.
 
     Attributes:
-        name: of the workload.
-        scenes_per_second: of two processes at once, solutions without touches included.
-        scene_ms: of one scene, processor time of one process alone.
+        name: name of the workload.
+        scenes_per_second: scenes per second of two processes at once, solutions without touches
+            included.
+        scene_ms: scene of one scene, processor time of one process alone.
         error_median, error_max: norm of the error over norm of the signal, of some scenes.
     """
 
@@ -145,8 +153,8 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
     """Scenes of random presses."""
     rng = np.random.default_rng(seed)
     outline = Rectangle(0.150, 0.060)
-    found: list[Scene] = []
-    while len(found) < count:
+    scene_list: list[Scene] = []
+    while len(scene_list) < count:
         bend = Bend(float(rng.uniform(*ANGLES)))
         places = draw_positions(
             int(rng.integers(*workload.touches, endpoint=True)), outline, 0.01, 0.03, rng
@@ -154,17 +162,17 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
         touches = tuple(Touch(float(x), float(y), float(rng.uniform(*FORCES))) for x, y in places)
         scene = Scene(bend, touches, support=Plates() if workload.plates else None)
         if not workload.plates or not _simulator("coarse", 8, False).solves_presses(scene):
-            found.append(scene)
-    return found
+            scene_list.append(scene)
+    return scene_list
 
 
 def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
     """Time and processor time [s] of solving `count` scenes, after meshing and a first scene."""
     with one_thread():
         some = scenes(workload, count, seed)
-        _measured(workload, some[:1])
+        _simulate_scenes(workload, some[:1])
         start = time.perf_counter(), time.process_time()
-        _measured(workload, some)
+        _simulate_scenes(workload, some)
         return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
@@ -176,7 +184,7 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
     errors = signal_errors(workload)
     return Rate(
         name=workload.name,
-        scenes_per_second=sum(count / each for each in seconds),
+        scenes_per_second=sum(count / second for second in seconds),
         scene_ms=1e3 * alone / (count // 2),
         error_median=float(np.median(errors)),
         error_max=float(errors.max()),
@@ -190,8 +198,8 @@ def signal_errors(workload: Workload) -> Array:
     finest: Resolution = "fine" if few else "standard"
     truth = _true_signals(dataclasses.replace(judged, resolution=finest, tolerance=_TRUE))
     missed = _signals(judged) - truth
-    found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
-    return found
+    errors: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
+    return errors
 
 
 @cache
@@ -200,24 +208,24 @@ def _true_signals(workload: Workload) -> Array:
 
 
 def _signals(workload: Workload) -> Array:
-    """Signals of the judged scenes' touches, or of bends without, [ohm], (JUDGED, measurements)."""
-    some = scenes(workload, JUDGED, 99)
+    """Signals of the tested scenes' touches, or of bends without, [ohm], (JUDGED, measurements)."""
+    some = scenes(workload, JUDGED_SCENES, 99)
     others = [
         Scene(scene.bend if scene.touches else Bend(0.0), support=scene.support) for scene in some
     ]
-    measured = _measured(workload, [*some, *others])
-    changes: Array = measured[:JUDGED] - measured[JUDGED:]
+    measured = _simulate_scenes(workload, [*some, *others])
+    changes: Array = measured[:JUDGED_SCENES] - measured[JUDGED_SCENES:]
     return changes
 
 
-def _measured(workload: Workload, some: Sequence[Scene]) -> Array:
+def _simulate_scenes(workload: Workload, some: Sequence[Scene]) -> Array:
     """Measurements [ohm] of scenes, (scenes, measurements)."""
     pairs = zip(workload.simulators(len(some)), some, strict=True)
-    found = [
+    frames = [
         sim.measure_all([scene for _, scene in own], workload.tolerance)
         for sim, own in groupby(pairs, key=itemgetter(0))
     ]
-    return np.concatenate(found).real
+    return np.concatenate(frames).real
 
 
 @cache
@@ -276,7 +284,7 @@ def _matrix_ms(name: str, frame: Frame, seed: int) -> dict[str, float]:
 
 
 def floor() -> dict[str, float]:
-    """Operations of a scene that is solved by itself, and their time at the rate of products."""
+    """Operations of a scene that is solved on its own, and their time at the rate of products."""
     model = ForwardModel(SensorDesign.reference(), "fast")
     space, fronts = model.assembly.space, model.solver.fronts
     outer, inner, points = space.numbers.shape[1], space.element.inner, len(space.rule.weights)
@@ -310,14 +318,14 @@ def generation(count: int, engine: Rate) -> dict[str, float]:
         start = time.perf_counter()
         generate(recipe(frames), Path(folder) / "set", workers=PROCESSES)
         rate_made = frames / (time.perf_counter() - start)
-    found: dict[str, float] = {
+    figures: dict[str, float] = {
         "dataset.frames": frames,
         "dataset.frames_per_second": rate_made,
         "dataset.share_percent": 100.0 * rate_made / engine.scenes_per_second,
     }
     for name, size in {"small": count, "large": 4 * count}.items():
-        found |= {f"memory, {name}.frames": size, f"memory, {name}.mb": memory_mb(size)}
-    return found
+        figures |= {f"memory, {name}.frames": size, f"memory, {name}.mb": memory_mb(size)}
+    return figures
 
 
 def memory_mb(frames: int) -> float:
@@ -343,13 +351,13 @@ def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:
     script = Script((Step(Scene(), 12), Step(LIVE_SCENES[name], 1)), repeat=False)
     settings = {"instrument": "ad5940", "speed": "max", "period": 0.01}
     with open_board("virtual:", scene=script, seed=seed, **settings) as board:
-        shown = list(itertools.islice(board.frames(), frames + SETTLED))
+        shown = list(itertools.islice(board.frames(), frames + SETTLING_FRAMES))
     seconds = []
     for frame in shown:
         start = time.perf_counter()
         pipeline.process(frame)
         seconds.append(time.perf_counter() - start)
-    median, p99 = np.percentile(1e3 * np.array(seconds[SETTLED:]), (50, 99))
+    median, p99 = np.percentile(1e3 * np.array(seconds[SETTLING_FRAMES:]), (50, 99))
     return {f"pipeline, {name}.median_ms": float(median), f"pipeline, {name}.p99_ms": float(p99)}
 
 
@@ -367,25 +375,25 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     workloads = WORKLOADS[:1] if quick else WORKLOADS
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
         rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     with one_thread():
         for name in watch("pyEIT", list(PEER_CASES)[: 1 if quick else None]):
-            found |= pyeit(seed, name)
+            figures |= pyeit(seed, name)
         names: tuple[Resolution, ...] = ("fast",) if quick else ("fast", "standard", "fine")
         for resolution in watch("impedance matrices", names):
-            found |= impedance(seed, resolution)
-        found |= floor()
-        own = {"pyEIT, fine": found.get("impedance matrix, standard.matrix_ms")}
+            figures |= impedance(seed, resolution)
+        figures |= floor()
+        own = {"pyEIT, fine": figures.get("impedance matrix, standard.matrix_ms")}
         for name in PEER_CASES:
-            if f"{name}.nodes" in found:
+            if f"{name}.nodes" in figures:
                 compared = own.get(name) or rates[0].scene_ms
-                found[f"{name}.times_longer"] = found[f"{name}.matrix_ms"] / compared
+                figures[f"{name}.times_longer"] = figures[f"{name}.matrix_ms"] / compared
         for name in watch("pipeline", list(LIVE_SCENES)):
-            found |= frame_time(name, frames, seed)
+            figures |= frame_time(name, frames, seed)
     for make in watch("datasets", [generation]):
-        found |= make(count, rates[0])
+        figures |= make(count, rates[0])
     rows = [dataclasses.asdict(each) for each in rates]
-    table = ReportTable.of(rows, _COLUMNS)
+    table = ReportTable.from_rows(rows, _COLUMNS)
     points = {
         each.name: [(each.scenes_per_second, 100 * e) for e in (each.error_median, each.error_max)]
         for each in rates
@@ -393,14 +401,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     x, y = "scenes per second, two processes", "error of the signal, median and largest [%]"
     missing = "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
     return Report(
-        results=measured(
-            "speed", (*table.figures(), *found.items()), began=began, seed=seed, quick=quick
+        results=make_results(
+            "speed", (*table.figures(), *figures.items()), began=began, seed=seed, quick=quick
         ),
         rows=rows,
         tables=[table],
         sentences=[
-            *(() if "pyEIT.nodes" in found else (missing,)),
-            *(f"{name}: {value:.4g}" for name, value in found.items()),
+            *(() if "pyEIT.nodes" in figures else (missing,)),
+            *(f"{name}: {value:.4g}" for name, value in figures.items()),
         ],
         plots={"speed.png": partial(plot_errors, panels={"": points}, x=x, y=y)},
     )

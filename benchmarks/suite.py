@@ -22,8 +22,8 @@ class Benchmark:
     """Benchmark of the suite: a command of `eitskin bench`.
 
     Attributes:
-        name: of the command, and of the folder of its results.
-        minutes: that all of it takes, by estimate; decides which are long.
+        name: name of the command, and of the folder of its results.
+        minutes: minutes that all of it takes, by estimate; decides which are long.
         options: besides the seed; `{out}` stands for the folder of all results,
             `{data}` for that of real recordings.
         seeded: whether it takes a seed.
@@ -43,9 +43,9 @@ class Benchmark:
 
     def arguments(self, places: Mapping[str, str], seed: int, quick: bool) -> list[str]:
         """Arguments after `eitskin`."""
-        given = [part.format_map(places) for part in self.options]
+        arguments = [part.format_map(places) for part in self.options]
         seeds = ["--seed", str(seed)] if self.seeded else []
-        return ["bench", self.name, *seeds, *given, *(["--quick"] if quick else [])]
+        return ["bench", self.name, *seeds, *arguments, *(["--quick"] if quick else [])]
 
 
 ALL = (
@@ -62,7 +62,7 @@ ALL = (
 )
 
 
-def chosen(only: Sequence[str] | None, long: bool) -> list[Benchmark]:
+def select_benchmarks(only: Sequence[str] | None, long: bool) -> list[Benchmark]:
     """Benchmarks by name, or all except long ones; raises ConfigurationError for other names."""
     names = [each.name for each in ALL]
     for name in only or ():
@@ -72,7 +72,7 @@ def chosen(only: Sequence[str] | None, long: bool) -> list[Benchmark]:
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class CompletedBenchmark:
     """Outcome of one benchmark: "measured", "kept", "left out" or "failed", and why."""
 
     name: str
@@ -90,7 +90,7 @@ def run_all(
     fresh: bool,
     data: Path | None,
     start: "Start | None" = None,
-) -> Iterator[Done]:
+) -> Iterator[CompletedBenchmark]:
     """Run benchmarks in turn, each in a process of its own, and go on after one that failed.
 
     Results in `out` of the same version and, where one is taken, seed, are kept unless `fresh`.
@@ -100,17 +100,19 @@ def run_all(
         places = {"out": str(out.absolute()), "data": str(data and data.absolute())}
         needs, path = each.needs.format_map(places), out / each.name / RESULTS
         if not fresh and _is_there(path, seed if each.seeded else None, quick):
-            yield Done(each.name, "kept", "the same version and seed")
+            yield CompletedBenchmark(each.name, "kept", "the same version and seed")
         elif "{data}" in each.needs and data is None:
-            yield Done(each.name, "left out", "needs real recordings; give their folder as --data")
+            yield CompletedBenchmark(
+                each.name, "left out", "needs real recordings; give their folder as --data"
+            )
         elif needs and not Path(needs).exists():
-            yield Done(each.name, "left out", f"needs {needs}")
+            yield CompletedBenchmark(each.name, "left out", f"needs {needs}")
         else:
             began = time.perf_counter()
             status = (start or run_process)([*EITSKIN, *each.arguments(places, seed, quick)])
             why = f"exit status {status}" if status else ""
             outcome = "failed" if why else "measured"
-            yield Done(each.name, outcome, why, time.perf_counter() - began)
+            yield CompletedBenchmark(each.name, outcome, why, time.perf_counter() - began)
 
 
 def run_process(command: Sequence[str]) -> int:

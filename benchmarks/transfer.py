@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.frames import generate_missing
-from eitskin.benchmarks.paper.scores import scene_of
+from eitskin.benchmarks.paper.scores import frame_scene
 from eitskin.benchmarks.paper.sets import KNOWN_DEG
-from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -59,7 +59,7 @@ FEW_FRAMES = (
     SceneGroup("bend", count=6, angle_deg=(10.0, 40.0)),
     SceneGroup("touch", positions=PLACES, force=(4.0, 8.0), angle_deg=(10.0, 40.0), per_bend=2),
 )
-"""All frames to be judged of the world whose presses take half a minute to minutes each."""
+"""All frames to be tested of the world whose presses take half a minute to minutes each."""
 
 # The spread of specimens that share the bends of their mounts.
 _SHARED_BENDS = dict.fromkeys(
@@ -116,8 +116,8 @@ class World:
     """Frames of the sensors of one world.
 
     Attributes:
-        name: of the world.
-        frames: flat, bent and touched, to be judged.
+        name: name of the world.
+        frames: flat, bent and touched, to be tested.
         known: labelled frames of the same sensors in the same sessions, to adapt by.
     """
 
@@ -131,19 +131,19 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
 
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
-    made = []
+    worlds = []
     for name in (*WORLDS, *(() if quick else (FEW,))):
         sets = []
         for recipe in recipes(name, seed, quick):
             place = folder / recipe.name.replace(" ", "-").replace(",", "")
             part = f"frames: {recipe.name}"
             sets.append(generate_missing(recipe, place, workers, progress, part))
-        made.append(World(name, sets[0], _apart(*sets)))
-    return made
+        worlds.append(World(name, sets[0], _exclude_same_draws(*sets)))
+    return worlds
 
 
-def _apart(frames: Dataset, known: Dataset) -> Dataset:
-    """Known frames less presses whose place and noise were drawn as those of a judged frame.
+def _exclude_same_draws(frames: Dataset, known: Dataset) -> Dataset:
+    """Known frames less presses whose place and noise were drawn as those of a tested frame.
 
     Draws follow from a frame's number; only the first sensor has the same numbers in both sets.
     """
@@ -154,8 +154,8 @@ def _apart(frames: Dataset, known: Dataset) -> Dataset:
 
 
 def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
-    """Recipes of the frames to be judged and of the known frames of a world."""
-    training = Recipe.shipped("training")
+    """Recipes of the frames to be tested and of the known frames of a world."""
+    training = Recipe.from_shipped("training")
     known, count, spread = KNOWN_FRAMES, QUICK_SENSORS if quick else SENSORS, _SHARED_BENDS
     changes: dict[str, Any] = {}
     if world == FEW:
@@ -164,7 +164,7 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
     else:
         spread, changes = WORLDS[world]
 
-    def of_every_sensor(groups: Sequence[SceneGroup]) -> tuple[SceneGroup, ...]:
+    def count_every_sensor(groups: Sequence[SceneGroup]) -> tuple[SceneGroup, ...]:
         return tuple(replace(group, count=group.count * count) for group in groups)
 
     frames = replace(
@@ -174,15 +174,15 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
         seed=SEED + seed,
         specimens=replace(training.specimens, count=count, **spread),
         reference_frames=8,
-        scenes=FEW_FRAMES if world == FEW else of_every_sensor(SENSOR_FRAMES),
+        scenes=FEW_FRAMES if world == FEW else count_every_sensor(SENSOR_FRAMES),
     )
     frames = replace(frames, **changes)
-    return frames, replace(frames, name=f"{world}, known", scenes=of_every_sensor(known))
+    return frames, replace(frames, name=f"{world}, known", scenes=count_every_sensor(known))
 
 
 @dataclass(frozen=True, slots=True)
-class Labelled:
-    """Numbers of labelled frames that a sensor is adapted by, beside one of the flat sensor."""
+class LabelledCounts:
+    """Numbers of labelled frames that a sensor is adapted by, next to one of the flat sensor."""
 
     angles: int
     presses: int
@@ -213,7 +213,7 @@ class Labelled:
 
 def judge(data: Dataset, said: Predictions) -> Figures:
     """Figures of predictions: states, angles and false touches are those of untouched frames."""
-    matches, free = Matches.of(data, said), data.state != State.TOUCH
+    matches, free = Matches.from_dataset(data, said), data.state != State.TOUCH
     angle = (said.bend_angle_deg - data.bend_angle_deg)[free]
     figures = {
         "untouched states right": float((said.state == data.state)[free].mean()),
@@ -229,24 +229,24 @@ def judge(data: Dataset, said: Predictions) -> Figures:
     return figures
 
 
-def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
+def scores(pipeline: Pipeline, world: World, counts: LabelledCounts) -> Figures:
     """Figures of a pipeline in a world, adapted to each sensor by some of its known frames.
 
-    A sensor that is refused is judged with the pipeline as trained, and counted.
+    A sensor that is refused is tested with the pipeline as trained, and counted.
     """
     parts, predictions, refused = [], [], 0
     for number in np.unique(world.frames.specimen):
         own = replace(pipeline)
-        if labelled.angles or labelled.presses:
+        if counts.angles or counts.presses:
             mine = world.known.select(world.known.specimen == number)
             try:
-                own.adapt(mine.select(labelled.rows(mine)))
+                own.adapt(mine.select(counts.rows(mine)))
             except EitskinError:
                 refused += 1
         parts.append(np.flatnonzero(world.frames.specimen == number))
         predictions.append(own.perceive(world.frames.select(parts[-1])))
     data = world.frames.select(np.concatenate(parts))
-    figures = judge(data, Predictions.joined(predictions))
+    figures = judge(data, Predictions.concatenate(predictions))
     return figures | {"sensors refused": refused / len(parts)}
 
 
@@ -264,21 +264,21 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
     placed, angles = [], []
     numbers = world.frames.specimen_number
     for number in np.unique(world.frames.specimen).tolist():
-        made = specimen(recipe, int(numbers[number]))
-        simulator = made.simulator(recipe.sensor, recipe.resolution, recipe.protocol)
-        full_scale = simulator.full_scale_on(recipe.instrument)
+        drawn_specimen = specimen(recipe, int(numbers[number]))
+        simulator = drawn_specimen.simulator(recipe.sensor, recipe.resolution, recipe.protocol)
+        full_scale = simulator.instrument_full_scale(recipe.instrument)
         for state, count in ((State.TOUCH, TOUCHED), (State.BEND, BENT)):
             mine = (world.frames.specimen == number) & (world.frames.state == state)
             rows = np.flatnonzero(mine)
             spread = np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int)
             for row in rows[spread].tolist():
-                scene = scene_of(world.frames, row)
-                found = scene_derivatives(simulator, scene, instrument=recipe.instrument)
-                noise = found.noise(recipe.instrument, full_scale)
+                scene = frame_scene(world.frames, row)
+                derivatives = scene_derivatives(simulator, scene, instrument=recipe.instrument)
+                noise = derivatives.noise(recipe.instrument, full_scale)
                 if state == State.TOUCH:
-                    placed.append(found.bound(noise, recipe.reference_frames).distance)
+                    placed.append(derivatives.bound(noise, recipe.reference_frames).distance)
                 else:
-                    angles.append(found.bound(noise, np.inf).angle_deg)
+                    angles.append(derivatives.bound(noise, np.inf).angle_deg)
         progress(f"bounds: {world.name}", number + 1, len(numbers))
     return {
         "place, mean [mm]": 1e3 * float(np.mean(np.concatenate(placed))),
@@ -286,7 +286,9 @@ def bounds(world: World, recipe: Recipe, progress: Progress) -> Figures:
     }
 
 
-LABELLED = tuple(Labelled(*each) for each in ((0, 0), (1, 0), (5, 0), (5, 15), (20, 80)))
+LABELLED_COUNTS = tuple(
+    LabelledCounts(*each) for each in ((0, 0), (1, 0), (5, 0), (5, 15), (20, 80))
+)
 """Labelled frames that a sensor is adapted by."""
 
 
@@ -309,7 +311,7 @@ def run(
         pipeline = Pipeline.load(path)
         for place, world in enumerate(worlds):
             progress("scores", number * len(worlds) + place, len(worlds) * len(pipelines))
-            for labelled in LABELLED:
+            for labelled in LABELLED_COUNTS:
                 if not (labelled.presses and world.name == FEW):
                     names = {"pipeline": name, "world": world.name, "labelled": str(labelled)}
                     rows.append(names | scores(pipeline, world, labelled))
@@ -326,7 +328,7 @@ def run(
         start = f"{row['pipeline']} / {where}"
         figures += [(f"{start} / {name}", row[name]) for name in list(row)[3:]]
     return Report(
-        results=measured("transfer", figures, began=began, seed=seed, quick=quick),
+        results=make_results("transfer", figures, began=began, seed=seed, quick=quick),
         rows=[{name: row.get(name) for name, *_ in _COLUMNS.values()} for row in rows],
-        tables=[ReportTable.of((*rows, *limits), _COLUMNS, 3)],
+        tables=[ReportTable.from_rows((*rows, *limits), _COLUMNS, 3)],
     )

@@ -18,9 +18,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.results import Columns, Report, ReportTable, Watch, measured, plot_errors
+from eitskin.benchmarks.results import (
+    Columns,
+    Report,
+    ReportTable,
+    Watch,
+    make_results,
+    plot_errors,
+)
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, Hinge
-from eitskin.geometry.deformation.kinematics import Composed, Deformation, Displaced
+from eitskin.geometry.deformation.kinematics import Composition, Deformation, Displaced
 from eitskin.geometry.design.sensor import Free, Plates, Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import ClampedStack
@@ -60,16 +67,16 @@ _QUICK_CASES = ("75_30", "independent_bend_20")
 # Presses that are solved in 3D besides those without a table: half a minute to minutes each.
 _SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
 KINEMATIC: Final = "kinematic"
-TABULATED: Final = "tabulated"
-SOLVED: Final = "solved"
+TABLE_MODEL: Final = "tabulated"
+SOLVED_MODEL: Final = "solved"
 """Names of models: unbounded dents or `Hinge()`; the tables; solutions in 3D."""
-MODELS = (KINEMATIC, TABULATED, SOLVED)
+MODELS = (KINEMATIC, TABLE_MODEL, SOLVED_MODEL)
 
 
 Model = Callable[[], Deformation]
 KINDS = ("press", "supported press", "bent press", "bend")
 """Kinds of cases: flat on a rigid base, flat on another support, pressed and bent, bent only."""
-PUBLISHED = Path(__file__).parent / "published" / "world_reference.json"
+PUBLISHED_FILE = Path(__file__).parent / "published" / "world_reference.json"
 _SUPPORTS: dict[str, Support] = {"plates": Plates(), "free": Free()}
 
 
@@ -78,14 +85,14 @@ class ReferenceCase:
     """Case of the reference: presses on a support, flat or bent, or a clamped bend.
 
     Attributes:
-        name: of the case.
-        design: of the sensor, with its support.
+        name: name of the case.
+        design: design of the sensor, with its support.
         mechanics: materials of the sensor.
         scene: touches, bend, or both.
         changes: relative changes of the 28 pair resistances, (28,).
         signal: those that the touches make, or the bend of an untouched sensor, (28,).
-        error: of the changes over their norm, by estimate.
-        depth: of each indenter [m].
+        error: error of the changes over their norm, by estimate.
+        depth: depth of each indenter [m].
     """
 
     name: str
@@ -112,10 +119,10 @@ class ReferenceCase:
         return "press" if isinstance(self.design.support, Rigid) else "supported press"
 
 
-def cases(path: Path = PUBLISHED) -> list[ReferenceCase]:
+def cases(path: Path = PUBLISHED_FILE) -> list[ReferenceCase]:
     """Cases that are solved."""
     solutions = json.loads(path.read_text(encoding="utf-8"))["solutions"]
-    return [_case(one) for one in solutions if one["changes"] is not None]
+    return [_case(solution) for solution in solutions if solution["changes"] is not None]
 
 
 def _case(solution: dict[str, Any]) -> ReferenceCase:
@@ -157,16 +164,16 @@ def deformations(case: ReferenceCase) -> dict[str, Model]:
     if case.is_bend:
         return {
             KINEMATIC: partial(bend, case, KINEMATIC),
-            TABULATED: partial(bend, case, TABULATED),
-            SOLVED: partial(_clamped_3d, case),
+            TABLE_MODEL: partial(bend, case, TABLE_MODEL),
+            SOLVED_MODEL: partial(_clamped_3d, case),
         }
     models: dict[str, Model] = {
-        KINEMATIC: partial(_unbounded, case),
-        SOLVED: partial(_pressed_3d, case),
+        KINEMATIC: partial(_unbounded_dents, case),
+        SOLVED_MODEL: partial(_pressed_3d, case),
     }
-    shipped = resolve_touch_model(touches, _sensor(case, None)) == TABULATED
+    shipped = resolve_touch_model(touches, _sensor(case, None)) == TABLE_MODEL
     if shipped:
-        models[TABULATED] = lambda: dents([touches], _sensor(case, TABULATED))[0]
+        models[TABLE_MODEL] = lambda: dents([touches], _sensor(case, TABLE_MODEL))[0]
     return models
 
 
@@ -188,9 +195,9 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         return None
     if model == KINEMATIC:
         touch = case.scene.touches[0]
-        dent = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
+        dent = press_table(case.design, case.mechanics, touch.indenter).dent_from_force(touch.force)
         return float(dent.depth)
-    sensor = _sensor(case, TABULATED if model == TABULATED else SOLVED)
+    sensor = _sensor(case, TABLE_MODEL if model == TABLE_MODEL else SOLVED_MODEL)
     return pressed_touches(case.scene.touches, sensor)[0].depth
 
 
@@ -202,17 +209,17 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
 
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
-    return dents([case.scene.touches], _sensor(case, SOLVED))[0]
+    return dents([case.scene.touches], _sensor(case, SOLVED_MODEL))[0]
 
 
-def _unbounded(case: ReferenceCase) -> Deformation:
+def _unbounded_dents(case: ReferenceCase) -> Deformation:
     """Dents of the unbounded stack, without corrections."""
     placed = []
     for touch in case.scene.touches:
         table = press_table(case.design, case.mechanics, touch.indenter)
-        placed.append(PlacedDent(touch.x, touch.y, table.at_force(touch.force)))
+        placed.append(PlacedDent(touch.x, touch.y, table.dent_from_force(touch.force)))
     pressed = Dents(tuple(placed))
-    return Composed(pressed, bend(case, KINEMATIC)) if case.scene.bend.angle_deg else pressed
+    return Composition(pressed, bend(case, KINEMATIC)) if case.scene.bend.angle_deg else pressed
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,10 +230,10 @@ class ModelError:
         case: name of the case.
         kind: of the case, one of `KINDS`.
         model: its name.
-        error: of the signal.
-        seconds: of the deformation at the points of the mesh [s].
-        reference_error: of the case, by estimate.
-        depth: of the first indenter [m]; None for bends.
+        error: error of the signal.
+        seconds: seconds of the deformation at the points of the mesh [s].
+        reference_error: reference error of the case, by estimate.
+        depth: depth of the first indenter [m]; None for bends.
         reference_depth: the same, of the reference.
     """
 
@@ -244,7 +251,7 @@ class Gauge:
     """Forward model of one sensor that measures relative changes.
 
     Attributes:
-        simulator: of the flat sensor.
+        simulator: simulator of the flat sensor.
         flat: resistances of the flat, untouched sensor [ohm].
         points: batches of points at which deformation gradients are evaluated (..., 3) [m].
     """
@@ -258,25 +265,27 @@ class Gauge:
             self.points.append(points)
             return np.zeros((*points.shape, 3))
 
-        flat = self.simulator.deformed(Displaced(np.zeros_like, derivative))
+        flat = self.simulator.simulate_deformation(Displaced(np.zeros_like, derivative))
         self.flat = flat.impedance.real
 
     def changes(self, deformation: Deformation) -> Array:
         """Relative change of each resistance, (28,)."""
-        found: Array = self.simulator.deformed(deformation).impedance.real / self.flat - 1.0
+        found: Array = (
+            self.simulator.simulate_deformation(deformation).impedance.real / self.flat - 1.0
+        )
         return found
 
 
 def compare(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> Iterator[ModelError]:
     """Errors of models at the scene of a case; presses that have a table are seldom solved."""
-    known = deformations(case)
-    if not case.is_bend and TABULATED in known and case.name not in _SOLVED_TOO:
-        del known[SOLVED]
-    for name in (each for each in models if each in known):
-        if name != SOLVED:
-            known[name]()  # tables are read once
+    has_tables = deformations(case)
+    if not case.is_bend and TABLE_MODEL in has_tables and case.name not in _SOLVED_TOO:
+        del has_tables[SOLVED_MODEL]
+    for name in (model for model in models if model in has_tables):
+        if name != SOLVED_MODEL:
+            has_tables[name]()  # tables are read once
         start = time.process_time()
-        deformation = known[name]()
+        deformation = has_tables[name]()
         for part in gauge.points:
             deformation.gradient(part)
         seconds = time.process_time() - start
@@ -296,13 +305,15 @@ def compare(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> Iterato
         )
 
 
-def errors_of(errors: Sequence[ModelError], model: str, kind: str) -> list[ModelError]:
+def select_errors(errors: Sequence[ModelError], model: str, kind: str) -> list[ModelError]:
     """Errors of one model at cases of one kind; "default" is the tables, else the 3D solution."""
     if model != "default":
         return [row for row in errors if (row.model, row.kind) == (model, kind)]
-    tabulated = errors_of(errors, TABULATED, kind)
+    tabulated = select_errors(errors, TABLE_MODEL, kind)
     cases = {row.case for row in tabulated}
-    return tabulated + [row for row in errors_of(errors, SOLVED, kind) if row.case not in cases]
+    return tabulated + [
+        row for row in select_errors(errors, SOLVED_MODEL, kind) if row.case not in cases
+    ]
 
 
 def figures(errors: Sequence[ModelError]) -> Iterator[tuple[str, float]]:
@@ -317,7 +328,7 @@ def figures(errors: Sequence[ModelError]) -> Iterator[tuple[str, float]]:
             yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
     for kind in KINDS:
         for model in (*MODELS, "default"):
-            if rows := errors_of(errors, model, kind):
+            if rows := select_errors(errors, model, kind):
                 name, percent = f"{kind} / {model}", [100 * row.error for row in rows]
                 yield f"{name}, median [%]", statistics.median(percent)
                 yield f"{name}, worst [%]", max(percent)
@@ -328,9 +339,9 @@ def figures(errors: Sequence[ModelError]) -> Iterator[tuple[str, float]]:
 
 
 def sentences(errors: Sequence[ModelError]) -> Iterator[str]:
-    """Median and worst error beside their targets."""
+    """Median and worst error next to their targets."""
     for kind in KINDS:
-        if not (rows := errors_of(errors, "default", kind)):
+        if not (rows := select_errors(errors, "default", kind)):
             continue
         middle, worst = statistics.median(r.error for r in rows), max(rows, key=lambda r: r.error)
         median, most = (BENDS, BENDS) if kind == "bend" else (MEDIAN, WORST)
@@ -340,7 +351,7 @@ def sentences(errors: Sequence[ModelError]) -> Iterator[str]:
             f"(target {100 * most:g} %); the reference itself is good to "
             f"{100 * worst.reference_error:.2g} % there, by estimate"
         )
-    baseline = [row.error for row in errors_of(errors, KINEMATIC, "press")]
+    baseline = [row.error for row in select_errors(errors, KINEMATIC, "press")]
     yield f"unbounded dents without corrections: {100 * min(baseline):.0f} % at least"
 
 
@@ -370,9 +381,9 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     x, y = "time of the deformation at all points [s]", "error of the signal [%]"
     rows = [asdict(row) for row in errors]
     return Report(
-        results=measured("world", figures(errors), began=began, seed=seed, quick=quick),
+        results=make_results("world", figures(errors), began=began, seed=seed, quick=quick),
         rows=rows,
-        tables=[ReportTable.of(rows, _COLUMNS, 2)],
+        tables=[ReportTable.from_rows(rows, _COLUMNS, 2)],
         sentences=[*sentences(errors)],
         plots={"world.png": partial(plot_errors, panels={"": points}, x=x, y=y, limits=limits)},
     )

@@ -15,7 +15,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)  # of a disk; who writes files names them i
 _PATHS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS)
 _QUIET = "ignore::RuntimeWarning"
 _PACKAGES = ("h5py", "msgspec", "numpy", "safetensors", "scikit-fem", "scipy", "torch")
-_LONGEST_LINE = 300  # characters; the message of an exception may quote a file
+_MAX_LINE = 300  # characters; the message of an exception may quote a file
 
 
 def run() -> None:
@@ -36,9 +36,9 @@ def run() -> None:
             sys.stderr.write(f"eitskin: cannot write the output: {error.strerror}; make room\n")
             sys.exit(EXIT_PARTIAL)
         if isinstance(error, OSError) and error.errno in _PATHS and error.filename is not None:
-            from eitskin.files import quoted
+            from eitskin.files import quote_value
 
-            text = f"cannot use {quoted(error.filename)}: {error.strerror}; name another path"
+            text = f"cannot use {quote_value(error.filename)}: {error.strerror}; name another path"
             sys.stderr.write(f"eitskin: {text}\n")
             sys.exit(EXIT_INPUT)
         sys.stderr.write(describe_failure(error))
@@ -99,9 +99,9 @@ def failure_report(error: Exception) -> str:
     lines = [
         f"eitskin {__version__}, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         f"Python {platform.python_version()}, {platform.platform()}",
-        ", ".join(" ".join(each) for each in package_versions(_PACKAGES).items()),
+        ", ".join(" ".join(item) for item in package_versions(_PACKAGES).items()),
         f"command: eitskin {shlex.join(sys.argv[1:])}",
         "",
         *"".join(traceback.format_exception(error)).splitlines(),
     ]
-    return "\n".join(printable(line[:_LONGEST_LINE]) for line in lines) + "\n"
+    return "\n".join(printable(line[:_MAX_LINE]) for line in lines) + "\n"

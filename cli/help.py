@@ -10,7 +10,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-RENAMED: Mapping[tuple[str, ...], tuple[str, ...]] = {
+RENAMED_COMMANDS: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("board",): ("virtual-board",),
     ("instrument", "fit"): ("fit", "instrument"),
     ("twin", "fit"): ("fit", "twin"),
@@ -99,7 +99,7 @@ eitskin bench all --only speed --only accuracy --quick
 """
 
 
-def examples_of(path: str) -> list[str]:
+def command_examples(path: str) -> list[str]:
     """Examples of the command with this path, such as "eitskin dataset info"."""
     return [line for line in EXAMPLES.splitlines() if f"{line} ".startswith(f"{path} ")]
 
@@ -109,17 +109,17 @@ class Command(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write examples, arguments and options, each group below its title."""
-        examples = examples_of(ctx.command_path)
+        examples = command_examples(ctx.command_path)
         if examples:
             with formatter.section("Examples"):
                 for line in examples:
                     formatter.write(f"{'':{formatter.current_indent}}{line}\n")
         groups: dict[str, list[tuple[str, str]]] = {}
-        for each in self.get_params(ctx):
-            record = each.get_help_record(ctx)
-            kind = "Arguments" if each.param_type_name == "argument" else "Options"
-            title = getattr(each, "rich_help_panel", None) or kind
-            if each.name == "help":
+        for get_param in self.get_params(ctx):
+            record = get_param.get_help_record(ctx)
+            kind = "Arguments" if get_param.param_type_name == "argument" else "Options"
+            title = getattr(get_param, "rich_help_panel", None) or kind
+            if get_param.name == "help":
                 title = "Common"
             if record is not None:
                 groups.setdefault(title, []).append(record)
@@ -148,10 +148,10 @@ class Commands(TyperGroup):
 def with_new_spelling(words: Sequence[str]) -> list[str]:
     """Command line in today's spelling; a line on stderr says what replaces an old one."""
     old, new = list(words), list(words)
-    for before, after in RENAMED.items():
+    for before, after in RENAMED_COMMANDS.items():
         if tuple(new[: len(before)]) == before:
-            rest = new[len(before) :]
-            new = [*rest, *after] if after == ("--help",) else [*after, *rest]
+            arguments = new[len(before) :]
+            new = [*arguments, *after] if after == ("--help",) else [*after, *arguments]
             break
     if new[:2] == ["dataset", "export"]:
         new, form = new[2:], "parquet"

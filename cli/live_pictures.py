@@ -1,4 +1,4 @@
-"""Pipelines of the live loop that make pictures without training, alone or beside another one."""
+"""Pipelines of the live loop that make pictures without training, alone or next to another one."""
 
 import math
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class LivePictures:
     """Pipeline of pictures of a session's frames against the mean of its first ones.
 
     Attributes:
-        maker: of the pictures.
+        maker: maker of the pictures.
         taken: number of frames in the session's reference so far, at most `REFERENCE`.
     """
 
@@ -66,7 +66,7 @@ class LivePictures:
         """Solve the sensor's linear model, so that no frame has to wait for that.
 
         Args:
-            maker: of the pictures.
+            maker: maker of the pictures.
             pipeline: another pipeline, whose estimates carry the pictures as `picture`.
         """
         if maker.method == "total-variation":
@@ -86,7 +86,7 @@ class LivePictures:
         if self._pipeline is not None:
             estimate = self._pipeline.process(frame)
             try:
-                return _Pictured(estimate, self.picture(frame))
+                return _PictureMethod(estimate, self.picture(frame))
             except UnusableFrameError:
                 return estimate
         picture = self.picture(frame)
@@ -124,7 +124,7 @@ class LivePictures:
         self._floor = CALM * float(np.sqrt(np.nanmean(noise**2)))
 
 
-class _Pictured:
+class _PictureMethod:
     """An estimate with a picture; all else is that of the estimate."""
 
     def __init__(self, estimate: Any, picture: Picture | None) -> None:

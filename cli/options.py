@@ -114,22 +114,22 @@ def with_output(function: Callable[..., None]) -> Callable[..., None]:
     signature = inspect.signature(function)
     parameters: dict[str, inspect.Parameter] = {}
     groups: dict[str, tuple[Any, list[str]]] = {}
-    for each in signature.parameters.values():
-        if not dataclasses.is_dataclass(each.annotation):
-            seed = (each.name, each.annotation) == ("seed", int)
-            parameters[each.name] = each.replace(annotation=Seed) if seed else each
+    for parameter in signature.parameters.values():
+        if not dataclasses.is_dataclass(parameter.annotation):
+            seed = (parameter.name, parameter.annotation) == ("seed", int)
+            parameters[parameter.name] = parameter.replace(annotation=Seed) if seed else parameter
             continue
         members = [
-            m for m in dataclasses.fields(each.annotation) if get_origin(m.type) is Annotated
+            m for m in dataclasses.fields(parameter.annotation) if get_origin(m.type) is Annotated
         ]
-        groups[each.name] = each.annotation, [member.name for member in members]
+        groups[parameter.name] = parameter.annotation, [member.name for member in members]
         for m in members:
             parameters[m.name] = _keyword(m.name, m.default, m.type)
     if "seed" not in signature.parameters:  # every command takes it, as in version 0.2
         parameters["seed"] = _keyword("seed", 0, _UnusedSeed)
-    for each in parameters.values():
-        if get_origin(each.annotation) is Annotated:
-            _name_value(each)
+    for parameter in parameters.values():
+        if get_origin(parameter.annotation) is Annotated:
+            _name_value(parameter)
 
     @functools.wraps(function)
     def command(*arguments: Any, **options: Any) -> None:
@@ -201,7 +201,7 @@ class SensorOptions:
 
         design = design or read_design(self.sensor)
         fixture, mechanics, grid = read_fixed(self.fixture, self.mechanics)
-        pairs = Protocol.named(self.protocol, len(design.electrodes))
+        pairs = Protocol.from_name(self.protocol, len(design.electrodes))
         return Simulator(design, resolution, fixture, pairs, mechanics, self.touch_model, grid=grid)
 
 
@@ -220,8 +220,8 @@ def require_parent(out: Path) -> None:
 
 def electrode_pair(drive: str, electrodes: int) -> tuple[int, int]:
     """Two electrodes of the option --drive, as 0-4 or 0,4; raises ConfigurationError."""
-    found = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
-    pair = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
+    pair = (int(match[1]), int(match[2])) if match else (0, 0)
     if pair[0] == pair[1] or max(pair) >= electrodes:
         raise ConfigurationError(
             f"--drive takes two different electrodes from 0 to {electrodes - 1}, as 0-4, got "
@@ -339,8 +339,8 @@ class Output:
     def bars(self) -> Iterator[Callable[..., Any]]:
         """Progress bars on stderr with count and time left; silent when quiet.
 
-        The context is a function that is told the name of a bar, how many are done, of how many
-        (None where that is not known), and perhaps a text beside them; it makes a bar for each new
+        The context is a function that is given the name of a bar, how many are done, of how many
+        (None where that is not known), and perhaps a text next to them; it makes a bar for each new
         name, and returns the speed [1/s].
         """
         columns = (
@@ -363,7 +363,7 @@ class Output:
 
     @contextlib.contextmanager
     def counting(self, text: str) -> Iterator[Callable[..., Any]]:
-        """Progress bar, as a function that is told how many are done, and of how many."""
+        """Progress bar, as a function that is given how many are done, and of how many."""
         with self.bars() as show:
             yield functools.partial(show, text)
 
@@ -399,7 +399,7 @@ def given_words(context: typer.Context, leave: Container[str]) -> list[str]:
     return words
 
 
-def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
+def progress_watcher(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
     """Progress bar around the items of a benchmark."""
 
     def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:

@@ -32,7 +32,9 @@ class Terminal(Console):
         return super().render_str(visible(text), **options)
 
 
-def table_of(headings: Iterable[str | Column], rows: Iterable[Sequence[str]], **look: Any) -> Table:
+def make_table(
+    headings: Iterable[str | Column], rows: Iterable[Sequence[str]], **look: Any
+) -> Table:
     """Table of rows of cells, with options of Rich's `Table`."""
     table = Table(*headings, **look)
     for cells in rows:
@@ -45,7 +47,7 @@ class FigureTable:
     """Table of figures, which goes on below where the terminal is too narrow for all columns.
 
     Attributes:
-        headings: of the columns.
+        headings: headings of the columns.
         rows: cells of each row.
         names: number of first columns that name a row, and begin every part.
     """

@@ -71,27 +71,29 @@ def _converting(function: Callable[..., Any]) -> Callable[..., Any]:
             rules.update(_rules(function))
             names.extend(rules)
         taken = [
-            _converted(function, name, rules[name], value)
+            _convert(function, name, rules[name], value)
             for name, value in zip(names, given, strict=False)
         ]
         for name, value in named.items():
             if name in rules:
-                named[name] = _converted(function, name, rules[name], value)
+                named[name] = _convert(function, name, rules[name], value)
         return function(*taken, *given[len(taken) :], **named)
 
     function._public = call._public = call  # type: ignore[attr-defined]
     return call
 
 
-def _converted(function: Callable[..., Any], name: str, rule: Converter, value: Any) -> Any:
+def _convert(function: Callable[..., Any], name: str, rule: Converter, value: Any) -> Any:
     try:
         return rule(value)
     except Exception as error:  # foreign types raise anything when they are converted
         what = function.__qualname__.removesuffix(".__init__")
-        raise ConfigurationError(f"{what}: {name}: {error}, got {_described(value)}") from error
+        raise ConfigurationError(
+            f"{what}: {name}: {error}, got {_describe_value(value)}"
+        ) from error
 
 
-def _described(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     """Value for a message: its type and, where it is short, its content."""
     if isinstance(value, str | bytes | float | complex | None) or (
         isinstance(value, int) and value.bit_length() < MAX_BITS
@@ -125,18 +127,18 @@ def converter(kind: Any) -> Converter:
     if kind not in _PLAIN and hasattr(origin or kind, "__value__"):  # an alias by `type`
         alias = (origin or kind).__value__
         return converter(alias[inner] if inner else alias)
-    rule: Converter = _unchanged
+    rule: Converter = _identity
     if isinstance(kind, InitVar):
         rule = converter(kind.type)
     elif origin in (typing.Union, types.UnionType):
-        rule = partial(_any_of, tuple(_members(inner)))
+        rule = partial(_convert_union, tuple(_members(inner)))
     elif kind in _PLAIN:
         rule = _PLAIN[kind]
     elif origin is typing.Literal:
         rule = partial(_choice, inner)
     elif origin is np.ndarray:
         scalar = typing.get_args(inner[1])[0]
-        rule = partial(_array, next((k for k, of in _LETTERS if _within(scalar, of)), "c"))
+        rule = partial(_array, next((k for k, of in _LETTERS if _is_subtype(scalar, of)), "c"))
     elif origin is tuple and inner[1:] != (...,):
         rule = partial(_row, tuple(map(converter, inner)))
     elif origin in _SEQUENCES:
@@ -159,11 +161,11 @@ def _members(inner: tuple[Any, ...]) -> Iterator[Converter]:
     yield from map(converter, left)
 
 
-def _within(scalar: Any, of: type) -> bool:
+def _is_subtype(scalar: Any, of: type) -> bool:
     return isinstance(scalar, type) and issubclass(scalar, of)
 
 
-def _unchanged(value: Any) -> Any:
+def _identity(value: Any) -> Any:
     return value
 
 
@@ -212,7 +214,7 @@ def _text(value: Any) -> str:
     return value
 
 
-def _named(value: Any) -> Any:
+def _check_path(value: Any) -> Any:
     """Path, or text that is one, whose names are possible."""
     if not isinstance(value, str | Path):
         raise TypeError("expected a path")
@@ -272,13 +274,13 @@ def _items(item: Converter, kind: Any, value: Any) -> Any:
 
 
 def _row(items: tuple[Converter, ...], value: Any) -> Any:
-    made = _items(_unchanged, tuple, value)
+    made = _items(_identity, tuple, value)
     if len(made) != len(items):
         raise ValueError(f"expected {len(items)} items")
     return tuple(rule(each) for rule, each in zip(items, made, strict=True))
 
 
-def _any_of(members: tuple[Converter, ...], value: Any) -> Any:
+def _convert_union(members: tuple[Converter, ...], value: Any) -> Any:
     reasons = []
     for member in members:
         try:
@@ -307,10 +309,10 @@ _PLAIN: dict[Any, Converter] = {
     int: _whole,
     bool: _truth,
     str: _text,
-    Path: _named,
+    Path: _check_path,
     ArrayLike: partial(_array, "c"),
-    Any: _unchanged,
-    object: _unchanged,
+    Any: _identity,
+    object: _identity,
 }
 _SEQUENCES = (tuple, list, Sequence, Iterable)
 _LETTERS = (("f", np.floating), ("i", np.integer), ("b", np.bool_))

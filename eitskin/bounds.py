@@ -44,17 +44,17 @@ def require_length(name: str, value: float, longest: float = LONGEST) -> None:
         )
 
 
-def require_within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+def require_in_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     """Raise ConfigurationError unless `value` is a number from `low` to `high`."""
     if not low <= value <= high:
         limits = f"from {low:g} to {high:g} {unit}".rstrip()
         raise ConfigurationError(f"{name} must be {limits}, got {value}")
 
 
-def require_count(name: str, value: int, least: int, most: int) -> None:
-    """Raise ConfigurationError unless `value` is from `least` to `most`."""
-    if not least <= value <= most:
-        raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")
+def require_count(name: str, value: int, minimum: int, maximum: int) -> None:
+    """Raise ConfigurationError unless `value` is from `minimum` to `maximum`."""
+    if not minimum <= value <= maximum:
+        raise ConfigurationError(f"{name} must be from {minimum} to {maximum}, got {value}")
 
 
 def require_axes(
@@ -79,7 +79,9 @@ def require_seed(value: int) -> None:
         raise ConfigurationError(f"seed must be from 0 to 2^63 - 1, got {value}")
 
 
-def drawn(rng: "np.random.Generator", limits: tuple[float, float], size: int | None = None) -> Any:
+def sample_uniform(
+    rng: "np.random.Generator", limits: tuple[float, float], size: int | None = None
+) -> Any:
     """Uniform random numbers between limits, of which the second may be -0.0.
 
     For NumPy the range from 0.0 to -0.0 is none.

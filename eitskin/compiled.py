@@ -1,9 +1,9 @@
 """Compiled kernels: loops that numba compiles, used for many scenes where numba is installed.
 
-A module of kernels either has a plain twin in numpy beside the place where it is used (`kernel`,
-`compiled`), or is written so that it runs in both ways (`either`, `implementation`). Plain code
-runs for single scenes, without numba (extra `fast`), or where the environment variable
-EITSKIN_PLAIN is set. Both agree to rounding.
+A module of kernels either has a reference implementation in numpy next to the place where it is
+used (`kernel`, `compiled_kernels`), or is written so that it runs in both ways (`either`,
+`implementation`). Plain code runs for single scenes, without numba (extra `fast`), or where the
+environment variable EITSKIN_PLAIN is set. Both agree to rounding.
 """
 
 import os
@@ -27,7 +27,7 @@ _wanted: ContextVar[bool] = ContextVar("_wanted", default=False)
 
 @contextmanager
 def kernels() -> Iterator[None]:
-    """Context in which `compiled` gives kernels.
+    """Context in which `compiled_kernels` gives kernels.
 
     Loading them takes half a second, as long as some scenes take without: a command that simulates
     one scene is faster plain.
@@ -39,16 +39,16 @@ def kernels() -> Iterator[None]:
         _wanted.reset(before)
 
 
-def compiled(module: str) -> ModuleType | None:
+def compiled_kernels(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba, and outside of `kernels`."""
-    return loaded(module) if _wanted.get() else None
+    return load_kernels(module) if _wanted.get() else None
 
 
 @cache
-def loaded(module: str) -> ModuleType | None:
+def load_kernels(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
 
-    The first import compiles them; the result is kept beside the module or in the user's cache.
+    The first import compiles them; the result is kept next to the module or in the user's cache.
     """
     if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
         return None
@@ -56,8 +56,8 @@ def loaded(module: str) -> ModuleType | None:
 
 
 def implementation(module: str) -> ModuleType:
-    """Module of `either` functions by its name, compiled where `compiled` would be."""
-    return _compiled_copy(module) if compiled("numba") else import_module(module)
+    """Module of `either` functions by its name, compiled where `compiled_kernels` would be."""
+    return _compiled_copy(module) if compiled_kernels("numba") else import_module(module)
 
 
 @cache
@@ -82,11 +82,11 @@ def kernel(types: str) -> Callable[[Loop], Loop]:
     flags = {"contract", "reassoc", "nsz", "arcp"}
 
     def compile_loop(function: Loop) -> Loop:
-        made = njit(error_model="numpy", fastmath=flags)(function)
-        use_cache(made, function)
-        made.compile(types)
-        made.disable_compile()
-        return cast("Loop", made)
+        compiled_function = njit(error_model="numpy", fastmath=flags)(function)
+        use_cache(compiled_function, function)
+        compiled_function.compile(types)
+        compiled_function.disable_compile()
+        return cast("Loop", compiled_function)
 
     return compile_loop
 

@@ -25,9 +25,9 @@ from typing import Any, Final, TypeGuard, TypeVar
 import msgspec
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file, quoted, read_text, shortened
+from eitskin.files import atomic_file, quote_value, read_text, shorten_text
 
-MOST_TOML: Final = 16 << 20
+MAX_TOML: Final = 16 << 20
 """Largest size of a TOML file [bytes]: a recipe with a table of 16,384 channels has 0.5 MB."""
 
 T = TypeVar("T")
@@ -48,7 +48,7 @@ class Location:
     folder: Path | None = None
     key: str = ""
 
-    def under(self, key: str) -> "Location":
+    def child(self, key: str) -> "Location":
         """Location of the value of `key`."""
         return dataclasses.replace(self, key=f"{self.key}.{key}" if self.key else key)
 
@@ -68,7 +68,7 @@ def read_toml(kind: type[T], path: str | Path) -> T:
     Raises ConfigurationError where the file is missing, is not TOML, or does not fit.
     """
     path = Path(path)
-    return parse_toml(kind, read_text(path, MOST_TOML), str(path), path.parent)
+    return parse_toml(kind, read_text(path, MAX_TOML), str(path), path.parent)
 
 
 def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path | None = None) -> T:
@@ -89,31 +89,31 @@ def toml_table(text: str, where: str) -> dict[str, Any]:
         table = tomllib.loads(text.removeprefix("\ufeff"))  # a byte order mark, as Windows writes
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{where} is not valid TOML: {error}") from error
-    for each in _integers(table):
-        if not -(2**63) <= each < 2**63:
+    for integer in _integers(table):
+        if not -(2**63) <= integer < 2**63:
             raise ConfigurationError(
-                f"{where} is not valid TOML: integers have 64 bits, got {quoted(each)}"
+                f"{where} is not valid TOML: integers have 64 bits, got {quote_value(integer)}"
             )
     return table
 
 
 def _integers(data: Any) -> Iterator[int]:
     """All integers within tables and lists."""
-    left = [data]
-    while left:
-        each = left.pop()
+    pending = [data]
+    while pending:
+        each = pending.pop()
         if isinstance(each, int):
             yield each
         elif isinstance(each, dict):
-            left.extend(each.values())
+            pending.extend(each.values())
         elif isinstance(each, list):
-            left.extend(each)
+            pending.extend(each)
 
 
 def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:
     """Build `kind`, a dataclass or a union of dataclasses, from plain `data`, checked like TOML."""
-    made: T = read(kind, data, Location(where, folder))
-    return made
+    value: T = read(kind, data, Location(where, folder))
+    return value
 
 
 def build(make: Callable[..., T], data: Any, location: Location) -> T:
@@ -127,18 +127,18 @@ def build(make: Callable[..., T], data: Any, location: Location) -> T:
     """
     if not isinstance(data, Mapping):
         raise location.error(f"expected a table ({_keys(make)}), got `{type(data).__name__}`")
-    expanded = getattr(make, "expanded", None)
+    expanded = getattr(make, "expand_data", None)
     if expanded is not None:
         data = expanded(data, location)
     known = _parameters(make)
     for key in data:
         if key not in known:
             hint = _nearest(key, known) or f"; known: {', '.join(known)}"
-            raise location.error(f"unknown key {quoted(key)}{hint}")
+            raise location.error(f"unknown key {quote_value(key)}{hint}")
     arguments = {
-        key: read(known[key].annotation, value, location.under(key)) for key, value in data.items()
+        key: read(known[key].annotation, value, location.child(key)) for key, value in data.items()
     }
-    for name in _required(make):
+    for name in _required_parameters(make):
         if name not in data:
             raise location.error(f"missing required field `{name}`")
     try:
@@ -150,16 +150,16 @@ def build(make: Callable[..., T], data: Any, location: Location) -> T:
 def choose(makers: Iterable[Callable[..., T]], data: Any, location: Location) -> Callable[..., T]:
     """First of `makers` that accepts every key of `data` and requires no other key."""
     makers = tuple(makers)
-    listed = _listed(makers)
+    listed = _describe_members(makers)
     if not isinstance(data, Mapping):
         raise location.error(f"expected a table, {listed}, got `{type(data).__name__}`")
     for make in makers:
-        if set(_required(make)) <= data.keys() <= _parameters(make).keys():
+        if set(_required_parameters(make)) <= data.keys() <= _parameters(make).keys():
             return make
-    known = list(itertools.chain.from_iterable(_parameters(make) for make in makers))
-    hints = "".join(_nearest(key, known) for key in data if key not in known)
-    given = shortened(", ".join(data)) if data else "no keys"
-    raise location.error(f"expected the keys of one of {listed}, got {given}{hints}")
+    parameters = list(itertools.chain.from_iterable(_parameters(make) for make in makers))
+    hints = "".join(_nearest(key, parameters) for key in data if key not in parameters)
+    key_text = shorten_text(", ".join(data)) if data else "no keys"
+    raise location.error(f"expected the keys of one of {listed}, got {key_text}{hints}")
 
 
 def read(kind: Any, data: Any, location: Location) -> Any:
@@ -189,13 +189,13 @@ def _read_union(kind: Any, data: Any, location: Location) -> Any:
         return read(members[0], data, location)
     if all(map(_is_dataclass, members)):
         if isinstance(data, str) and _nameable(members):
-            return _named(members, data, location)
-        known = isinstance(data, members)
-        return data if known else build(choose(members, data, location), data, location)
+            return _member_by_name(members, data, location)
+        is_member = isinstance(data, members)
+        return data if is_member else build(choose(members, data, location), data, location)
     return _plain(kind, data, location)
 
 
-def _named(makers: tuple[Callable[..., T], ...], name: str, location: Location) -> T:
+def _member_by_name(makers: tuple[Callable[..., T], ...], name: str, location: Location) -> T:
     """Member of a union by its name; raises ConfigurationError where no member has the name."""
     named = _nameable(makers)
     if name in named:
@@ -203,16 +203,16 @@ def _named(makers: tuple[Callable[..., T], ...], name: str, location: Location) 
     names = " or ".join(f"'{each}'" for each in named)
     hint = _nearest(name, named)
     raise location.error(
-        f"expected {names} or a table, {_listed(makers)}, got {quoted(name)}{hint}"
+        f"expected {names} or a table, {_describe_members(makers)}, got {quote_value(name)}{hint}"
     )
 
 
 def _nameable(makers: Iterable[Callable[..., T]]) -> dict[str, Callable[..., T]]:
     """Members of a union that need no key, by their names in lower case."""
-    return {_name(make).lower(): make for make in makers if not _required(make)}
+    return {_name(make).lower(): make for make in makers if not _required_parameters(make)}
 
 
-def _listed(makers: Iterable[Callable[..., Any]]) -> str:
+def _describe_members(makers: Iterable[Callable[..., Any]]) -> str:
     """Names and keys of the members of a union, as text."""
     return " or ".join(f"{_name(make)} ({_keys(make)})" for make in makers if _parameters(make))
 
@@ -224,8 +224,8 @@ def _is_dataclass(kind: Any) -> TypeGuard[type]:
 def _plain(kind: Any, data: Any, location: Location) -> Any:
     """Value checked by msgspec; its numbers must be finite."""
     if typing.get_origin(kind) is typing.Literal and data not in typing.get_args(kind):
-        known = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
-        raise location.error(f"expected {known}, got {quoted(data)}")
+        choices = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
+        raise location.error(f"expected {choices}, got {quote_value(data)}")
     try:
         value = msgspec.convert(data, getattr(kind, "type", kind))  # of an InitVar
     except (msgspec.ValidationError, OverflowError) as error:  # integers beyond the largest float
@@ -247,7 +247,7 @@ def _path(data: Any, location: Location) -> Path:
         raise location.error("names a file, which is possible only in a TOML file of its own")
     name = str(_plain(str, data, location))
     if "\0" in name:
-        raise location.error(f"expected the name of a file, got {quoted(name)}")
+        raise location.error(f"expected the name of a file, got {quote_value(name)}")
     return location.folder / name
 
 
@@ -255,14 +255,14 @@ def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(make, eval_str=True).parameters
 
 
-def _required(make: Callable[..., Any]) -> list[str]:
+def _required_parameters(make: Callable[..., Any]) -> list[str]:
     parameters = _parameters(make).items()
     return [name for name, parameter in parameters if parameter.default is parameter.empty]
 
 
 def _keys(make: Callable[..., Any]) -> str:
     """Keys that `make` accepts, as text; optional ones in brackets."""
-    required = _required(make)
+    required = _required_parameters(make)
     return ", ".join(name if name in required else f"[{name}]" for name in _parameters(make))
 
 
@@ -270,8 +270,8 @@ def _name(make: Any) -> str:
     return str(getattr(make, "func", make).__name__)
 
 
-def _nearest(key: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(key, known, n=1)
+def _nearest(key: str, candidates: Iterable[str]) -> str:
+    near = difflib.get_close_matches(key, candidates, n=1)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
@@ -282,10 +282,10 @@ def to_dict(value: Any) -> Any:
     gives a text that text.
     """
     if dataclasses.is_dataclass(value):
-        abbreviated = getattr(value, "abbreviated", lambda: None)()
+        abbreviated = getattr(value, "short_name", lambda: None)()
         items = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
-        made = {name: to_dict(item) for name, item in items if item is not None}
-        return abbreviated or (made if dataclasses.fields(value) else _name(type(value)).lower())
+        table = {name: to_dict(item) for name, item in items if item is not None}
+        return abbreviated or (table if dataclasses.fields(value) else _name(type(value)).lower())
     if isinstance(value, tuple | list):
         return [to_dict(item) for item in value]
     if isinstance(value, Path):

@@ -11,15 +11,15 @@
 Every message says what was expected, what was given, and the remedy.
 """
 
-LONGEST_MESSAGE = 4000
+MAX_MESSAGE = 4000
 """Characters of a message at most, so that no file fills the terminal with what it holds."""
 
 
 def cut(message: str) -> str:
     """Message without its middle where it is too long."""
-    if len(message) <= LONGEST_MESSAGE:
+    if len(message) <= MAX_MESSAGE:
         return message
-    half = LONGEST_MESSAGE // 2
+    half = MAX_MESSAGE // 2
     return f"{message[:half]} ... {message[-half:]}"
 
 

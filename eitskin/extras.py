@@ -4,9 +4,13 @@ import ast
 import importlib
 import importlib.util
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def require(module: str, extra: str) -> ModuleType:
@@ -46,7 +50,7 @@ def lazy_exports(
 ) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
     """`__all__`, `__getattr__` and `__dir__` of a package (PEP 562), from its stub `__init__.pyi`.
 
-    The stub beside `file` lists the public names and their modules once, for type checkers and for
+    The stub next to `file` lists the public names and their modules once, for type checkers and for
     this function: `from eitskin.geometry.design.sensor import Layer as Layer`. Importing the
     package imports none of these modules. Arguments are converted by `eitskin.arguments`.
 
@@ -75,3 +79,26 @@ def lazy_exports(
         return sorted({"__doc__", "__file__", "__name__", "__path__", *homes})
 
     return sorted(homes), getattribute, names
+
+
+class _OldName:
+    """Old name of a member of a public class: it warns, and stands for the new one."""
+
+    def __init__(self, old: str, new: str) -> None:
+        self.old, self.new = old, new
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        message = f"{owner.__name__}.{self.old} is deprecated; use {self.new}"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return getattr(owner if instance is None else instance, self.new)
+
+
+def old_names(**names: str) -> Callable[[type[T]], type[T]]:
+    """Decorator of a class whose members had other names: the new name of each old one."""
+
+    def add_old_names(kind: type[T]) -> type[T]:
+        for old, new in names.items():
+            setattr(kind, old, _OldName(old, new))
+        return kind
+
+    return add_old_names

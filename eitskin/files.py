@@ -28,11 +28,11 @@ _RESUME = (
     "(`eitskin generate` with --resume), or choose another folder"
 )
 
-MOST_TEXT: Final = 64 << 20
+MAX_TEXT: Final = 64 << 20
 """Largest size of a text file [bytes]: a recipe with a protocol of 16,384 channels has 0.5 MB."""
 
 _LARGE: Final = 1 << 24  # bytes, from which a file is looked through for holes
-_LONGEST_QUOTE: Final = 100  # characters
+_MAX_QUOTE: Final = 100  # characters
 _BINARY: Final = getattr(os, "O_BINARY", 0)  # Windows changes ends of lines otherwise
 
 
@@ -43,10 +43,10 @@ def atomic_file(
     remedy: str = _REMEDY,
     mode: int = 0o666,
 ) -> Iterator[Path]:
-    """Context manager of a temporary file beside `path`, which is renamed to `path` at the end.
+    """Context manager of a temporary file next to `path`, which is renamed to `path` at the end.
 
     Where the block raises, or the machine fails, an older file at `path` is left as it was. The
-    temporary file has the suffix of `path`, from which writers of pictures tell the format, and the
+    temporary file has the suffix of `path`, from which writers of pictures show the format, and the
     permissions `mode`, less those that the umask withholds. Where the file cannot be written,
     `failure` is raised with `remedy` at the end of its message.
     """
@@ -69,7 +69,7 @@ def atomic_file(
 def atomic_folder(
     path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
 ) -> Iterator[Path]:
-    """Context manager of a temporary folder beside `path`, which is renamed to `path` at the end.
+    """Context manager of a temporary folder next to `path`, which is renamed to `path` at the end.
 
     Arguments and guarantees are those of `atomic_file`. A folder that stood at `path` is replaced;
     missing parent folders are made.
@@ -145,9 +145,9 @@ def sync(path: Path) -> None:
 
 
 def read_bytes(
-    path: str | Path, most: int = MOST_TEXT, failure: type[EitskinError] = ConfigurationError
+    path: str | Path, max_bytes: int = MAX_TEXT, failure: type[EitskinError] = ConfigurationError
 ) -> bytes:
-    """Content of a regular file of at most `most` bytes.
+    """Content of a regular file of at most `max_bytes` bytes.
 
     Raises `failure` where the file is missing, may not be read, is a folder, pipe or device, or is
     larger.
@@ -160,24 +160,24 @@ def read_bytes(
     except ValueError as error:  # a NUL in the name
         raise failure(f"cannot read {path}: {error}; give the name of a file") from error
     try:
-        size = _regular_size(handle, path, most, failure)
+        size = _regular_size(handle, path, max_bytes, failure)
         with open(handle, "rb", closefd=False) as file:
             content = file.read(size + 1)
             if len(content) > size:  # a file that grows meanwhile
-                content += file.read(most - len(content) + 1)
+                content += file.read(max_bytes - len(content) + 1)
     except OSError as error:
         if isinstance(error, failure):
             raise
         raise failure(f"cannot read {path}: {error.strerror or error}") from error
     finally:
         os.close(handle)
-    if len(content) > most:
-        raise failure(f"{path} is larger than {most} bytes; is this the file that was meant?")
+    if len(content) > max_bytes:
+        raise failure(f"{path} is larger than {max_bytes} bytes; is this the file that was meant?")
     return content
 
 
 def require_regular(
-    path: str | Path, most: int, failure: type[EitskinError] = ConfigurationError
+    path: str | Path, max_bytes: int, failure: type[EitskinError] = ConfigurationError
 ) -> None:
     """Raise `failure` as `read_bytes` does, without reading; a missing file is left to others."""
     try:
@@ -185,7 +185,7 @@ def require_regular(
     except (OSError, ValueError):
         return
     try:
-        _regular_size(handle, path, most, failure)
+        _regular_size(handle, path, max_bytes, failure)
     finally:
         os.close(handle)
 
@@ -204,13 +204,13 @@ def _regular_size(handle: int, path: str | Path, most: int, failure: type[Eitski
             f"cannot read {path}: expected at most {most} bytes, got {status.st_size}; is this the "
             "file that was meant?"
         )
-    if status.st_size > _LARGE and _stored(handle, status.st_size) < status.st_size // 100:
+    if status.st_size > _LARGE and _allocated_bytes(handle, status.st_size) < status.st_size // 100:
         raise failure(f"cannot read {path}: most of its {status.st_size} bytes are missing")
     return status.st_size
 
 
-def _stored(handle: int, size: int) -> int:
-    """Bytes of a file that are no holes, as far as the system tells."""
+def _allocated_bytes(handle: int, size: int) -> int:
+    """Bytes of a file that are no holes, as far as the system shows."""
     if not hasattr(os, "SEEK_DATA"):
         return size
     stored = end = 0
@@ -224,34 +224,34 @@ def _stored(handle: int, size: int) -> int:
 
 
 def read_text(
-    path: str | Path, most: int = MOST_TEXT, failure: type[EitskinError] = ConfigurationError
+    path: str | Path, max_bytes: int = MAX_TEXT, failure: type[EitskinError] = ConfigurationError
 ) -> str:
     """Text of a file in UTF-8; arguments and errors as for `read_bytes`."""
     try:
-        return read_bytes(path, most, failure).decode()
+        return read_bytes(path, max_bytes, failure).decode()
     except UnicodeDecodeError as error:
         raise failure(f"cannot read {path}: it is no text in UTF-8: {error}") from error
 
 
-def parse_json(content: bytes | str, kind: Any = Any) -> Any:
-    """Data of a JSON text, of the type `kind`; raises ValueError for anything that is not JSON.
+def parse_json(content: bytes | str, target: Any = Any) -> Any:
+    """Data of a JSON text, of the type `target`; raises ValueError for anything that is not JSON.
 
     Numbers beyond the range of their type and nesting beyond that of Python's calls are refused.
     """
     try:
-        return msgspec.json.decode(content, type=kind)
+        return msgspec.json.decode(content, type=target)
     except (ValueError, RecursionError) as error:  # a byte that is no UTF-8 is no MsgspecError
         raise ValueError(f"not valid JSON: {error}") from error
 
 
-def quoted(value: object) -> str:
+def quote_value(value: object) -> str:
     """`repr` of a value from a file for a message, cut after a hundred characters."""
-    return shortened(repr(value))
+    return shorten_text(repr(value))
 
 
-def shortened(text: str) -> str:
+def shorten_text(text: str) -> str:
     """Text for a message, cut after a hundred characters."""
-    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]} ..."
+    return text if len(text) <= _MAX_QUOTE else f"{text[:_MAX_QUOTE]} ..."
 
 
 def printable(message: object) -> str:

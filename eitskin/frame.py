@@ -37,9 +37,9 @@ class Frame:
         impedance: complex, one value per measurement of `protocol`, in its order [ohm].
         protocol: drive and sense electrodes of each value.
         time: since the session began [s].
-        number: of the frame in its session; a gap means lost frames.
+        number: number of the frame in its session; a gap means lost frames.
         session: changes when a board has restarted; references of another session are not valid.
-        frequency: of the excitation [Hz].
+        frequency: frequency of the excitation [Hz].
         status: `Status` bits, (measurements,) uint8; zeros where nothing is wrong.
         duration: time that its measurements took [s]; NaN where unknown.
 

@@ -27,7 +27,7 @@ class Latest(Generic[T]):
         return self._value
 
     @property
-    def closed(self) -> bool:
+    def is_closed(self) -> bool:
         """Whether no further value will come."""
         return self._closed
 
@@ -38,7 +38,7 @@ class Latest(Generic[T]):
                 self._value, self._number = value, self._number + 1
                 self._changed.notify_all()
 
-    def after(self, number: int, timeout: float | None = None) -> tuple[int, T] | None:
+    def wait_after(self, number: int, timeout: float | None = None) -> tuple[int, T] | None:
         """Wait for a value after `number`; returns its number and the value.
 
         Returns None where no value comes within `timeout` [s], or none will come any more.

@@ -18,14 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin import bounds
 from eitskin.bounds import require_count
 from eitskin.errors import ConfigurationError, FrameError
-from eitskin.files import atomic_file, read_text, shortened
+from eitskin.extras import old_names
+from eitskin.files import atomic_file, read_text, shorten_text
 
 Row: TypeAlias = tuple[int, int, int, int]
 
 HEADER = ("drive_plus", "drive_minus", "sense_plus", "sense_minus")
-MOST_ELECTRODES = 255  # on the wire the number of electrodes is a byte
+MAX_ELECTRODES = 255  # on the wire the number of electrodes is a byte
 
 
+@old_names(abbreviated="short_name", named="from_name")
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """Table of measurements, each (drive+, drive-, sense+, sense-).
@@ -138,9 +140,7 @@ class Protocol:
         table: dict[Row, int] = {}
         for number, cells in lines[1:]:
             where = f"{path}, line {number}"
-            row = _row(
-                cells, MOST_ELECTRODES if n_electrodes is None else n_electrodes, where, base
-            )
+            row = _row(cells, MAX_ELECTRODES if n_electrodes is None else n_electrodes, where, base)
             if row in table:
                 raise ConfigurationError(
                     f"{where}: measurement {_text(row)} is in line {table[row]} already; leave "
@@ -157,7 +157,9 @@ class Protocol:
             temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
 
     @classmethod
-    def named(cls, text: str, n_electrodes: int | None = None, folder: Path = Path()) -> "Protocol":
+    def from_name(
+        cls, text: str, n_electrodes: int | None = None, folder: Path = Path()
+    ) -> "Protocol":
         """Protocol of a name or a table file, as options, URIs and recipes give it.
 
         Args:
@@ -216,18 +218,18 @@ class Protocol:
         """Name and size, "adjacent:16 (208 measurements)", or the beginning of another table."""
         size = f"{len(self)} measurement{'s' * (len(self) > 1)}"
         first = ", ".join(self.labels[:3])
-        name = self.abbreviated()
+        name = self.short_name()
         return f"{name or f'a table for {self.n_electrodes} electrodes'} ({size}" + (
             ")" if name else f", first {first})"
         )
 
-    def abbreviated(self) -> str | None:
-        """Text that `named` reads back, such as "adjacent:16"; None for a table without a name."""
+    def short_name(self) -> str | None:
+        """Text that `from_name` reads, such as "adjacent:16"; None for a table without a name."""
         skip = self.table[0][1] - self.table[0][0] - 1
         for name, plus in itertools.product((*_NAMES, f"skip:{skip}"), ("", "+driven")):
             text = f"{name}:{self.n_electrodes}{plus}"
             with contextlib.suppress(ConfigurationError):
-                if Protocol.named(text) == self:
+                if Protocol.from_name(text) == self:
                     return text
         return None
 
@@ -337,7 +339,7 @@ def _row(cells: list[str], n_electrodes: int, where: str, base: int) -> Row:
         )
     if not all(re.fullmatch(r"[+-]?\d{1,9}", cell.strip()) for cell in cells):
         raise ConfigurationError(
-            f"{where}: electrodes are whole numbers, got {shortened(','.join(cells))}"
+            f"{where}: electrodes are whole numbers, got {shorten_text(','.join(cells))}"
         )
     a, b, c, d = (int(cell) - base for cell in cells)
     _check((a, b, c, d), n_electrodes, where)

@@ -19,7 +19,7 @@ class Provenance:
         python: version of the interpreter.
         packages: version of each package involved; "not installed" where one is absent.
         seed: of all random numbers.
-        date: of the measurement, ISO 8601, UTC.
+        date: date of the measurement, ISO 8601, UTC.
     """
 
     machine: str

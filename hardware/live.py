@@ -29,7 +29,7 @@ class AcquisitionClock:
 
     No frame comes before it was measured: the smallest difference between an arrival and the end of
     that measurement by the board's clock counts as the difference of the two clocks. It holds the
-    shortest time on the line, which one end alone cannot tell; every result is late by that.
+    shortest time on the line, which one end alone cannot determine; every result is late by that.
     """
 
     def __init__(self) -> None:
@@ -37,11 +37,11 @@ class AcquisitionClock:
         self._session: int | None = None
         self._offset, self._board_time, self._arrived = math.inf, -math.inf, 0.0
 
-    def begun(self, frame: Frame, arrived: float) -> float:
-        """Time at which a frame's measurement began [s]; NaN where the board tells no duration.
+    def measurement_start(self, frame: Frame, arrived: float) -> float:
+        """Time at which a frame's measurement began [s]; NaN where the board shows no duration.
 
         Args:
-            frame: in the order of arrival.
+            frame: frame in the order of arrival.
             arrived: when it came, by the clock of this machine [s].
         """
         if not math.isfinite(frame.duration + frame.time):
@@ -54,7 +54,7 @@ class AcquisitionClock:
         return frame.time + self._offset
 
 
-LONGEST_REASON = 200  # letters
+MAX_REASON = 200  # letters
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +73,7 @@ class Estimate(typing.Protocol):
 
     @property
     def probabilities(self) -> Sequence[float] | NDArray[np.floating]:
-        """Probabilities of the states, in their order, (3,); NaN for those not told apart."""
+        """Probabilities of the states, in their order, (3,); NaN for those not distinguished."""
 
     @property
     def bend_angle_deg(self) -> float | None:
@@ -168,7 +168,7 @@ def run_live(
         'IDLE'
     """
     unusable = 0
-    known = False
+    period_known = False
     arrivals: deque[float] = deque(maxlen=20)
     for frame in board.frames(newest=newest):
         arrivals.append(clock())
@@ -176,9 +176,9 @@ def run_live(
         estimate, problem = None, ""
         try:
             estimate = pipeline.process(frame)
-            known = True
+            period_known = True
         except FrameError as error:
-            if not (known or isinstance(error, UnusableFrameError)):
+            if not (period_known or isinstance(error, UnusableFrameError)):
                 raise
             problem, unusable = str(error), unusable + 1
         except Exception as error:  # a session must outlive whatever one frame brings about
@@ -190,8 +190,8 @@ def run_live(
 
 def _failure(error: Exception) -> str:
     """Sentence on an error of a pipeline, on one line; the log has its traceback."""
-    said = printable(" ".join(str(error).split())[:LONGEST_REASON])
-    return f"the pipeline failed on this frame ({type(error).__name__}: {said})"
+    reason = printable(" ".join(str(error).split())[:MAX_REASON])
+    return f"the pipeline failed on this frame ({type(error).__name__}: {reason})"
 
 
 def _rate(arrivals: deque[float]) -> float:
@@ -239,7 +239,7 @@ class LiveReadings(Closeable):
         """The newest reading; None before the first, and where it is older than three periods."""
         reading = self._latest.value
         fresh = time.monotonic() - self._arrived <= longest_silence(self._board.info.period)
-        return reading if fresh and not self._latest.closed else None
+        return reading if fresh and not self._latest.is_closed else None
 
     @property
     def problem(self) -> str:
@@ -247,12 +247,12 @@ class LiveReadings(Closeable):
         return str(self._error or self._connection.problem)
 
     def __iter__(self) -> Iterator[Reading]:
-        """Readings as they come, without those that became old meanwhile, until the session ends.
+        """Readings in their order, without those that became old meanwhile, until the session ends.
 
         Raises the error that ended the session.
         """
         number = 0
-        while (newest := self._latest.after(number)) is not None:
+        while (newest := self._latest.wait_after(number)) is not None:
             number, reading = newest
             yield reading
         if self._error is not None:
@@ -306,7 +306,7 @@ class LiveReadings(Closeable):
     def _call(self, function: Callable[[Reading], object]) -> None:
         number = 0
         try:
-            while (newest := self._latest.after(number)) is not None:
+            while (newest := self._latest.wait_after(number)) is not None:
                 number, reading = newest
                 function(reading)
         except Exception as error:  # raised by `close`

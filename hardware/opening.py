@@ -40,18 +40,18 @@ def open_board(uri: str, **options: Any) -> Board:
     """
     if _PORT.fullmatch(uri):
         uri = f"{'text' if 'protocol=' in uri else 'serial'}:{uri}"
-    scheme, _, rest = uri.partition(":")
-    path, _, query = rest.partition("?")
+    scheme, _, address = uri.partition(":")
+    path, _, query = address.partition("?")
     if not is_board(uri):
-        known = {*_SCHEMES, *_installed()}
-        near = difflib.get_close_matches(scheme, known, n=1)
+        known_schemes = {*_SCHEMES, *_installed_boards()}
+        near = difflib.get_close_matches(scheme, known_schemes, n=1)
         hint = f"; did you mean '{near[0]}:'?" if near else ""
         raise ConfigurationError(
             f"expected a board as serial:PORT, text:PORT, virtual: or replay:DIRECTORY"
-            f"{''.join(f', {name}:' for name in _installed())}, got {uri!r}{hint}"
+            f"{''.join(f', {name}:' for name in _installed_boards())}, got {uri!r}{hint}"
         )
     if scheme not in _SCHEMES:
-        board = _installed()[scheme].load()(path, uri, **dict(parse_qsl(query)), **options)
+        board = _installed_boards()[scheme].load()(path, uri, **dict(parse_qsl(query)), **options)
         if not isinstance(board, Board):
             raise ConfigurationError(
                 f"{scheme}: must give an eitskin.hardware.Board, got {type(board).__name__}"
@@ -67,13 +67,13 @@ def open_board(uri: str, **options: Any) -> Board:
 def is_board(text: str) -> bool:
     """Whether a text names a board: a port, or a URI of a kind that is known or installed."""
     scheme, colon, _ = text.partition(":")
-    known = bool(colon) and (scheme in _SCHEMES or scheme in _installed())
-    return known or bool(_PORT.fullmatch(text))
+    has_scheme = bool(colon) and (scheme in _SCHEMES or scheme in _installed_boards())
+    return has_scheme or bool(_PORT.fullmatch(text))
 
 
-def _installed() -> dict[str, importlib.metadata.EntryPoint]:
+def _installed_boards() -> dict[str, importlib.metadata.EntryPoint]:
     """Kinds of boards that installed packages offer."""
-    return {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
+    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
 
 
 def _open(scheme: str, path: str, uri: str, options: dict[str, Any]) -> Board:
@@ -111,7 +111,7 @@ def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
         _require_known(scheme, name, readers)
         reader = readers[name]
         if reader is None:
-            raise ConfigurationError(f"{scheme}: option {name} cannot be said in a URI")
+            raise ConfigurationError(f"{scheme}: option {name} cannot be given in a URI")
         try:
             options[name] = reader(text)
         except ValueError as error:

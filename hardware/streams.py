@@ -23,7 +23,7 @@ from eitskin.closeable import Closeable
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.files import quoted
+from eitskin.files import quote_value
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Connection, Counts
 from eitskin.hardware.live import Estimate, Reading
@@ -39,8 +39,8 @@ def reading_record(reading: Reading, counts: Counts) -> dict[str, Any]:
     docs/reference/live.md lists the keys with their units.
 
     Args:
-        reading: from the live loop.
-        counts: of the board at that moment.
+        reading: reading from the live loop.
+        counts: counts of the board at that moment.
     """
     frame, estimate = reading.frame, reading.estimate
     return {
@@ -48,12 +48,12 @@ def reading_record(reading: Reading, counts: Counts) -> dict[str, Any]:
         "kind": "reading",
         "number": frame.number,
         "session": frame.session,
-        "time": known(frame.time),
-        "wall_time": known(reading.wall_time),
-        **(_without_estimate(reading) if estimate is None else _estimated(estimate)),
+        "time": finite_or_none(frame.time),
+        "wall_time": finite_or_none(reading.wall_time),
+        **(_without_estimate(reading) if estimate is None else _estimate_fields(estimate)),
         "bad_channels": bad_channels(frame),
         "latency_ms": reading.latency * 1e3,
-        "rate_hz": known(reading.rate),
+        "rate_hz": finite_or_none(reading.rate),
         "lost": counts.lost,
         "skipped": counts.skipped,
         "unusable": reading.unusable,
@@ -72,14 +72,14 @@ def silence_record(seconds: float, problem: str) -> dict[str, Any]:
     return {"version": VERSION, "kind": "silence", "seconds": seconds, "problem": problem}
 
 
-def _estimated(estimate: Estimate) -> dict[str, Any]:
+def _estimate_fields(estimate: Estimate) -> dict[str, Any]:
     values = np.asarray(estimate.probabilities, dtype=float).tolist()
     names = (state.name.lower() for state in State)
     return {
         "state": state_name(estimate),
-        "probabilities": dict(zip(names, map(known, values), strict=True)),
-        "bend_angle_deg": known(estimate.bend_angle_deg),
-        "bend_deviation_deg": known(getattr(estimate, "bend_deviation_deg", None)),
+        "probabilities": dict(zip(names, map(finite_or_none, values), strict=True)),
+        "bend_angle_deg": finite_or_none(estimate.bend_angle_deg),
+        "bend_deviation_deg": finite_or_none(getattr(estimate, "bend_deviation_deg", None)),
         "touches": _touches(estimate),
         "zero": zero_name(estimate),
         "problems": list(estimate.problems),
@@ -92,11 +92,11 @@ def _touches(estimate: Estimate) -> list[dict[str, float | None]] | None:
         return None
     return [
         {
-            "x": known(touch[0]),
-            "y": known(touch[1]),
-            "strength": known(touch[2]),
-            "force": known(getattr(touch, "force", None)),
-            "deviation": known(getattr(touch, "deviation", None)),
+            "x": finite_or_none(touch[0]),
+            "y": finite_or_none(touch[1]),
+            "strength": finite_or_none(touch[2]),
+            "force": finite_or_none(getattr(touch, "force", None)),
+            "deviation": finite_or_none(getattr(touch, "deviation", None)),
         }
         for touch in estimate.touches
     ]
@@ -130,7 +130,7 @@ def zero_name(estimate: Estimate) -> str:
     return str(getattr(estimate, "zero", "first frames"))
 
 
-def known(value: float | None) -> float | None:
+def finite_or_none(value: float | None) -> float | None:
     """`value`, None where it is unknown or not finite, which JSON cannot say."""
     return float(value) if value is not None and math.isfinite(value) else None
 
@@ -140,7 +140,7 @@ def _status_text(bits: int) -> str:
     return ", ".join(names) or f"status {bits:#04x}"
 
 
-HEARTBEAT = 1.0  # s without a reading, after which silence is told
+HEARTBEAT = 1.0  # s without a reading, after which silence is reported
 
 
 class Outlet(typing.Protocol):
@@ -172,10 +172,10 @@ class ReadingPublisher(Closeable):
         """Start the thread.
 
         Args:
-            connection: to the board whose readings will be published.
+            connection: connection to the board whose readings will be published.
             outlets: ways to other programs, which `close` closes.
             clock: [s].
-            heartbeat: time without a reading, after which silence is told [s].
+            heartbeat: time without a reading, after which silence is reported [s].
         """
         self._outlets = tuple(outlets)
         self._connection, self._clock, self._heartbeat = connection, clock, heartbeat
@@ -201,11 +201,11 @@ class ReadingPublisher(Closeable):
     def _run(self) -> None:
         number, came = 0, self._clock()
         while True:
-            newest = self._latest.after(number, self._heartbeat)
+            newest = self._latest.wait_after(number, self._heartbeat)
             if newest is not None:
                 number, came = newest[0], self._clock()
                 record = reading_record(*newest[1])
-            elif self._latest.closed:
+            elif self._latest.is_closed:
                 return
             else:
                 record = silence_record(self._clock() - came, self._connection.problem)
@@ -227,13 +227,13 @@ class UdpOutlet:
         self.url = f"udp://{host}:{port}"
         self.refused = 0
         try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+            addresses = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         except OSError as error:
             raise ConfigurationError(
                 f"--udp: cannot find {host}: {error.strerror or error}; give a name or number of a "
                 "machine on this network"
             ) from error
-        family, kind, protocol, _, address = found[0]
+        family, kind, protocol, _, address = addresses[0]
         self._address: tuple[Any, ...] = address
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setblocking(False)
@@ -253,8 +253,8 @@ class UdpOutlet:
 if TYPE_CHECKING:
     from websockets.sync.server import ServerConnection
 
-MOST_CLIENTS = 8
-STALLED = 5.0  # s, after which a client that takes nothing is disconnected
+MAX_CLIENTS = 8
+STALL_TIMEOUT = 5.0  # s, after which a client that takes nothing is disconnected
 TRY_AGAIN_LATER = 1013  # close code
 # Pages of this machine, and programs, which send no Origin: no foreign page may listen.
 ORIGINS = (None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"))
@@ -275,7 +275,7 @@ class WebSocketOutlet:
 
         Args:
             host: address to listen at.
-            port: of it; 0 for any that is free.
+            port: port of it; 0 for any that is free.
 
         Raises:
             ImportError: naming the extra, where websockets is missing.
@@ -283,7 +283,7 @@ class WebSocketOutlet:
         """
         serve = require("websockets.sync.server", "websocket").serve
         self._messages: Latest[str] = Latest()
-        self._seats = threading.Semaphore(MOST_CLIENTS)
+        self._seats = threading.Semaphore(MAX_CLIENTS)
         try:
             self._server = serve(
                 self._serve,
@@ -291,8 +291,8 @@ class WebSocketOutlet:
                 port,
                 origins=ORIGINS,
                 compression=None,
-                ping_interval=STALLED,
-                ping_timeout=STALLED,
+                ping_interval=STALL_TIMEOUT,
+                ping_timeout=STALL_TIMEOUT,
                 close_timeout=1.0,
                 max_size=1024,
                 logger=log,
@@ -322,17 +322,17 @@ class WebSocketOutlet:
     def _serve(self, client: "ServerConnection") -> None:
         """Send each newest message until the client has gone, stalls, or the server ends."""
         if not self._seats.acquire(blocking=False):
-            client.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients listen already")
+            client.close(TRY_AGAIN_LATER, f"{MAX_CLIENTS} clients listen already")
             return
         try:
             _limit_sending(client.socket)
             number = 0  # the newest message is at most a heartbeat old
-            while (newest := self._messages.after(number)) is not None:
+            while (newest := self._messages.wait_after(number)) is not None:
                 number, message = newest
                 client.send(message)
                 # The next only when this one has arrived: buffers between would fill with old ones.
-                if not client.ping(ack_on_close=True).wait(STALLED):
-                    raise TimeoutError(f"nothing was read for {STALLED:g} s")
+                if not client.ping(ack_on_close=True).wait(STALL_TIMEOUT):
+                    raise TimeoutError(f"nothing was read for {STALL_TIMEOUT:g} s")
         except Exception:  # gone, or stalled for too long, in any of the ways of the library
             log.debug("a client has gone", exc_info=True)
             with contextlib.suppress(OSError):
@@ -343,8 +343,8 @@ class WebSocketOutlet:
 
 def _limit_sending(connected: socket.socket) -> None:
     """Let a send fail that takes too long; the library's own pings wait behind a stalled one."""
-    seconds = int(STALLED)
-    limit = struct.pack("ll", seconds, round(1e6 * (STALLED - seconds)))
+    seconds = int(STALL_TIMEOUT)
+    limit = struct.pack("ll", seconds, round(1e6 * (STALL_TIMEOUT - seconds)))
     with contextlib.suppress(OSError, AttributeError):
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
 
@@ -358,7 +358,7 @@ def open_publisher(
     """Publisher by UDP, WebSocket or both.
 
     Args:
-        connection: to the board whose readings will be published.
+        connection: connection to the board whose readings will be published.
         udp: "PORT" or "HOST:PORT" that datagrams go to; None for no datagrams.
         websocket: "PORT" or "HOST:PORT" to listen at; None for no server.
 
@@ -369,16 +369,16 @@ def open_publisher(
     outlets: list[Outlet] = []
     with ExitStack() as stack:
         if udp is not None:
-            outlets.append(stack.enter_context(closing(UdpOutlet(*address_of("--udp", udp)))))
+            outlets.append(stack.enter_context(closing(UdpOutlet(*parse_address("--udp", udp)))))
         if websocket is not None:
-            served = WebSocketOutlet(*address_of("--websocket", websocket))
+            served = WebSocketOutlet(*parse_address("--websocket", websocket))
             outlets.append(stack.enter_context(closing(served)))
         publisher = ReadingPublisher(connection, outlets)
         stack.pop_all()  # the publisher closes them
     return publisher
 
 
-def address_of(option: str, text: str) -> tuple[str, int]:
+def parse_address(option: str, text: str) -> tuple[str, int]:
     """Host and port of "PORT", which is this machine's own, or "HOST:PORT".
 
     Args:
@@ -399,6 +399,7 @@ def address_of(option: str, text: str) -> tuple[str, int]:
         name = " "
     if not re.fullmatch(r"[!-~]+", name):
         raise ConfigurationError(
-            f"{option}: expected a name or number of a machine before the port, got {quoted(host)}"
+            f"{option}: expected a name or number of a machine before the port, got "
+            f"{quote_value(host)}"
         )
     return host, int(port)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import kernels
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
-from eitskin.geometry.deformation.kinematics import Composed, Deformation
+from eitskin.geometry.deformation.kinematics import Composition, Deformation
 from eitskin.geometry.design.outline import Polygon
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import Rigid, SensorDesign, Support, require_fit
@@ -21,10 +22,10 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.pressed_plates import ANGLES_DEG, held_by_plates
 from eitskin.simulator.bodies.body_deformation import (
-    bent_by,
     pressed_body_touches,
-    pressed_by,
     require_pressable,
+    solve_bend,
+    solve_presses,
 )
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
 from eitskin.simulator.deformation.deformed_layer import DeformedLayer
@@ -40,7 +41,7 @@ from eitskin.simulator.deformation.touches import (
 from eitskin.simulator.electrical.batch import TOLERANCE
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
+from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, without_touches
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import PressedTouch, Scene, Touch, require_bendable
@@ -49,12 +50,17 @@ Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
 
 
+@old_names(
+    deformed="simulate_deformation",
+    full_scale_on="instrument_full_scale",
+    supported="design_on_support",
+)
 class Simulator:
     """One sensor on one fixture, meshed once; `measure` gives the frame of any scene.
 
     Attributes:
         design: the sensor.
-        fixture: that bends the sensor.
+        fixture: fixture that bends the sensor.
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
         touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
@@ -82,8 +88,8 @@ class Simulator:
         Args:
             design: the sensor.
             resolution: "coarse", "fast", "standard" or "fine", or element order and grading.
-            fixture: that bends the sensor; the default clamp when omitted, whose bends of other
-                sensors than the reference are solved at their first use, in half a minute.
+            fixture: fixture that bends the sensor; the default clamp when omitted, whose bends of
+                other sensors than the reference are solved at their first use, in half a minute.
             protocol: drive and sense pairs; every pair of electrodes, which is drive and sense pair
                 in one, when omitted.
             mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
@@ -127,9 +133,9 @@ class Simulator:
     @cached_property
     def full_scale(self) -> float:
         """Largest resistance of the flat, untouched sensor [ohm]."""
-        return self.full_scale_on(Instrument.ideal())
+        return self.instrument_full_scale(Instrument.ideal())
 
-    def full_scale_on(self, instrument: Instrument) -> float:
+    def instrument_full_scale(self, instrument: Instrument) -> float:
         """Largest transfer impedance of the flat, untouched sensor on an instrument [ohm]."""
         flat = instrument.transfer_impedance(self.model.flat_impedance, self.protocol)
         return float(np.abs(flat).max())
@@ -147,26 +153,28 @@ class Simulator:
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg and not isinstance(dented, BentPresses):
-            parts.append(self._flexure(scene.bend, self.supported(scene)))
+            parts.append(self._flexure(scene.bend, self.design_on_support(scene)))
         if scene.twist is not None:
             parts.append(scene.twist.deformation(self.design))
-        return reduce(Composed, parts) if parts else None
+        return reduce(Composition, parts) if parts else None
 
     def _flexure(self, bend: Bend, design: SensorDesign) -> Deformation:
         """Deformation by the bend; cached, since scenes of one bend follow each other."""
-        wanted = (bend, design.support)
-        if self._bent is None or self._bent[0] != wanted:
+        key = (bend, design.support)
+        if self._bent is None or self._bent[0] != key:
             fixed = design, self.fixture, self.mechanics, bend
-            bent = bent_by(*fixed) if self._is_body else bend_table.bend(*fixed, self.grid)
-            self._bent = (wanted, bent)
+            bent = solve_bend(*fixed) if self._is_body else bend_table.bend(*fixed, self.grid)
+            self._bent = (key, bent)
         return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact radius and pressure of each touch, with error estimates."""
         self.check_scene(scene)
         if self._is_body:
-            return pressed_body_touches(scene.touches, self.supported(scene), self.mechanics)
-        sensor = self._pressed(scene)
+            return pressed_body_touches(
+                scene.touches, self.design_on_support(scene), self.mechanics
+            )
+        sensor = self._pressed_sensor(scene)
         bent_after = scene.bends if sensor.bend is None else scene.twist is not None
         return pressed_touches(scene.touches, sensor, bent_after, self._is_compared(scene))
 
@@ -174,20 +182,21 @@ class Simulator:
         """Whether the press of a sensor that is bent then was compared with that of a bent one."""
         low, high = ANGLES_DEG[0], ANGLES_DEG[-1]
         alone = scene.roll is None and scene.twist is None and isinstance(self.fixture, Clamp)
-        on_base = isinstance(self.supported(scene).support, Rigid)
+        on_base = isinstance(self.design_on_support(scene).support, Rigid)
         return alone and on_base and low <= scene.bend.angle_deg <= high
 
     def solves_presses(self, scene: Scene) -> bool:
         """Whether the touches of a scene are solved in 3D, which takes half a minute to minutes."""
         if not scene.touches or self._is_body:
             return False
-        return resolve_touch_model(scene.touches, self._pressed(scene)) == "solved"
+        return resolve_touch_model(scene.touches, self._pressed_sensor(scene)) == "solved"
 
-    def _pressed(self, scene: Scene) -> PressedSensor:
+    def _pressed_sensor(self, scene: Scene) -> PressedSensor:
         """The sensor on its support in a scene; plates that bend it hold it while it is pressed."""
-        pressed = self.supported(scene)
+        pressed = self.design_on_support(scene)
         if isinstance(pressed.outline, Polygon) and (plain := pressed.outline.as_rectangle):
-            # Presses do not feel electrodes, which might cross a corner of the rectangle's rim.
+            # Presses are not affected by electrodes, which might cross a corner of the rectangle's
+            # rim.
             pair = uniform(plain, 2, width=0.25 * min(plain.length, plain.width))
             pressed = dataclasses.replace(pressed, outline=plain, electrodes=pair)
         angle = 0.0 if scene.roll is not None else scene.bend.angle_deg
@@ -203,7 +212,7 @@ class Simulator:
         """
         outline = self.design.outline
         if isinstance(outline, Surface):
-            self.supported(scene)
+            self.design_on_support(scene)
             require_pressable(outline, scene.touches)
             return
         for touch in scene.touches:
@@ -213,15 +222,15 @@ class Simulator:
                     f"{outline.length:g} x {outline.width:g} m, got ({touch.x:g}, {touch.y:g}) m; "
                     "are the units metres?"
                 )
-        supported = self.supported(scene)
-        require_model(scene.touches, self._pressed(scene))
+        supported = self.design_on_support(scene)
+        require_model(scene.touches, self._pressed_sensor(scene))
         if scene.bends:
             require_bendable(supported.support, self.fixture)
         if scene.bend.angle_deg and isinstance(self.fixture, Clamp):
             bend_table.check_clamp(supported, self.fixture, self.mechanics)
         require_fit(supported.support, outline)
 
-    def supported(self, scene: Scene) -> SensorDesign:
+    def design_on_support(self, scene: Scene) -> SensorDesign:
         """The design, on the scene's support where the scene has one.
 
         Raises ConfigurationError where the sensor cannot rest on that support.
@@ -230,11 +239,11 @@ class Simulator:
             return self.design
         return dataclasses.replace(self.design, support=scene.support)
 
-    def deformed(self, deformation: Deformation) -> Frame:
+    def simulate_deformation(self, deformation: Deformation) -> Frame:
         """Noise-free frame of the sensor under any deformation, such as `Displaced`."""
         layer = DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity)
         impedance = self.model.impedance(layer.conductivity, layer.area_ratio)
-        return Frame(self._measured(impedance), self.protocol)
+        return Frame(self._noise_free_values(impedance), self.protocol)
 
     def measure(
         self,
@@ -262,11 +271,13 @@ class Simulator:
                     "an instrument needs rng=numpy.random.default_rng(seed) for its noise"
                 )
             start, noise = rng.spawn(2)
-            session = instrument.session(self.protocol, self.full_scale_on(instrument), start)
-            both = instrument.terminal_impedances(matrix, self.protocol)
-            (impedance,), (status,) = session.measure(both[None], np.zeros(1), noise)
+            session = instrument.session(
+                self.protocol, self.instrument_full_scale(instrument), start
+            )
+            impedances = instrument.terminal_impedances(matrix, self.protocol)
+            (impedance,), (status,) = session.measure(impedances[None], np.zeros(1), noise)
             return Frame(impedance, self.protocol, status=status)
-        return Frame(self._measured(matrix), self.protocol)
+        return Frame(self._noise_free_values(matrix), self.protocol)
 
     def impedance_matrix(self, scene: Scene) -> NDArray[np.inexact]:
         """Impedance matrix of the sensor in a scene [ohm], (electrodes, electrodes).
@@ -274,7 +285,7 @@ class Simulator:
         The solution of the last scene is cached. Raises ConfigurationError as `measure` does.
         """
         if self._last is None or self._last[0] != scene:
-            self._last = (scene, self._impedances.at([scene])[scene])
+            self._last = (scene, self._impedances.solve_scenes([scene])[scene])
         return self._last[1]
 
     def measure_all(
@@ -291,15 +302,15 @@ class Simulator:
         not depend on the other scenes.
 
         Args:
-            scenes: in any order; equal scenes are solved once.
+            scenes: scenes in any order; equal scenes are solved once.
             tolerance: error of a scene's change from the flat sensor, relative; for touches of
-                what they change. 0 for each scene solved by itself, as by `measure`.
+                what they change. 0 for each scene solved on its own, as by `measure`.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
         solved = self.impedances(scenes, tolerance)
         if instrument is not None:
             return instrument.terminal_impedances(solved, self.protocol)
-        return self._measured(solved)
+        return self._noise_free_values(solved)
 
     def impedances(
         self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
@@ -310,11 +321,11 @@ class Simulator:
         """
         by_bend: dict[Scene, list[Scene]] = {}
         for scene in dict.fromkeys(scenes):  # those of one bend follow each other
-            by_bend.setdefault(untouched(scene), []).append(scene)
+            by_bend.setdefault(without_touches(scene), []).append(scene)
         ordered = [scene for group in by_bend.values() for scene in group]
         with kernels():
-            found = self._impedances.at(ordered, tolerance)
-        return np.array([found[scene] for scene in scenes])
+            impedances = self._impedances.solve_scenes(ordered, tolerance)
+        return np.array([impedances[scene] for scene in scenes])
 
     def contact_sensitivities(
         self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
@@ -325,8 +336,8 @@ class Simulator:
         contact impedances.
         """
         with kernels():
-            found = self._impedances.contact_sensitivities(dict.fromkeys(scenes), tolerance)
-        return np.array([found[scene] for scene in scenes])
+            sensitivities = self._impedances.contact_sensitivities(dict.fromkeys(scenes), tolerance)
+        return np.array([sensitivities[scene] for scene in scenes])
 
     @property
     def _is_body(self) -> bool:
@@ -340,16 +351,16 @@ class Simulator:
         pressed: dict[PressedSensor, list[tuple[Touch, ...]]] = {}
         for scene in scenes:
             if scene.touches and not self._is_body:
-                pressed.setdefault(self._pressed(scene), []).append(scene.touches)
+                pressed.setdefault(self._pressed_sensor(scene), []).append(scene.touches)
         dented = {sensor: iter(dents(touches, sensor)) for sensor, touches in pressed.items()}
         for scene in scenes:
             if not scene.touches:
                 yield None
             elif self._is_body:
-                body = pressed_by(scene.touches, self.design, self.mechanics)
+                body = solve_presses(scene.touches, self.design, self.mechanics)
                 yield None if body is None else body.field
             else:
-                yield next(dented[self._pressed(scene)])
+                yield next(dented[self._pressed_sensor(scene)])
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity of `deformed_layer`, (..., 3, 3) [S/m]; None where flat."""
@@ -380,7 +391,7 @@ class Simulator:
             layers.append(DeformedLayer(self.design, deformation, law, stress))
         return layers
 
-    def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
+    def _noise_free_values(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         """Noise-free measurements of impedance matrices [ohm], (..., measurements)."""
         return np.asarray(self.protocol.measure(impedance), dtype=np.complex128)
 

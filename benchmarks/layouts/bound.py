@@ -36,7 +36,7 @@ Numbers = NDArray[np.int64]
 
 FORCE = 10.0  # of the press [N]
 _VERSION = 1  # of what a stored file means; raised when the calculation changes
-_COMPARED = 15  # singular values: further ones depend on how many places there are
+_COMPARED_VALUES = 15  # singular values: further ones depend on how many places there are
 _PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
 _STENCIL = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
@@ -46,9 +46,9 @@ class Layout:
     """Electrode layout of a bent sensor, of which every pair is measured.
 
     Attributes:
-        name: of the layout, for tables; says nothing about it.
+        name: name of the layout, for tables; says nothing about it.
         design: the sensor.
-        angle_deg: of the bend at which it is judged [deg].
+        angle_deg: angle of the bend at which it is tested [deg].
     """
 
     name: str
@@ -68,13 +68,14 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """Grid of positions and mesh that a layout is judged with.
+    """Grid of positions and mesh that a layout is tested with.
 
     Attributes:
-        spacing: of the places, at most [m].
-        margin: of the sheet without places: presses nearer to the rim are felt by images only [m].
-        resolution: of the forward model.
-        snr_db: of the instrument's white noise below full scale [dB].
+        spacing: spacing of the places, at most [m].
+        margin: margin of the sheet without places: presses nearer to the rim are detected by images
+            only [m].
+        resolution: resolution of the forward model.
+        snr_db: snr db of the instrument's white noise below full scale [dB].
     """
 
     spacing: float = 0.005
@@ -110,7 +111,7 @@ class SheetBound:
         place: sqrt(var x + var y) with the angle of the bend unknown (ny, nx) [m].
         place_known: the same with the angle known.
         force: angle unknown (ny, nx) [N].
-        angle_deg: of the bend, beside the press (ny, nx) [deg].
+        angle_deg: angle of the bend, next to the press (ny, nx) [deg].
         signal: norm of the change by the press, in deviations of the noise (ny, nx).
         untouched_deg: bound of the angle of the untouched sheet [deg].
         full_scale: largest resistance of the flat, untouched sheet [ohm].
@@ -138,7 +139,7 @@ class SheetBound:
     @property
     def condition(self) -> float:
         """Condition number: largest over 15th singular value, the last of six electrodes."""
-        return float(self.spectrum[0] / self.spectrum[:_COMPARED][-1])
+        return float(self.spectrum[0] / self.spectrum[:_COMPARED_VALUES][-1])
 
     @property
     def patterns(self) -> int:
@@ -162,7 +163,7 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
     images = np.array(
         [
             numbers[turned if flip_y else slice(None), turned if flip_x else slice(None)].ravel()
-            for flip_x, flip_y in (each.flips for each in symmetries)
+            for flip_x, flip_y in (symmetry.flips for symmetry in symmetries)
         ]
     )
     first = images.min(axis=0)

@@ -27,7 +27,7 @@ BENT_COUNTS = (8, 12, 16, 32)  # of electrodes on the rim of bent sheets
 ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # [deg]
 SIZE = (0.150, 0.060)  # of the paper's sensor [m]
 _OUTLINE = Rectangle(*SIZE)
-_RIM = 0.005  # from the rim to the middle of a pad beside it [m]
+_RIM = 0.005  # from the rim to the middle of a pad next to it [m]
 
 
 def paper(angle_deg: float = 0.0) -> Layout:
@@ -50,35 +50,39 @@ def with_electrodes(name: str, electrodes: Sequence[Electrode]) -> Layout:
 def sweeps() -> dict[str, tuple[Layout, ...]]:
     """Layouts by the name of their sweep; the paper's layout is in each."""
     return {
-        "count": tuple(_counted(count) for count in COUNTS),
+        "count": tuple(_rim_layout(count) for count in COUNTS),
         "placement": tuple(_placements()),
         "width": tuple(
-            with_electrodes(f"{1e3 * width:g} mm wide", _around(8, width=width)) for width in WIDTHS
+            with_electrodes(f"{1e3 * width:g} mm wide", _rim_electrodes(8, width=width))
+            for width in WIDTHS
         ),
         "contact": tuple(
-            with_electrodes(f"{z:g} ohm m2", _around(8, contact_impedance=z)) for z in CONTACTS
+            with_electrodes(f"{z:g} ohm m2", _rim_electrodes(8, contact_impedance=z))
+            for z in CONTACTS
         ),
-        "bend": tuple(_bent(count, angle) for count in BENT_COUNTS for angle in ANGLES),
+        "bend": tuple(_bent_layout(count, angle) for count in BENT_COUNTS for angle in ANGLES),
     }
 
 
-def _around(count: int, width: float = 0.005, contact_impedance: float = 1e-3) -> list[Electrode]:
+def _rim_electrodes(
+    count: int, width: float = 0.005, contact_impedance: float = 1e-3
+) -> list[Electrode]:
     """Electrodes evenly spaced on the rim, one in the middle of the lower side as in the paper."""
     start = _OUTLINE.length / 2 % (_OUTLINE.perimeter / count)
     return list(uniform(_OUTLINE, count, width, start, contact_impedance))
 
 
-def _counted(count: int) -> Layout:
-    return with_electrodes(f"{count} on the rim", _around(count))
+def _rim_layout(count: int) -> Layout:
+    return with_electrodes(f"{count} on the rim", _rim_electrodes(count))
 
 
-def _bent(count: int, angle_deg: float) -> Layout:
+def _bent_layout(count: int, angle_deg: float) -> Layout:
     name = f"{count}, {angle_deg:g} deg"
-    return dataclasses.replace(_counted(count), name=name, angle_deg=angle_deg)
+    return dataclasses.replace(_rim_layout(count), name=name, angle_deg=angle_deg)
 
 
 def _placements() -> Iterator[Layout]:
-    """Layouts of eight 5 mm electrodes: on the rim, on top beside it, on top all over, inside."""
+    """Layouts of eight 5 mm electrodes: on the rim, on top next to it, on top all over, inside."""
     design = SensorDesign.reference()
     half = design.thickness / 2
     yield paper()
@@ -115,7 +119,7 @@ class SearchPlan:
         first: step of the first layouts along the rim [m].
         smaller: steps from the best of them, one after the other [m].
         turned: steps of layouts with a half turn alone [m].
-        sampling: how each is judged.
+        sampling: how each is tested.
     """
 
     first: float = 0.015
@@ -138,7 +142,7 @@ class Candidate:
     score: float
 
 
-def at_arcs(name: str, arcs: Arcs) -> Layout:
+def layout_from_arcs(name: str, arcs: Arcs) -> Layout:
     """Layout of electrodes at arc lengths of the rim [m], 5 mm wide.
 
     Raises ConfigurationError for less than 5 mm between two, or one that passes a corner.
@@ -149,7 +153,7 @@ def at_arcs(name: str, arcs: Arcs) -> Layout:
             f"{', '.join(f'{1e3 * s:g}' for s in arcs)} mm along the rim are less than "
             f"{1e3 * WIDTH:g} mm apart, or pass a corner; move them"
         )
-    places = np.round(_OUTLINE.at(np.array(arcs)), 12) + 0.0
+    places = np.round(_OUTLINE.rim_points(np.array(arcs)), 12) + 0.0
     return with_electrodes(name, [Electrode(x, y, WIDTH) for x, y in places.tolist()])
 
 
@@ -158,15 +162,15 @@ def search(judge: Judge, plan: SearchPlan) -> tuple[Candidate, Candidate]:
     along = np.arange(plan.first, _QUARTER - 0.5 * plan.first, plan.first).tolist()
     # On a lattice: one quadruple with both pairs, or two quadruples.
     coarse = [_PAPER, *((t,) for t in along), *itertools.combinations(along, 2)]
-    best = best_of(judge, plan.sampling, [_both_mirrors(each) for each in coarse])
+    best = select_best(judge, plan.sampling, [_both_mirrors(each) for each in coarse])
     for step in plan.smaller:
         distances = {round(s - _MIDDLE, 9) for s in best.arcs}
         mirrored = tuple(sorted(t for t in distances if 1e-6 < t < _QUARTER - 1e-6))
-        best = _descended(judge, plan, best, mirrored, step)
+        best = _coordinate_descent(judge, plan, best, mirrored, step)
     turned = best
     for step in plan.turned:
         half = tuple(s for s in turned.arcs if _turn(s) > s)
-        turned = _descended(judge, plan, turned, half, step)
+        turned = _coordinate_descent(judge, plan, turned, half, step)
     return best, turned
 
 
@@ -186,7 +190,7 @@ def _turn(arc: float) -> float:
     return round((arc + 2.0 * _QUARTER) % PERIMETER, 9)
 
 
-def _descended(
+def _coordinate_descent(
     judge: Judge, plan: SearchPlan, best: Candidate, parameters: Arcs, step: float
 ) -> Candidate:
     """Descend by the best step of one parameter at a time until no step improves the layout.
@@ -205,20 +209,22 @@ def _descended(
             for by in (-step, step)
         ]
         by_arcs = {whole(each): each for each in moved}
-        found = best_of(judge, plan.sampling, list(by_arcs))
-        if found.score >= best.score:
+        best_candidate = select_best(judge, plan.sampling, list(by_arcs))
+        if best_candidate.score >= best.score:
             return best
-        best, parameters = found, by_arcs[found.arcs]
+        best, parameters = best_candidate, by_arcs[best_candidate.arcs]
 
 
-def best_of(judge: Judge, sampling: Sampling, layouts: Sequence[Arcs]) -> Candidate:
+def select_best(judge: Judge, sampling: Sampling, layouts: Sequence[Arcs]) -> Candidate:
     """Best of the possible candidates; the first of equal ones."""
     layouts = [arcs for arcs in dict.fromkeys(layouts) if possible(arcs)]
     names = ("rim at " + ", ".join(f"{1e3 * s:g}" for s in arcs[: COUNT // 2]) for arcs in layouts)
-    bounds = judge([(at_arcs(*each), sampling) for each in zip(names, layouts, strict=True)])
+    bounds = judge(
+        [(layout_from_arcs(*each), sampling) for each in zip(names, layouts, strict=True)]
+    )
     scores = [float(np.percentile(bound.place, 90)) for bound in bounds]
-    found = map(Candidate, layouts, scores)
-    return min(found, key=lambda each: each.score, default=Candidate((), np.inf))
+    candidates = map(Candidate, layouts, scores)
+    return min(candidates, key=lambda each: each.score, default=Candidate((), np.inf))
 
 
 def possible(arcs: Arcs) -> bool:

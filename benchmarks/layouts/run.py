@@ -17,13 +17,13 @@ from eitskin.benchmarks.layouts.candidates import (
     QUICK,
     SIZE,
     SearchPlan,
-    at_arcs,
+    layout_from_arcs,
     paper,
     search,
     sweeps,
     with_electrodes,
 )
-from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, measured
+from eitskin.benchmarks.results import Columns, Progress, Report, ReportTable, make_results
 from eitskin.extras import require
 from eitskin.geometry import ConfigurationError, Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
@@ -53,9 +53,9 @@ LEGEND = (
     "many frames as take the time of the paper's; force: 90 %; angle: of the untouched sheet; "
     "* a frame that does not fit into one packet on the wire"
 )
-# The first of these that were judged and are not drawn already are drawn; without any, the first
+# The first of these that were tested and are not drawn already are drawn; without any, the first
 # layouts.
-_DRAWN = (
+_PICTURED_LAYOUTS = (
     (SEARCH, PAPER),
     ("search", "best with both mirrors"),
     ("search", "best with a half turn"),
@@ -78,7 +78,7 @@ class JudgedLayout:
     bound: SheetBound
 
 
-def figures_of(judged: JudgedLayout) -> dict[str, Any]:
+def table_row(judged: JudgedLayout) -> dict[str, Any]:
     """Row of table.csv of one layout.
 
     Percentiles are over the sheet; bounds are of one frame against a reference of one, with the
@@ -126,7 +126,7 @@ def run(
     workers: int = 1,
     progress: Progress = lambda *_: None,
 ) -> Report:
-    """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
+    """Test the layouts of the sweeps, and search, keeping each finished layout in `folder`.
 
     A run that was stopped goes on from these files. `names` are those of sweeps, of which "search"
     is one; a quick run has few places, and few layouts in the search.
@@ -154,12 +154,12 @@ def run(
         for (name, layout), bound in zip(asked, bounds, strict=True)
     ]
     if SEARCH in names:
-        judged += _searched(judge, quick)
+        judged += _judge_layouts(judge, quick)
     return _report(judged, began, quick)
 
 
 def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report:
-    rows = [figures_of(each) for each in judged]
+    rows = [table_row(each) for each in judged]
     by_title: dict[str, list[dict[str, Any]]] = {}
     sentences = [LEGEND]
     for row in rows:
@@ -171,12 +171,12 @@ def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report
         if row["layout"] in (MIRRORED, TURNED):
             sentences.append(f"{row['layout']}: middles at (x y) {row['electrodes_mm']} mm")
     tables = [
-        replace(ReportTable.of(some, _COLUMNS), headings=(title, *list(_COLUMNS)[1:]))
+        replace(ReportTable.from_rows(some, _COLUMNS), headings=(title, *list(_COLUMNS)[1:]))
         for title, some in by_title.items()
     ]
     figures = [pair for table in tables for pair in table.figures(table.headings[0])]
     return Report(
-        results=measured("layouts", figures, began=began, quick=quick, options="--workers 2"),
+        results=make_results("layouts", figures, began=began, quick=quick, options="--workers 2"),
         rows=rows,
         tables=tables,
         sentences=sentences,
@@ -184,15 +184,15 @@ def _report(judged: Sequence[JudgedLayout], began: float, quick: bool) -> Report
     )
 
 
-def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
-    """Layouts found and usual layouts, judged as in the search and then on a finer mesh."""
+def _judge_layouts(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
+    """Layouts found and usual layouts, tested as in the search and then on a finer mesh."""
     plan = QUICK if quick else SearchPlan()
     mirrored, turned = search(judge, plan)
     layouts = [
         paper(),
         with_electrodes("even, half a pitch on", uniform(Rectangle(*SIZE), COUNT)),
-        at_arcs(MIRRORED, mirrored.arcs),
-        at_arcs(TURNED, turned.arcs),
+        layout_from_arcs(MIRRORED, mirrored.arcs),
+        layout_from_arcs(TURNED, turned.arcs),
     ]
     fine = replace(plan.sampling if quick else SAMPLING, resolution="standard")
     questions = [(layout, each) for each in (plan.sampling, fine) for layout in layouts]
@@ -202,7 +202,7 @@ def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
 
 def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
     """Draw the bound of the place [mm] of up to six layouts on one logarithmic scale."""
-    shown = drawn(judged)
+    shown = pictured_layouts(judged)
     values = np.concatenate([1e3 * each.bound.place.ravel() for each in shown])
     ends = np.percentile(values, (2, 100))
     scale = require("matplotlib.colors", "bench").LogNorm(*ends.tolist())
@@ -218,11 +218,11 @@ def plot_maps(judged: Sequence[JudgedLayout], path: Path) -> None:
     figure.savefig(path, dpi=120, facecolor="white", format="png")
 
 
-def drawn(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
-    """Layouts for the picture; the finer judgement of each layout that was judged twice."""
+def pictured_layouts(judged: Sequence[JudgedLayout]) -> list[JudgedLayout]:
+    """Layouts for the picture; the finer test of each layout that was tested twice."""
     by_name = {(each.sweep, each.layout.name): each for each in judged}
     chosen: list[JudgedLayout] = []
-    for each in (by_name[key] for key in _DRAWN if key in by_name):
+    for each in (by_name[key] for key in _PICTURED_LAYOUTS if key in by_name):
         if all(each.layout.design != other.layout.design for other in chosen):
             chosen.append(each)
     return (chosen or list(by_name.values()))[:_MOST]

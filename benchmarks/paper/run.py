@@ -1,6 +1,6 @@
 """Run of the paper's experiments, their table and picture: `eitskin bench paper`.
 
-Beside the published figures stand those of the paper's pipeline, trained here, of ours, and of
+Next to the published figures stand those of the paper's pipeline, trained here, of ours, and of
 further methods.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from eitskin.benchmarks.paper import scores as paper_scores
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.paper.sets import Sets, make
-from eitskin.benchmarks.results import Progress, Report, ReportTable, measured, plot_errors
+from eitskin.benchmarks.results import Progress, Report, ReportTable, make_results, plot_errors
 from eitskin.datasets import Dataset
 from eitskin.geometry import ConfigurationError, DataError
 from eitskin.training import Method, Pipeline, TrainingSettings
@@ -50,7 +50,7 @@ class TableLine:
         text: what it is.
         unit: "mm", "deg", "ms", "%" of a share, or none.
         paper: as published; empty where the paper gives none.
-        target: to be reached; empty where there is none.
+        target: target to be reached; empty where there is none.
     """
 
     figure: str
@@ -124,8 +124,8 @@ class Contender:
     """Further method of the table, trained on the frames of the paper's pipeline.
 
     Attributes:
-        preset: of its settings; empty for a method of the user's own.
-        method: of the user's own; None for a preset.
+        preset: preset of its settings; empty for a method of the user's own.
+        method: method of the user's own; None for a preset.
     """
 
     preset: str = ""
@@ -177,7 +177,12 @@ def run(
             "--pipeline NAME.eitmodel"
         )
     began, ours = time.perf_counter(), Pipeline.load(pipeline)
-    columns = [OWN, UNSEEN, OURS, *(name for each in contenders for name in columns_of(each.name))]
+    columns = [
+        OWN,
+        UNSEEN,
+        OURS,
+        *(name for each in contenders for name in method_columns(each.name)),
+    ]
     figures: dict[str, list[Figures]] = {name: [] for name in columns}
     bounds: list[Figures] = []
     ratios = []
@@ -188,16 +193,16 @@ def run(
         if paper_seeds is None or seed < paper_seeds:
             settings = TrainingSettings.preset("paper", seed)
             trained[PAPER] = _pipeline(sets.training, place / "paper.eitmodel", settings, progress)
-        for each in contenders:
-            kept = place / f"{each.name.replace(':', '-')}.eitmodel"
-            trained[each.name] = _pipeline(
-                sets.training, kept, each.settings(seed), progress, each.method
+        for contender in contenders:
+            pipeline_path = place / f"{contender.name.replace(':', '-')}.eitmodel"
+            trained[contender.name] = _pipeline(
+                sets.training, pipeline_path, contender.settings(seed), progress, contender.method
             )
 
         def note(part: str, done: int, text: str = f"measuring, seed {seed}") -> None:
             progress(f"{text}: {part}", done, len(trained) + 2)  # noqa: B023 - called at once
 
-        for column, values in _measured(sets, trained, ours, note):
+        for column, values in _measure_figures(sets, trained, ours, note):
             figures[column].append(values)
         note("bounds", len(trained) + 1)
         count = BOUNDED_QUICK if quick else BOUNDED
@@ -205,7 +210,7 @@ def run(
         note("done", len(trained) + 2)
         ratios.append(paper_scores.signal_to_noise(sets.unseen))
     options = f"--seeds {seeds} --paper-seeds {len(figures[OWN])}"
-    options += "".join(f" {each.option}" for each in contenders)
+    options += "".join(f" {contender.option}" for contender in contenders)
     measured_columns = {name: values for name, values in figures.items() if values}
     with_bounds = measured_columns | {BOUND: bounds}
     shown = ReportTable(
@@ -214,7 +219,7 @@ def run(
     )
     named = dict(_figures(with_bounds)) | dict(shown.figures())
     return Report(
-        results=measured("paper", named.items(), began=began, quick=quick, options=options),
+        results=make_results("paper", named.items(), began=began, quick=quick, options=options),
         rows=[
             {"column": column, "seed": seed, "figure": figure, "value": value}
             for column, some in with_bounds.items()
@@ -241,7 +246,7 @@ def run(
     )
 
 
-def _measured(
+def _measure_figures(
     sets: Sets,
     trained: Mapping[str, Pipeline],
     ours: Pipeline,
@@ -249,7 +254,7 @@ def _measured(
 ) -> Iterator[tuple[str, Figures]]:
     unseen = {OURS: ours}
     for number, (name, pipeline) in enumerate(trained.items()):
-        own_sensor, others_sensors = columns_of(name)
+        own_sensor, others_sensors = method_columns(name)
         note(own_sensor, number)
         yield own_sensor, paper_scores.scores(pipeline, sets.own)
         unseen[others_sensors] = pipeline
@@ -259,25 +264,25 @@ def _measured(
         yield column, paper_scores.scores(pipeline, sets.unseen) | calibrated
 
 
-def columns_of(name: str) -> tuple[str, str]:
+def method_columns(name: str) -> tuple[str, str]:
     """Columns of a method that is trained here: on the sensor of its training, and on others."""
     return f"{name}, own sensor", f"{name}, unseen"
 
 
 def _pipeline(
     data: Dataset,
-    place: Path,
+    path: Path,
     settings: TrainingSettings,
     progress: Progress,
     method: type[Method] | None = None,
 ) -> Pipeline:
-    """Pipeline trained on `data`, or loaded from `place` if it is there, valid and the same."""
+    """Pipeline trained on `data`, or loaded from `path` if it is there, valid and the same."""
     with suppress(DataError, ConfigurationError):
-        kept = Pipeline.load(place, method)
+        kept = Pipeline.load(path, method)
         if kept.trained_on["sha256"] == fingerprint(data) and kept.settings == settings:
             return kept
     pipeline = Pipeline.fit(data, settings, progress, method)
-    pipeline.save(place)
+    pipeline.save(path)
     return pipeline
 
 
@@ -310,7 +315,7 @@ def _table(
 def _values(figures: Sequence[Figures], line: TableLine) -> list[float]:
     """Values of the seeds that have one."""
     factor = 100.0 if line.unit == "%" else 1.0
-    return [factor * each[line.figure] for each in figures if line.figure in each]
+    return [factor * figure[line.figure] for figure in figures if line.figure in figure]
 
 
 def _cell(values: Sequence[float], unit: str) -> str:
@@ -321,8 +326,8 @@ def _cell(values: Sequence[float], unit: str) -> str:
     return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
 
 
-def _terms(said: Any) -> str:
-    return ", ".join(f"{name} {value}" for name, value in asdict(said).items() if value)
+def _terms(terms: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in asdict(terms).items() if value)
 
 
 def _figures(columns: Mapping[str, Sequence[Figures]]) -> Iterator[tuple[str, float]]:
@@ -337,13 +342,13 @@ def _figures(columns: Mapping[str, Sequence[Figures]]) -> Iterator[tuple[str, fl
 
 
 def _plot_touches(columns: Mapping[str, Sequence[Figures]], path: Path) -> None:
-    """Plot localisation errors by experiment, beside the paper's and the bounds."""
+    """Plot localisation errors by experiment, next to the paper's and the bounds."""
     ticks = [text for text, _ in _TOUCHES.values()]
     points = {
         column: [
             (float(place), float(np.mean(values)))
             for place, name in enumerate(_TOUCHES)
-            if (values := [each[name] for each in seeds if name in each])
+            if (values := [seed[name] for seed in seeds if name in seed])
         ]
         for column, seeds in columns.items()
     }

@@ -28,64 +28,62 @@ Figures = dict[str, float]
 
 def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
     """All figures of the experiments, without the calibrated ones."""
-    found = touch_scores(pipeline, sets["touch"])
-    single = Evaluation.of(pipeline, sets["indentation"]).report.touches.get("1")
-    found |= {} if single is None else _touches("indentation", single)
-    accuracy = Evaluation.of(pipeline, sets["states"]).report.states.accuracy
+    figures = touch_scores(pipeline, sets["touch"])
+    single = Evaluation.from_dataset(pipeline, sets["indentation"]).report.touches.get("1")
+    figures |= {} if single is None else _touches("indentation", single)
+    accuracy = Evaluation.from_dataset(pipeline, sets["states"]).report.states.accuracy
     for name, share in accuracy.items():
-        found |= _given(f"state.{name}", share)
-    found |= bend_scores(pipeline, sets["bending"])
-    found |= demo_scores(pipeline, sets["demo"])
-    return found
+        figures |= _optional_figure(f"state.{name}", share)
+    figures |= bend_scores(pipeline, sets["bending"])
+    figures |= demo_scores(pipeline, sets["demo"])
+    return figures
 
 
 def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     """Scores of one touch at many bends, of several at some, of all together, and frame times."""
-    report = Evaluation.of(pipeline, data).report
-    found: Figures = {}
+    report = Evaluation.from_dataset(pipeline, data).report
+    figures: Figures = {}
     for group in ("1", "2", "3", "4", "several"):
         if group in report.touches:
-            found |= _touches(f"touch.{group}", report.touches[group])
+            figures |= _touches(f"touch.{group}", report.touches[group])
     groups = [report.touches[group] for group in ("1", "2", "3", "4") if group in report.touches]
-    found |= _given("touch.state", report.states.bent_touch_accuracy)
-    found |= _given("touch.angle_deg", report.bend.touched_rmse_deg)
+    figures |= _optional_figure("touch.state", report.states.bent_touch_accuracy)
+    figures |= _optional_figure("touch.angle_deg", report.bend.touched_rmse_deg)
     errors = [(s.mean_error_mm, s.frames) for s in groups if s.mean_error_mm is not None]
     if errors:
         values, weights = zip(*errors, strict=True)
-        found["touch.error_mm"] = float(np.average(values, weights=weights))
+        figures["touch.error_mm"] = float(np.average(values, weights=weights))
     p50, p99 = np.percentile(frame_times(pipeline, data, range(len(data))), [50, 99]).tolist()
-    return found | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
+    return figures | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
 
 
 def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """Scores of the bend angle, of single frames and of a sequence as it comes."""
+    """Scores of the bend angle, of single frames and of a sequence in its order."""
     if not pipeline.targets.angle:
         return {}
     alone = data.select(~in_episode(data) & (data.state == State.BEND))
     angle = alone.bend_angle_deg.astype(float)
-    said = pipeline.perceive(alone).bend_angle_deg
-    found = {"bend.angle_deg": root_mean_square(said - angle)}
-    found |= _given("bend.r2", determination(angle, said))
+    estimated = pipeline.perceive(alone).bend_angle_deg
+    figures = {"bend.angle_deg": root_mean_square(estimated - angle)}
+    figures |= _optional_figure("bend.r2", determination(angle, estimated))
     errors = [
         estimate.bend_angle_deg - angle
         for sequence in episodes(data)
-        for estimate, angle in zip(
-            replayed(pipeline, sequence), sequence.bend_angle_deg, strict=True
-        )
+        for estimate, angle in zip(replay(pipeline, sequence), sequence.bend_angle_deg, strict=True)
     ]
-    return found | {"sequence.angle_deg": root_mean_square(errors)}
+    return figures | {"sequence.angle_deg": root_mean_square(errors)}
 
 
 def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     """Scores of the demonstration: states, angles, and touches at each of its steps."""
-    estimates = list(replayed(pipeline, data))
-    right = np.array([each.state for each in estimates]) == data.state
-    found: Figures = {"demo.state": float(right.mean())} if pipeline.targets.states else {}
+    estimates = list(replay(pipeline, data))
+    right = np.array([estimate.state for estimate in estimates]) == data.state
+    figures: Figures = {"demo.state": float(right.mean())} if pipeline.targets.states else {}
     if pipeline.targets.angle:
-        said = np.array([each.bend_angle_deg for each in estimates], dtype=float)
-        found["demo.angle_deg"] = root_mean_square(said - data.bend_angle_deg)
+        estimated = np.array([estimate.bend_angle_deg for estimate in estimates], dtype=float)
+        figures["demo.angle_deg"] = root_mean_square(estimated - data.bend_angle_deg)
     if not pipeline.targets.touches:
-        return found
+        return figures
     counts = data.touch_count
     steps = dict.fromkeys(zip(data.bend_angle_deg.tolist(), counts.tolist(), strict=True))
     for angle, count in (step for step in steps if step[1]):
@@ -93,17 +91,17 @@ def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
         distances = [d for row in rows for d in _distances(data, int(row), estimates[row])]
         name = f"demo.{angle:g}deg.{count}"
         if pipeline.targets.states:
-            found[f"{name}.state"] = float(right[rows].mean())
-        found[f"{name}.found"] = len(distances) / (count * len(rows))
+            figures[f"{name}.state"] = float(right[rows].mean())
+        figures[f"{name}.found"] = len(distances) / (count * len(rows))
         if distances:
-            found[f"{name}.error_mm"] = 1e3 * float(np.mean(distances))
-    return found
+            figures[f"{name}.error_mm"] = 1e3 * float(np.mean(distances))
+    return figures
 
 
 def calibrated_scores(
-    pipeline: Pipeline, sets: Mapping[str, Dataset], known: Mapping[str, Dataset]
+    pipeline: Pipeline, sets: Mapping[str, Dataset], known_sets: Mapping[str, Dataset]
 ) -> Figures:
-    """Scores of the angle once the pipeline is calibrated to each sensor by frames in `known`.
+    """Scores of the angle once the pipeline is calibrated to each sensor by frames in `known_sets`.
 
     None for a method that cannot be calibrated.
     """
@@ -111,17 +109,19 @@ def calibrated_scores(
         return {}
     bending, touch = sets["bending"], sets["touch"]
     alone = bending.select(~in_episode(bending) & (bending.state == State.BEND))
-    free = _calibrated_angles(pipeline, alone, known["bending"])
-    touched = _calibrated_angles(pipeline, touch, known["touch"])
+    free = _calibrated_angles(pipeline, alone, known_sets["bending"])
+    touched = _calibrated_angles(pipeline, touch, known_sets["touch"])
     found = {"calibrated.angle_deg": root_mean_square(free - alone.bend_angle_deg)}
-    found |= _given("calibrated.r2", determination(alone.bend_angle_deg.astype(float), free))
+    found |= _optional_figure(
+        "calibrated.r2", determination(alone.bend_angle_deg.astype(float), free)
+    )
     return found | {"calibrated.touched_deg": root_mean_square(touched - touch.bend_angle_deg)}
 
 
-def _calibrated_angles(pipeline: Pipeline, data: Dataset, known: Dataset) -> Array:
+def _calibrated_angles(pipeline: Pipeline, data: Dataset, known_frames: Dataset) -> Array:
     angles = np.full(len(data), np.nan)
     for number in np.unique(data.specimen):
-        mine = known.select(known.specimen == number)
+        mine = known_frames.select(known_frames.specimen == number)
         own = dataclasses.replace(pipeline)  # the one that was trained stays as it is
         own.calibrate([mine.frame(row) for row in range(len(mine))], mine.bend_angle_deg)
         rows = np.flatnonzero(data.specimen == number)
@@ -129,8 +129,8 @@ def _calibrated_angles(pipeline: Pipeline, data: Dataset, known: Dataset) -> Arr
     return angles
 
 
-def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
-    """Estimates of an episode's frames as they come, the first as reference."""
+def replay(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
+    """Estimates of an episode's frames in their order, the first as reference."""
     pipeline.reset()
     for row in range(len(data)):
         yield pipeline.process(data.frame(row))
@@ -138,19 +138,19 @@ def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
 
 
 def _touches(name: str, score: TouchScore) -> Figures:
-    found = {f"{name}.found": score.found, f"{name}.false": score.false_per_touch}
-    found |= _given(f"{name}.error_mm", score.mean_error_mm)
-    found |= _given(f"{name}.deviation_mm", score.deviation_mm)
-    return found | {f"{name}.ssim.{picture}": value for picture, value in score.ssim.items()}
+    figures = {f"{name}.found": score.found, f"{name}.false": score.false_per_touch}
+    figures |= _optional_figure(f"{name}.error_mm", score.mean_error_mm)
+    figures |= _optional_figure(f"{name}.deviation_mm", score.deviation_mm)
+    return figures | {f"{name}.ssim.{picture}": value for picture, value in score.ssim.items()}
 
 
 def _distances(data: Dataset, row: int, estimate: Estimate) -> list[float]:
     true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-    found = [touch[:2] for touch in estimate.touches or ()]
-    return match_distances(true[np.isfinite(true[:, 0])], found)
+    positions = [touch[:2] for touch in estimate.touches or ()]
+    return match_distances(true[np.isfinite(true[:, 0])], positions)
 
 
-def _given(name: str, value: float | None) -> Figures:
+def _optional_figure(name: str, value: float | None) -> Figures:
     return {} if value is None else {name: value}
 
 
@@ -173,7 +173,7 @@ def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -
     For the nominal sensor, and the white noise of the recipe's instrument alone. Places: the mean
     distance [mm], against the mean of as many frames of the sensor at that bend as the recipe says,
     the angle unknown. Angles: root mean square [deg], of one frame against a flat reference
-    without noise, touches unknown; frames before the touch may tell more. `count` frames of each
+    without noise, touches unknown; frames before the touch may show more. `count` frames of each
     kind are drawn by `seed`.
     """
     simulator = Simulator(recipe.sensor, "fast", recipe.fixture, mechanics=recipe.mechanics)
@@ -185,11 +185,11 @@ def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -
     limits, angles = {}, []
     for name, data in kinds.items():
         placed = []
-        for each in _derivatives(simulator, data, count, rng):
-            noise = each.noise(recipe.instrument, simulator.full_scale)
-            placed.append(each.bound(noise, recipe.reference_frames).distance)
+        for derivative in _derivatives(simulator, data, count, rng):
+            noise = derivative.noise(recipe.instrument, simulator.full_scale)
+            placed.append(derivative.bound(noise, recipe.reference_frames).distance)
             if name != "indentation":
-                angles.append(each.bound(noise, np.inf).angle_deg)
+                angles.append(derivative.bound(noise, np.inf).angle_deg)
         limits[f"{name}.error_mm"] = 1e3 * float(np.mean(np.concatenate(placed)))
     bent = [
         each.bound(each.noise(recipe.instrument, simulator.full_scale), np.inf).angle_deg
@@ -205,10 +205,10 @@ def _derivatives(
 ) -> Iterator[SceneDerivatives]:
     """Derivatives of the scenes of some frames."""
     for row in rng.permutation(len(data))[:count].tolist():
-        yield scene_derivatives(simulator, scene_of(data, row))
+        yield scene_derivatives(simulator, frame_scene(data, row))
 
 
-def scene_of(data: Dataset, row: int) -> Scene:
+def frame_scene(data: Dataset, row: int) -> Scene:
     """Scene of one frame with known touches."""
     places = zip(data.touch_x[row], data.touch_y[row], data.touch_force[row], strict=True)
     touches = (Touch(float(x), float(y), float(f)) for x, y, f in places if np.isfinite(x))

@@ -19,10 +19,10 @@ from eitskin.geometry import ConfigurationError, SensorDesign
 
 SPECIMENS = {"indentation": 8, "touch": 40, "states": 40, "bending": 10, "demo": 1}
 """Experiments, and how many unseen sensors each is made with."""
-CALIBRATED = ("bending", "touch")
+CALIBRATED_SETS = ("bending", "touch")
 """Experiments whose unseen sensors are calibrated."""
 KNOWN_DEG = (-20.0, 15.0, 30.0, 42.5, 50.0)
-"""Angles that a sensor is calibrated with, beside the flat one."""
+"""Angles that a sensor is calibrated with, next to the flat one."""
 REFERENCE_FRAMES = 8
 QUICK = 10  # times fewer frames
 OWN = 500  # added to seeds: other scenes and other noise on the sensor that was trained on
@@ -33,11 +33,11 @@ class Sets:
     """Datasets of one seed.
 
     Attributes:
-        training: of one sensor, for the paper's pipeline.
+        training: training of one sensor, for the paper's pipeline.
         own: the experiments on that sensor, by name.
         unseen: the same on sensors that no pipeline was trained with.
         calibration: the unseen sensors of two experiments, flat and bent by `KNOWN_DEG`.
-        recipe: of the unseen touches, which has the instrument and the spread of all.
+        recipe: recipe of the unseen touches, which has the instrument and the spread of all.
     """
 
     training: Dataset
@@ -53,18 +53,18 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
     all_recipes = dict(recipes(seed, quick))
-    made = {
+    datasets = {
         name: generate_missing(
             recipe, folder / name, workers, progress, f"frames, seed {seed}: {name}"
         )
         for name, recipe in all_recipes.items()
     }
-    # A pipeline is told of the nominal sensor; what is special about this one nobody knows.
-    training = dataclasses.replace(made["training"], design=SensorDesign.reference())
+    # A pipeline knows the nominal sensor; what is special about this one nobody knows.
+    training = dataclasses.replace(datasets["training"], design=SensorDesign.reference())
     own, unseen = (
-        {name: made[f"{kind}-{name}"] for name in SPECIMENS} for kind in ("own", "unseen")
+        {name: datasets[f"{kind}-{name}"] for name in SPECIMENS} for kind in ("own", "unseen")
     )
-    calibration = {name: made[f"calibration-{name}"] for name in CALIBRATED}
+    calibration = {name: datasets[f"calibration-{name}"] for name in CALIBRATED_SETS}
     return Sets(training, own, unseen, calibration, all_recipes["unseen-touch"])
 
 
@@ -76,12 +76,12 @@ def recipes(seed: int, quick: bool) -> Iterator[tuple[str, Recipe]]:
     if seed < 0:
         raise ConfigurationError(f"a seed must not be negative, got {seed}")
     unseen = {name: _experiment(name, seed, quick) for name in SPECIMENS}
-    one = _only_sensor(unseen["bending"])
-    yield "training", one(_training(unseen))
+    single_sensor = _only_sensor(unseen["bending"])
+    yield "training", single_sensor(_training(unseen))
     for name, recipe in unseen.items():
-        yield f"own-{name}", dataclasses.replace(one(recipe), seed=recipe.seed + OWN)
+        yield f"own-{name}", dataclasses.replace(single_sensor(recipe), seed=recipe.seed + OWN)
         yield f"unseen-{name}", recipe
-    for name in CALIBRATED:
+    for name in CALIBRATED_SETS:
         yield f"calibration-{name}", _calibration(unseen[name])
 
 
@@ -98,7 +98,7 @@ def episodes(data: Dataset) -> list[Dataset]:
 
 def _experiment(name: str, seed: int, quick: bool) -> Recipe:
     """Recipe of the paper on a finer mesh, with the sensors and the instrument of "training"."""
-    recipe, training = Recipe.shipped(f"paper_{name}"), Recipe.shipped("training")
+    recipe, training = Recipe.from_shipped(f"paper_{name}"), Recipe.from_shipped("training")
     count = max(1, SPECIMENS[name] // (QUICK if quick else 1))
     return dataclasses.replace(
         recipe,
@@ -107,8 +107,8 @@ def _experiment(name: str, seed: int, quick: bool) -> Recipe:
         instrument=training.instrument,
         specimens=dataclasses.replace(training.specimens, count=count),
         reference_frames=REFERENCE_FRAMES,
-        scenes=tuple(_fewer(each) if quick else each for each in recipe.scenes),
-        episodes=tuple(_of_every_sensor(each, count) for each in recipe.episodes),
+        scenes=tuple(_fewer(scene) if quick else scene for scene in recipe.scenes),
+        episodes=tuple(_cycle_every_sensor(episode, count) for episode in recipe.episodes),
     )
 
 
@@ -118,7 +118,7 @@ def _fewer(group: SceneGroup) -> SceneGroup:
     return dataclasses.replace(group, count=-(-group.count // QUICK))
 
 
-def _of_every_sensor(episode: Episodes, sensors: int) -> Episodes:
+def _cycle_every_sensor(episode: Episodes, sensors: int) -> Episodes:
     """Recipe with one cycle of its sequence for each sensor, so that sensors count, not cycles."""
     if isinstance(episode, ScriptedEpisode):
         episode = dataclasses.replace(episode, repeats=1)
@@ -129,7 +129,7 @@ def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
     """Function that replaces the sensors of a recipe by one, drawn like those of `recipe`."""
     drawn: Specimen = specimen(dataclasses.replace(recipe, seed=recipe.seed + OWN), 0)
 
-    def replaced(other: Recipe) -> Recipe:
+    def replace_sensor(other: Recipe) -> Recipe:
         return dataclasses.replace(
             other,
             sensor=drawn.design,
@@ -137,10 +137,10 @@ def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
             mechanics=drawn.mechanics,
             grid=drawn.grid,
             specimens=Specimens(),
-            episodes=tuple(dataclasses.replace(each, count=1) for each in other.episodes),
+            episodes=tuple(dataclasses.replace(episode, count=1) for episode in other.episodes),
         )
 
-    return replaced
+    return replace_sensor
 
 
 def _training(experiments: dict[str, Recipe]) -> Recipe:

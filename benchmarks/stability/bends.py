@@ -28,7 +28,7 @@ from eitskin.geometry import (
     Twist,
 )
 from eitskin.geometry.deformation.fixtures import Fixture
-from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back_entries
+from eitskin.geometry.deformation.kinematics import Composition, Deformation, pulled_back_entries
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.deformation.touches import sketched_dents
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 _Z = 1e-9  # contact impedance [ohm m2]
 _MESH = ((2, 2, 2), Grading(1e-2, 1e-2, 1.0, layers=4))
-_ACROSS = (Electrode(L / 2, 0.0, L, _Z), Electrode(L / 2, W, L, _Z))
+_CROSS_ELECTRODES = (Electrode(L / 2, 0.0, L, _Z), Electrode(L / 2, W, L, _Z))
 
 
 FIXTURES: dict[str, Hinge | FreeArc] = {
@@ -54,10 +54,10 @@ QUICK_FIXTURES = ("hinge", "smooth arc of 20 mm")
 
 
 @dataclass(frozen=True, slots=True)
-class _Moved(Deformation):
+class _RigidMotion(Deformation):
     """Rigid motion: a rotation and a shift."""
 
-    def mapped(self, points: Array) -> tuple[Array, Array]:
+    def map_points(self, points: Array) -> tuple[Array, Array]:
         moved = points @ self._turn().T + np.array([0.3, -2.0, 0.01])
         return moved, np.broadcast_to(self._turn(), (*points.shape, 3))
 
@@ -87,9 +87,9 @@ def bends(quick: bool) -> Iterator[Case]:
 def rolls_and_twists(quick: bool) -> Iterator[Case]:
     """Cases of rolls to where the edges meet, and of twists by many turns."""
     for angle in (-180.0, 360.0) if quick else (-360.0, -180.0, -90.0, 90.0, 180.0, 360.0):
-        yield Case(f"roll, {angle:g} deg", partial(_rolled, angle))
+        yield Case(f"roll, {angle:g} deg", partial(_roll_bar, angle))
     for angle in (360.1, float("nan")):
-        solve = partial(_rolled, angle)
+        solve = partial(_roll_bar, angle)
         yield Case(f"roll, {angle:g} deg", solve, "refused", "-360 to 360")
     for turns in (0.25, 10, 100, 1000):
         solve = partial(_scene, Scene(twist=Twist(360.0 * turns)))
@@ -126,15 +126,15 @@ def _arc(angle: float) -> CaseValues:
     arc, design = FreeArc(L), bar(_Z)
     flexure = arc.flexure(design, Bend(angle))
     exact = sector(math.radians(angle), H, W, flexure.stretch, L)
-    return _found(Simulator(design, _MESH, arc), flexure, lambda R: abs(R / exact - 1.0))
+    return _bar_values(Simulator(design, _MESH, arc), flexure, lambda R: abs(R / exact - 1.0))
 
 
-def _rolled(angle: float) -> CaseValues:
+def _roll_bar(angle: float) -> CaseValues:
     """Bar rolled evenly across its width into an annular sector."""
-    design = SensorDesign(OUTLINE, H, _ACROSS)
+    design = SensorDesign(OUTLINE, H, _CROSS_ELECTRODES)
     rolled = Roll(angle).deformation(design)
     exact = sector(math.radians(angle), H, L, rolled.flexure.stretch, W)
-    return _found(Simulator(design, _MESH), rolled, lambda R: abs(R / exact - 1.0))
+    return _bar_values(Simulator(design, _MESH), rolled, lambda R: abs(R / exact - 1.0))
 
 
 def _scene(scene: Scene, fixture: Fixture | None = None, quick: bool = True) -> CaseValues:
@@ -143,15 +143,15 @@ def _scene(scene: Scene, fixture: Fixture | None = None, quick: bool = True) -> 
     deformation = sim.deformation(dataclasses.replace(scene, touches=()) if quick else scene)
     if quick and scene.touches:  # dents as for drawings
         dents = sketched_dents(scene.touches, sim.design)
-        deformation = Composed(dents, deformation) if deformation else dents
+        deformation = Composition(dents, deformation) if deformation else dents
     if deformation is None:
         raise ConfigurationError("the scene does not deform the sensor")
     low, high = _bounds(deformation)
-    found = _found(sim, deformation, lambda R: max(low / R, R / high, 1.0) - 1.0)
+    values = _bar_values(sim, deformation, lambda R: max(low / R, R / high, 1.0) - 1.0)
     if not scene.touches:
-        return found
+        return values
     volume = abs(float(_determinants(deformation).mean()) - 1.0)
-    return dataclasses.replace(found, invariant=volume)
+    return dataclasses.replace(values, invariant=volume)
 
 
 def _two(gap: float, quick: bool) -> CaseValues:
@@ -163,8 +163,8 @@ def _two(gap: float, quick: bool) -> CaseValues:
 def _end(fixture: Hinge | FreeArc, sign: float, past: float = 0.0) -> CaseValues:
     """Bar at the last possible angle, as the refusal of a larger one names it, or past it [deg]."""
     angle = _last_angle(fixture, sign)
-    found = _scene(Scene(Bend(angle + sign * past)), fixture)
-    return dataclasses.replace(found, reached=f"{angle:g} deg")
+    values = _scene(Scene(Bend(angle + sign * past)), fixture)
+    return dataclasses.replace(values, reached=f"{angle:g} deg")
 
 
 @cache
@@ -176,11 +176,13 @@ def _last_angle(fixture: Hinge | FreeArc, sign: float) -> float:
     raise ConfigurationError(f"{fixture} bends by ten thousand degrees")
 
 
-def _found(sim: Simulator, deformation: Deformation, error: Callable[[float], float]) -> CaseValues:
+def _bar_values(
+    sim: Simulator, deformation: Deformation, error: Callable[[float], float]
+) -> CaseValues:
     """Resistance of the bar, and its change by a rigid motion."""
     R, moved = (
-        complex(sim.deformed(each).impedance[0])
-        for each in (deformation, Composed(deformation, _Moved()))
+        complex(sim.simulate_deformation(each).impedance[0])
+        for each in (deformation, Composition(deformation, _RigidMotion()))
     )
     return CaseValues(
         residual=abs(moved / R - 1.0),

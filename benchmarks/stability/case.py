@@ -25,8 +25,8 @@ class CaseValues:
     """Values of one case; None where a quantity does not apply.
 
     Attributes:
-        residual: of electrical cases, largest relative difference between the impedances by two
-            direct solvers, which eliminate in another order; of mechanical ones, largest
+        residual: residual of electrical cases, largest relative difference between the impedances
+            by two direct solvers, which eliminate in another order; of mechanical ones, largest
             unbalanced force over the largest force. Condition times the precision of numbers.
         invariant: worst relative violation of what always holds; see the families.
         error: relative, against a closed form, or outside rigorous bounds.
@@ -63,7 +63,7 @@ class Case:
 
 
 def judge(case: Case, family: str = "", patience: float = _PATIENCE) -> dict[str, Any]:
-    """Compute a case and judge its outcome; a warning counts as a failure.
+    """Compute a case and test its outcome; a warning counts as a failure.
 
     Where the system has no alarm clock, hangs are not ended.
 

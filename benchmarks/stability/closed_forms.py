@@ -46,8 +46,8 @@ def shunt_pair(a: float, b: float, edges: Sequence[Place]) -> float:
     p = [_on_real_line(a, b, place) for place in edges]
     whole = _minor(p[0], p[2]) * _minor(p[1], p[3])
     m = abs(_minor(p[0], p[1]) * _minor(p[2], p[3]) / whole)
-    rest = abs(_minor(p[0], p[3]) * _minor(p[1], p[2]) / whole)
-    return shunt_resistance(m, rest)
+    ratio = abs(_minor(p[0], p[3]) * _minor(p[1], p[2]) / whole)
+    return shunt_resistance(m, ratio)
 
 
 def _minor(p: Place, q: Place) -> float:

@@ -44,7 +44,7 @@ def imbalance(model: ForwardModel, conductivity: Array | None = None) -> float:
     protocol = Protocol.pairwise(len(model.design.electrodes))
     mesh = model.mesh
     middles = mesh.points[mesh.cells].mean(axis=1)
-    sigma = model.design.conductivity_at(middles) if conductivity is None else conductivity
+    sigma = model.design.evaluate_conductivity(middles) if conductivity is None else conductivity
     z = np.array([electrode.contact_impedance for electrode in model.design.electrodes])
     Z = model.impedance(conductivity)
     R = protocol.measure(Z)
@@ -54,12 +54,12 @@ def imbalance(model: ForwardModel, conductivity: Array | None = None) -> float:
     return float(max(np.abs(heat / R - 1.0).max(), -values[0] / values[-1]))
 
 
-def apart(first: Numbers, second: Numbers) -> float:
+def relative_difference(first: Numbers, second: Numbers) -> float:
     """Largest relative difference between two arrays."""
     return float(np.abs(first / second - 1.0).max())
 
 
-def solved(
+def solve_both(
     design: SensorDesign,
     resolution: Resolution | Discretisation,
     exact: Callable[[Numbers, ForwardModel], float] | complex | None = None,
@@ -74,20 +74,20 @@ def solved(
     `conductivity` gives the values at the middles (cells, 3) [m] of cells.
     """
     protocol = Protocol.pairwise(len(design.electrodes))
-    found = []
+    impedances = []
     orders: tuple[OrderName, ...] = ("block Cholesky", "nested dissection")
     for solver in orders:
         model = ForwardModel(design, resolution, breaks, cells, solver)
         middles = model.mesh.points[model.mesh.cells].mean(axis=1)
         sigma = None if conductivity is None else conductivity(middles)
-        found.append(protocol.measure(model.impedance(sigma)))
+        impedances.append(protocol.measure(model.impedance(sigma)))
         if cells == "tetrahedra":  # no two meshes are the same
             break
     if not callable(exact):
-        error = None if exact is None else apart(found[-1], np.array([exact]))
+        error = None if exact is None else relative_difference(impedances[-1], np.array([exact]))
     else:
-        error = exact(found[-1], model)
-    residual = apart(found[0], found[1]) if len(found) > 1 else None
+        error = exact(impedances[-1], model)
+    residual = relative_difference(impedances[0], impedances[1]) if len(impedances) > 1 else None
     return CaseValues(residual, imbalance(model, sigma), error)
 
 
@@ -130,11 +130,11 @@ def _contrast_limit(ratio: float) -> float:
 
 def _in_series(ratio: float) -> CaseValues:
     exact = block(0.5 * L, AREA, 1.0, 1e-9) + block(0.5 * L, AREA, ratio, 1e-9)
-    return solved(bar(1e-9), ((2,), COARSE), exact, **_changed_half(ratio))
+    return solve_both(bar(1e-9), ((2,), COARSE), exact, **_changed_half(ratio))
 
 
 def _changed_half(ratio: float) -> dict[str, Any]:
-    """Options of `solved` for a conductivity of 1 S/m, and of `ratio` in the far half."""
+    """Options of `solve_both` for a conductivity of 1 S/m, and of `ratio` in the far half."""
     return {"breaks": (0.5 * L,), "conductivity": lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio)}
 
 
@@ -150,7 +150,7 @@ def _in_parallel(ratio: float, thin: float = 0.5) -> CaseValues:
     def error(R: Numbers, _: ForwardModel) -> float:
         return outside(R, together(), together(z, z))
 
-    return solved(bar(z, layers=sheets), ((2, 2, 2), COARSE), error)
+    return solve_both(bar(z, layers=sheets), ((2, 2, 2), COARSE), error)
 
 
 def _half(ratio: float) -> CaseValues:
@@ -161,7 +161,7 @@ def _half(ratio: float) -> CaseValues:
         ends = [protocol.measure(model.impedance(sigma)) for sigma in (1.0, ratio)]
         return outside(R, np.minimum(*ends), np.maximum(*ends))
 
-    return solved(SensorDesign.reference(), "fast", error, **_changed_half(ratio))
+    return solve_both(SensorDesign.reference(), "fast", error, **_changed_half(ratio))
 
 
 # Layers and cells
@@ -173,17 +173,17 @@ def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
         for ratio in ratios:
             name = f"1 : {ratio:g} S/m, {1.0 / thin - 1.0:.0f} : 1"
             limit = _contrast_limit(ratio)
-            for kind, solve in (("across", _across), ("along", _in_parallel)):
+            for kind, solve in (("across", _cross_layer_case), ("along", _in_parallel)):
                 part = partial(solve, ratio, thin)
                 yield Case(f"{kind}, {name}", part, invariant_limit=limit, error_limit=1e-7)
 
 
-def _across(ratio: float, thin: float) -> CaseValues:
+def _cross_layer_case(ratio: float, thin: float) -> CaseValues:
     faces = tuple(Electrode(L / 2, W / 2, L, 1e-9, height=W, on=on) for on in ("top", "bottom"))
     sheets = (Layer((1.0 - thin) * H, 1.0), Layer(thin * H, ratio))
     exact = H * (1.0 - thin + thin / ratio) / (L * W) + 2e-9 / (L * W)
     design = SensorDesign(OUTLINE, H, faces, layers=sheets)
-    return solved(design, ((1, 1), COARSE), exact)
+    return solve_both(design, ((1, 1), COARSE), exact)
 
 
 # Contacts
@@ -194,11 +194,11 @@ def contacts() -> Iterator[Case]:
     pairs: list[tuple[complex, complex]] = [(z, z) for z in (1e-10, 1e-9, 1e-6, 1e-3, 1.0, 1e3)]
     pairs += [(1e-9, 1e3), (1e-9, 1e-3 + 1e3j), (1e3, 1e-3 - 4e-3j)]
     pairs += [(cmath.rect(z, 1.5), cmath.rect(z, -1.5)) for z in (1e-9, 1e-3, 1e3)]
-    for one, other in pairs:
-        name = ", ".join(f"{z:.1g}" for z in dict.fromkeys((one, other)))
-        yield Case(f"block, {name}", partial(_bar, (one, other)))
+    for first, second in pairs:
+        name = ", ".join(f"{z:.1g}" for z in dict.fromkeys((first, second)))
+        yield Case(f"block, {name}", partial(_bar, (first, second)))
     for z in (1e-9, 1e-3, 1e3, 1e3 * cmath.exp(1.5j)):
-        yield Case(f"{z:.2g}, but 1e6 before one", partial(_buried, z))
+        yield Case(f"{z:.2g}, but 1e6 before one", partial(_buried_case, z))
     for sigma in (1.0, 1e-2, 1e-4):
         name = f"2 mm high, 1e-09, {sigma:g} S/m"
         # The part shared by all heights and the part of one height cancel: 2e-18 m / (z sigma).
@@ -215,37 +215,37 @@ def _bar(
     cells: CellKind | None = None,
     thickness: float = H,
 ) -> CaseValues:
-    """Block whose own resistance L / (sigma A) must stay accurate beside large contacts."""
+    """Block whose own resistance L / (sigma A) must stay accurate next to large contacts."""
     area = outline.width * thickness
 
     def error(R: Numbers, _: ForwardModel) -> float:
-        return apart(R - sum(z) / area, np.array([outline.length / area]))
+        return relative_difference(R - sum(z) / area, np.array([outline.length / area]))
 
     design = bar(*z, outline=outline, thickness=thickness)
-    return solved(design, ((2,), sizes), error, cells=cells)
+    return solve_both(design, ((2,), sizes), error, cells=cells)
 
 
 def _strips(sigma: float) -> CaseValues:
     """Electrodes that do not cover the full thickness, without a closed form."""
     places = (0.03, 0.09)
     strips = tuple(Electrode(x, 0.0, 0.005, 1e-9, height=0.002) for x in places)
-    return solved(SensorDesign(OUTLINE, H, strips, conductivity=sigma), "fast")
+    return solve_both(SensorDesign(OUTLINE, H, strips, conductivity=sigma), "fast")
 
 
-def _buried(z: complex) -> CaseValues:
+def _buried_case(z: complex) -> CaseValues:
     """Reference sensor with one electrode behind 1e6 ohm m2, compared with none there."""
     sensor = SensorDesign.reference()
     changed = [dataclasses.replace(e, contact_impedance=z) for e in sensor.electrodes]
-    rest = dataclasses.replace(sensor, electrodes=tuple(changed[1:]))
+    other_electrodes = dataclasses.replace(sensor, electrodes=tuple(changed[1:]))
     changed[0] = dataclasses.replace(changed[0], contact_impedance=1e6)
     whole = dataclasses.replace(sensor, electrodes=tuple(changed))
 
     def error(R: Numbers, _: ForwardModel) -> float:
         # The first seven pairs are those of electrode 0.
-        alone = ForwardModel(rest, "fast").impedance()
-        return apart(R[7:], Protocol.pairwise(7).measure(alone))
+        alone = ForwardModel(other_electrodes, "fast").impedance()
+        return relative_difference(R[7:], Protocol.pairwise(7).measure(alone))
 
-    return solved(whole, "fast", error)
+    return solve_both(whole, "fast", error)
 
 
 # Electrodes of extreme sizes and positions, and extreme cells
@@ -262,7 +262,7 @@ SPANS: dict[str, Spans] = {
     "round two corners": ((0.14, 0.22), (0.41, 0.43)),
     "1 um short of a corner": ((0.140, 0.149999), (0.3, 0.305)),
 }
-REFUSED: dict[str, tuple[Spans, str]] = {
+REFUSED_DESIGNS: dict[str, tuple[Spans, str]] = {
     "overlap of 10 nm": (((0.03, 0.03500001), (0.035, 0.04)), "overlap by"),
     "one on the other": (((0.03, 0.035), (0.03, 0.035)), "overlap by"),
     "0.1 um": (((0.03, 0.0300001), (0.09, 0.095)), "between 1 um and"),
@@ -277,31 +277,31 @@ def electrodes(quick: bool) -> Iterator[Case]:
     for name in () if quick else ("10 um and 5 mm", "round one corner", "1 um short of a corner"):
         solve = partial(_shunt, SPANS[name], "prisms")
         yield Case(f"{name}, prisms", solve)
-    touching = partial(_unknown, ((0.03, 0.035), (0.035, 0.04)))
+    touching = partial(_pair_case, ((0.03, 0.035), (0.035, 0.04)))
     yield Case("touching, z = 1e-3", touching)
-    for name, (spans, says) in REFUSED.items():
-        yield Case(name, partial(_unknown, spans), "refused", says)
+    for name, (spans, says) in REFUSED_DESIGNS.items():
+        yield Case(name, partial(_pair_case, spans), "refused", says)
 
 
 def pair(spans: Spans, z: complex) -> SensorDesign:
     """Block with two electrodes of contact impedance z [ohm m2] over spans of its rim [m]."""
-    places = [OUTLINE.at(0.5 * (a + b)).tolist() for a, b in spans]
+    places = [OUTLINE.rim_points(0.5 * (a + b)).tolist() for a, b in spans]
     widths = [b - a for a, b in spans]
     electrodes = (Electrode(x, y, w, z) for (x, y), w in zip(places, widths, strict=True))
     return SensorDesign(OUTLINE, H, tuple(electrodes))
 
 
 def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
-    exact = shunt_pair(L, W, OUTLINE.at(np.ravel(spans)).tolist()) / H
+    exact = shunt_pair(L, W, OUTLINE.rim_points(np.ravel(spans)).tolist()) / H
     finest = np.diff(np.ravel(spans)).min()
     share, growth = (1e-2, 1.0) if cells == "prisms" else (1e-3, 1.5)
     fine = Grading(share * finest, 2e-2, growth)
-    return solved(pair(spans, 1e-10), ((4,), fine), exact, cells=cells)
+    return solve_both(pair(spans, 1e-10), ((4,), fine), exact, cells=cells)
 
 
-def _unknown(spans: Spans) -> CaseValues:
+def _pair_case(spans: Spans) -> CaseValues:
     """Pair of electrodes without a closed form: only the invariants hold."""
-    return solved(pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
+    return solve_both(pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
 
 
 def cells(quick: bool) -> Iterator[Case]:
@@ -331,11 +331,11 @@ def _corner(degrees: float) -> CaseValues:
     """Triangle with one sharp corner, an electrode round it and one on the far side."""
     far = L * np.tan(np.radians(degrees))
     outline = Polygon(((0.0, 0.0), (L, 0.0), (L, far)))
-    places = outline.at([0.0, 0.8 * L, L + 0.5 * far]).tolist()
+    places = outline.rim_points([0.0, 0.8 * L, L + 0.5 * far]).tolist()
     widths = (0.02, 0.01, 0.5 * far)
     electrodes = tuple(Electrode(x, y, w, 1e-3) for (x, y), w in zip(places, widths, strict=True))
     design = SensorDesign(outline, H, electrodes)
-    return solved(design, ((2,), Grading(min(2e-3, 0.25 * far), 1e-2, 0.7)), cells="prisms")
+    return solve_both(design, ((2,), Grading(min(2e-3, 0.25 * far), 1e-2, 0.7)), cells="prisms")
 
 
 def _gate(shear: float) -> CaseValues:

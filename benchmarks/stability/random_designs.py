@@ -23,7 +23,7 @@ from eitskin.geometry import (
     Twist,
 )
 from eitskin.geometry.deformation.fixtures import Fixture
-from eitskin.geometry.deformation.kinematics import Composed
+from eitskin.geometry.deformation.kinematics import Composition
 from eitskin.geometry.design.electrode import On, Shape
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
@@ -80,7 +80,7 @@ def _electrode(
     share = outline.perimeter / count
     make = partial(Electrode, contact_impedance=z)
     if rng.integers(4):
-        x, y = outline.at(rng.uniform(0.0, outline.perimeter)).tolist()
+        x, y = outline.rim_points(rng.uniform(0.0, outline.perimeter)).tolist()
         width = share * _log_uniform(rng, 1e-2, 0.6)
         height = thickness * float(rng.uniform(0.1, 1.0)) if rng.integers(4) == 0 else None
         return make(x, y, width, height=height)
@@ -115,12 +115,12 @@ def _scene(rng: np.random.Generator, outline: PlaneOutline) -> Scene:
 def random_designs(seed: int, count: int) -> Iterator[Case]:
     """Cases of random sensors and scenes, each with a generator of its own."""
     for number in range(count):
-        solve = partial(_measured, (seed, number))
+        solve = partial(_measure_seed, (seed, number))
         # Contrasts of a million between layers leave ten digits of a frame, and fewer of the heat.
         yield Case(f"{seed}-{number}", solve, None, invariant_limit=1e-4)
 
 
-def _measured(seed: tuple[int, int]) -> CaseValues:
+def _measure_seed(seed: tuple[int, int]) -> CaseValues:
     """Frame of the scene, with positive resistances as in the flat sensor."""
     design, fixture, scene = draw(np.random.default_rng(seed))
     size = 0.2 * max(design.outline.length, design.outline.width)
@@ -131,7 +131,7 @@ def _measured(seed: tuple[int, int]) -> CaseValues:
     # Every stack would need presses of its own, which take a minute: dents as for drawings.
     bare = dataclasses.replace(scene, touches=())
     dents, bent = sketched_dents(scene.touches, design), sim.deformation(bare)
-    R = sim.deformed(Composed(dents, bent) if bent else dents).impedance.real
+    R = sim.simulate_deformation(Composition(dents, bent) if bent else dents).impedance.real
     if not np.all(R > 0.0):
         raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")
     return CaseValues(invariant=flat)

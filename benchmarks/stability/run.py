@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, get_args
 
-from eitskin.benchmarks.results import Report, ReportTable, Watch, measured
+from eitskin.benchmarks.results import Report, ReportTable, Watch, make_results
 from eitskin.benchmarks.stability import bends, electrical, solids
 from eitskin.benchmarks.stability.case import QUANTITIES, Case, Outcome, judge
 from eitskin.benchmarks.stability.random_designs import random_designs
@@ -37,7 +37,7 @@ def cases(seed: int, quick: bool) -> dict[str, Iterable[Case]]:
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report:
-    """Compute and judge all cases on one core; the report fails where one is wrong."""
+    """Compute and test all cases on one core; the report fails where one is wrong."""
     began = time.perf_counter()
     with one_thread():
         rows = [
@@ -53,7 +53,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     heads = ("cases", *get_args(Outcome), *QUANTITIES)
     cells = [(name, *(_cell(figures.get(f"{name}.{head}")) for head in heads)) for name in families]
     return Report(
-        results=measured("stability", figures.items(), began=began, seed=seed, quick=quick),
+        results=make_results("stability", figures.items(), began=began, seed=seed, quick=quick),
         rows=rows,
         tables=[ReportTable(("family", *heads), cells)],
         sentences=remarks,

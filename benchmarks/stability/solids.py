@@ -50,13 +50,13 @@ _LAST = 0.9  # depth, of the thickness
 def incompressible(quick: bool) -> Iterator[Case]:
     """Cases of a punch on a layer, from compressible to nearly incompressible."""
     for nu in (0.3, 0.499, 0.49999) if quick else (0.3, 0.4, 0.49, 0.499, 0.4999, 0.49999):
-        solve = partial(_punched, _bulk_ratio(nu))
+        solve = partial(_punch_case, _bulk_ratio(nu))
         yield Case(f"nu = {nu:g}", solve, error_limit=1e-2)
     for ratio in (1e6, STIFFEST):
-        solve = partial(_punched, ratio)
+        solve = partial(_punch_case, ratio)
         yield Case(f"bulk modulus {ratio:g} mu", solve, error_limit=1e-2)
     for ratio in (1e9, 0.0, float("nan")):
-        solve = partial(_punched, ratio)
+        solve = partial(_punch_case, ratio)
         yield Case(f"bulk modulus {ratio:g} mu", solve, "refused", "bulk_ratio must")
 
 
@@ -65,7 +65,7 @@ def _bulk_ratio(nu: float) -> float:
     return 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
 
 
-def _punched(ratio: float) -> CaseValues:
+def _punch_case(ratio: float) -> CaseValues:
     """Small indentation of a bonded layer by a flat smooth punch."""
     sizes = Grading(4e-3, 0.2, 0.4)
     r = graded_lines(_REACH, (_RADIUS,), (), sizes)
@@ -87,7 +87,7 @@ def _punched(ratio: float) -> CaseValues:
     )
 
 
-def _held(nodes: Array) -> Indices:
+def _fixed_unknowns(nodes: Array) -> Indices:
     """Unknowns fixed by the bonded base, the smooth axis and the wall around."""
     r, z = nodes.T
     sides = 2 * np.flatnonzero((r < 1e-12) | (r > r.max() - 1e-9))
@@ -98,7 +98,7 @@ def _held(nodes: Array) -> Indices:
 def _punch(nodes: Array) -> tuple[Indices, Array]:
     """Fixed unknowns, those under the punch last, and their values."""
     r, z = nodes.T
-    held = _held(nodes)
+    held = _fixed_unknowns(nodes)
     under = 2 * np.flatnonzero((z > _THICKNESS - 1e-9) & (r < _RADIUS + 1e-9)) + 1
     values = np.concatenate([np.zeros(len(held)), np.full(len(under), -_DEPTH)])
     return np.concatenate([held, under]), values
@@ -118,13 +118,13 @@ def presses(quick: bool) -> Iterator[Case]:
     }
     for name in list(bodies)[:1] if quick else bodies:
         finest, steps = (3e-3, 3) if quick else (5e-4, 18)
-        solve = partial(_pressed, *bodies[name], finest, steps)
+        solve = partial(_press_case, *bodies[name], finest, steps)
         # Layers change volume by mean pressure over bulk modulus, 1e4 mu.
         limits = {"residual_limit": 1e-6, "invariant_limit": 1e-4}
         yield Case(name, solve, None, "of the load only", **limits)
 
 
-def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> CaseValues:
+def _press_case(stack: Stack, indenter: Indenter, finest: float, steps: int) -> CaseValues:
     """Press ever deeper; the depth reached, and the reason for stopping."""
     press = AxisymmetricPress(stack, indenter, finest=finest)
     refused, found, x = "", None, np.zeros(0)
@@ -138,17 +138,17 @@ def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Cas
         raise SolidError(refused)
     solid = press.solid
     inside = solid.forces(x)
-    free = np.setdiff1d(np.arange(solid.unknowns), _held(solid.nodes))
+    free = np.setdiff1d(np.arange(solid.unknowns), _fixed_unknowns(solid.nodes))
     unbalanced = (inside + press.contact.forces(x)[: len(inside)])[free]
     base = 2 * np.flatnonzero(solid.nodes[:, 1] < 1e-12) + 1
-    left = 1.0 - np.array([found.thinning(k) for k in range(len(stack.sheets))])
+    thickness_ratio = 1.0 - np.array([found.thinning(k) for k in range(len(stack.sheets))])
     least = float(np.linalg.det(solid.deformation_gradient(x)).min())
     volumes = np.abs(np.array(found.volume_ratios) - 1.0)
     return CaseValues(
         residual=float(np.abs(unbalanced).max() / found.force),
         invariant=max(abs(float(inside[base].sum()) / found.force - 1.0), float(volumes.max())),
         reached=f"{found.depth / stack.levels[-1]:.0%} deep, {found.force:.1f} N, layers left "
-        f"{', '.join(f'{share:.1%}' for share in left)}, least J {least:.2f}",
+        f"{', '.join(f'{share:.1%}' for share in thickness_ratio)}, least J {least:.2f}",
         reason=refused,
     )
 
@@ -224,9 +224,9 @@ def _pressed_stack(
     bent, frame, normal = None, None, np.array([0.0, 0.0, 1.0])
     if angle:
         bent = bend_table.equilibrium(design, Clamp(), mechanics, Bend(angle))
-        frame = ContactFrame.at(bent, *_PLACE, stack)
+        frame = ContactFrame.from_bent_top(bent, *_PLACE, stack)
         normal = frame.normal
-    solved = FiniteStack(body, bent=bent)
+    solved = FiniteStack(body, bend=bent)
     found = solved.correction([DentField(*_PLACE, punch, dent, frame)])
     solid = solved.solid
     carried = float(solved.reaction(found) @ normal)
@@ -245,7 +245,7 @@ def _dent(press: AxisymmetricPress, depth: float, thinning: float | None) -> Ind
     if thinning is None:
         return press.to_depth(depth * thickness)
     return next(
-        found
+        indentation
         for part in np.arange(_STEP, 1.0, _STEP)
-        if (found := press.to_depth(part * thickness)).thinning(gel) >= thinning
+        if (indentation := press.to_depth(part * thickness)).thinning(gel) >= thinning
     )

@@ -47,7 +47,7 @@ _OUT = Path("build/bench")
 _COLOURS = {"measured": "green", "failed": "bold red"}
 
 
-_SEEDED = {
+_SEEDED_BENCHMARKS = {
     "accuracy": "Measure error and run time of the forward model and of pyEIT.",
     "stability": "Run stiff and extreme cases; exit code 1 where one gives a wrong result.",
     "world": "Compare every model of presses and bends with reference solutions in 3D.",
@@ -56,8 +56,8 @@ _SEEDED = {
 """Benchmarks that take a seed alone: `run(seed, quick, watch)` of their module."""
 
 
-def _seeded(name: str) -> Callable[..., None]:
-    """Command of one of `_SEEDED`."""
+def _seeded_command(name: str) -> Callable[..., None]:
+    """Command of one of `_SEEDED_BENCHMARKS`."""
 
     def command(
         out: Out = _OUT, *, quick: Quick = False, seed: int = 0, output: options.Output
@@ -68,13 +68,13 @@ def _seeded(name: str) -> Callable[..., None]:
         modules = {"accuracy": accuracy, "stability": stability, "world": world, "speed": speed}
         require_all(training="torch safetensors" if name == "speed" else "", bench="matplotlib")
         _make(out)
-        _present(output, modules[name].run(seed, quick, options.watched(output)), out)
+        _present(output, modules[name].run(seed, quick, options.progress_watcher(output)), out)
 
     return command
 
 
-for _name, _help in _SEEDED.items():
-    app.command(_name, cls=Command, help=_help)(options.with_output(_seeded(_name)))
+for _name, _help in _SEEDED_BENCHMARKS.items():
+    app.command(_name, cls=Command, help=_help)(options.with_output(_seeded_command(_name)))
 
 
 @app.command(cls=Command)
@@ -92,7 +92,7 @@ def recordings(
 
     require_all(training=options.TRAINING, bench="matplotlib")
     _require_whole(leaderboard, quick)
-    _present(output, run(data, quick, options.watched(output)), out, leaderboard)
+    _present(output, run(data, quick, options.progress_watcher(output)), out, leaderboard)
 
 
 @app.command(cls=Command)
@@ -115,16 +115,16 @@ def transfer(
     Each as it is, and adapted by 1 to 100 labelled frames, angles and presses. Frames are kept.
     """
     from eitskin.benchmarks.transfer import run
-    from eitskin.training.pipeline.saved_form import SHIPPED
+    from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
     require_all(training=options.TRAINING)
-    named = {path.stem: path for path in pipelines or [SHIPPED]}
+    named = {path.stem: path for path in pipelines or [SHIPPED_PATH]}
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
     _require_whole(leaderboard, quick, seed)
     with _folder(output, out, "transfer") as (folder, progress):
-        found = run(named, folder, seed, quick, workers, progress)
-    _present(output, found, out, leaderboard)
+        report = run(named, folder, seed, quick, workers, progress)
+    _present(output, report, out, leaderboard)
 
 
 @app.command(cls=Command)
@@ -149,12 +149,12 @@ def life(
     Streams are kept.
     """
     from eitskin.benchmarks.life import run
-    from eitskin.training.pipeline.saved_form import SHIPPED
+    from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
     require_all(training=options.TRAINING)
     with _folder(output, out, "life") as (folder, progress):
-        found = run(pipeline or SHIPPED, folder, seed, hours, quick, progress)
-    _present(output, found, out)
+        report = run(pipeline or SHIPPED_PATH, folder, seed, hours, quick, progress)
+    _present(output, report, out)
 
 
 @app.command(cls=Command)
@@ -181,9 +181,9 @@ def methods(
     _require_whole(leaderboard, quick, seed)
     classes = [each for each, _ in own.values()]
     with _folder(output, out, "methods") as (folder, progress):
-        found = run(folder, preset or (), classes, seed, quick, workers, progress)
+        report = run(folder, preset or (), classes, seed, quick, workers, progress)
     codes = {name: code for name, (_, code) in own.items()}
-    _present(output, found, out, leaderboard, codes)
+    _present(output, report, out, leaderboard, codes)
 
 
 @app.command(cls=Command)
@@ -215,17 +215,17 @@ def paper(
     Frames are kept; a run that was stopped goes on from them.
     """
     from eitskin.benchmarks.paper.run import Contender, run
-    from eitskin.training.pipeline.saved_form import SHIPPED
+    from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
     require_all(training=options.TRAINING, bench="matplotlib")
     contenders = [Contender(each) for each in preset or ()]
     own = [Contender(method=options.own_method(each)) for each in method or ()]
     for each in (*contenders, *own):
-        each.settings(0)  # unknown names are told before the work
+        each.settings(0)  # unknown names are reported before the work
     _require_whole(leaderboard, quick)
     with _folder(output, out, "paper") as (folder, progress):
-        found = run(
-            pipeline or SHIPPED,
+        report = run(
+            pipeline or SHIPPED_PATH,
             folder,
             seeds,
             quick,
@@ -235,7 +235,7 @@ def paper(
             contenders=[*contenders, *own],
         )
     codes = {each.name: code for each, code in zip(own, method or (), strict=True)}
-    _present(output, found, out, leaderboard, codes)
+    _present(output, report, out, leaderboard, codes)
 
 
 @app.command(cls=Command)
@@ -262,14 +262,14 @@ def layouts(
 
     require_all(bench="matplotlib")
     with _folder(output, out, "layouts") as (folder, progress):
-        found = run(
+        report = run(
             folder / "parts",
             names=sweep or NAMES,
             quick=quick,
             workers=workers,
             progress=progress,
         )
-    _present(output, found, out)
+    _present(output, report, out)
 
 
 @app.command("all", cls=Command)
@@ -302,7 +302,7 @@ def run_all(
     from eitskin.benchmarks import suite
     from eitskin.benchmarks.results import INDEX, write_index
 
-    chosen = suite.chosen(only, long or quick)
+    chosen = suite.select_benchmarks(only, long or quick)
     if only is None:
         require_all(training=options.TRAINING, hardware="serial cobs", bench="matplotlib")
     _make(out)
@@ -328,7 +328,7 @@ def run_all(
 
 def _present(
     output: options.Output,
-    found: "Report",
+    report: "Report",
     out: Path,
     leaderboard: Path | None = None,
     codes: Mapping[str, str] | None = None,
@@ -339,22 +339,22 @@ def _present(
     """
     import msgspec
 
-    paths = found.write(out)
+    paths = report.write(out)
     if leaderboard is not None:
         from eitskin.benchmarks.leaderboard import enter
 
-        enter(leaderboard, found.results, out / found.results.name, codes or {})
+        enter(leaderboard, report.results, out / report.results.name, codes or {})
         paths.append(leaderboard)
     files = [str(path) for path in paths]
-    tables = [FigureTable(each.headings, each.rows, each.names) for each in found.tables]
-    data = msgspec.to_builtins(found.results) | {"rows": found.rows, "files": files}
+    tables = [FigureTable(table.headings, table.rows, table.names) for table in report.tables]
+    data = msgspec.to_builtins(report.results) | {"rows": report.rows, "files": files}
     output.result(data, tables[0])
-    for each in tables[1:]:
-        output.show(each)
-    for line in (*found.sentences, str(found.results.provenance)):
+    for table in tables[1:]:
+        output.show(table)
+    for line in (*report.sentences, str(report.results.provenance)):
         output.show(escape(line))
     output.note("written: " + ", ".join(files))
-    if found.failed:
+    if report.failed:
         raise typer.Exit(1)
 
 
@@ -389,7 +389,7 @@ def _folder(output: options.Output, out: Path, name: str) -> Iterator[tuple[Path
     with output.bars() as show:
 
         def show_part(part: str, done: int, total: int) -> None:
-            name, _, rest = part.partition(": ")
-            show(name, done, total, rest)
+            name, _, step_name = part.partition(": ")
+            show(name, done, total, step_name)
 
         yield out / name, show_part

@@ -9,7 +9,7 @@ import typer
 
 from eitskin import hardware
 from eitskin.cli import options
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 
 Faults = Annotated[
     str,
@@ -56,7 +56,7 @@ def command(
         from eitskin.hardware.virtual.fault_table import FAULTS
 
         meanings = {name: kind.meaning for name, kind in FAULTS.items()}
-        output.result(meanings, table_of(("fault", "what it does"), meanings.items()))
+        output.result(meanings, make_table(("fault", "what it does"), meanings.items()))
         return
     output.detail(f"meshing at resolution {resolution}, computing the scenes")
     terminal = hardware.virtual_terminal(
@@ -77,6 +77,6 @@ def command(
     output.result({"uri": uri}, uri)
     output.note(f"serving until Ctrl-C; open it with eitskin live MODEL --board {uri}", whole=True)
     # Started again it must not pass for the same board: hosts keep references for each boot.
-    terminal.firmware.boots_from(int(time.time()))
+    terminal.firmware.set_boot_count(int(time.time()))
     with options.ended_by_signals(), closing(terminal):
         terminal.serve()

@@ -26,10 +26,10 @@ Recording = Annotated[
 EXIT_UNHEALTHY = 4
 FRAMES = 16  # that are measured
 NO_EXPECTED = (
-    "touch positions tell no impedances: checking without expected values; give a stored "
+    "touch positions predict no impedances: checking without expected values; give a stored "
     "--reference (eitskin tare) to compare with"
 )
-SHIPPED = Path("reference.eitmodel")
+SHIPPED_PIPELINE = Path("reference.eitmodel")
 
 
 @options.with_output
@@ -37,9 +37,9 @@ def ports(*, output: options.Output) -> None:
     """List the serial ports of this machine, and how to name each of them."""
     from eitskin.hardware.boards.port import serial_ports
 
-    found = serial_ports()
-    lines = [f"{port.uri}  {port}" for port in found]  # whole, to be copied
-    listed = [{**dataclasses.asdict(port), "uri": port.uri} for port in found]
+    port_list = serial_ports()
+    lines = [f"{port.uri}  {port}" for port in port_list]  # whole, to be copied
+    listed = [{**dataclasses.asdict(port), "uri": port.uri} for port in port_list]
     output.result({"ports": listed}, "\n".join(lines) or "no serial port was found here")
 
 
@@ -81,12 +81,12 @@ def command(
         data = read_recorded(recording, values, protocol)
         table = required_protocol(data)
         readings = hardware.check_readings(data.impedance, table, data.status)
-        found = SensorFindings((*readings.findings, *_failed(data)), readings.laws)
+        found = SensorFindings((*readings.findings, *_failed_electrodes(data)), readings.laws)
         _report({"recording": str(recording)}, found, table, len(data), output)
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        pipeline = training.open_pipeline(model or SHIPPED, options.own_method(method))
+        pipeline = training.open_pipeline(model or SHIPPED_PIPELINE, options.own_method(method))
         spec, uri = pipeline.layout, options.named_board(board)
         with options.opened_board(uri, seed) as opened:
             suits = model is not None or opened.protocol == spec.known_protocol
@@ -94,7 +94,7 @@ def command(
                 spec.require_same_measurements(opened.protocol, opened.info.frequency)
             else:
                 output.note(
-                    f"{SHIPPED} is for {spec.known_protocol}, the board measures "
+                    f"{SHIPPED_PIPELINE} is for {spec.known_protocol}, the board measures "
                     f"{opened.protocol}: checking without a model; name a pipeline for this "
                     "sensor to check its values, too"
                 )
@@ -103,20 +103,20 @@ def command(
             if calibrate:
                 opened.calibrate()
             output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
-            taken = list(islice(opened.frames(), frames))
-        if suits and pipeline.expected is None:
+            taken_frames = list(islice(opened.frames(), frames))
+        if suits and pipeline.expected_magnitudes is None:
             output.note(NO_EXPECTED)
         elif suits:
             tell_unjudged(pipeline, output)
         findings = sensor_findings(
             pipeline if suits else None,
-            taken,
-            lambda: [pipeline.process(each) for each in taken][-1],
+            taken_frames,
+            lambda: [pipeline.process(each) for each in taken_frames][-1],
         )
-        _report({"board": uri}, findings, taken[0].protocol, len(taken), output)
+        _report({"board": uri}, findings, taken_frames[0].protocol, len(taken_frames), output)
 
 
-def _failed(data: "datasets.Dataset") -> "tuple[Finding, ...]":
+def _failed_electrodes(data: "datasets.Dataset") -> "tuple[Finding, ...]":
     """Findings of electrodes that failed in a recording, by the range of its first readings."""
     from eitskin.hardware.diagnosis.checked_frames import Finding, FindingKind
     from eitskin.training.method.sensor_health import follow_recording
@@ -150,23 +150,23 @@ class SensorFindings(NamedTuple):
 
 def sensor_findings(
     pipeline: "training.Pipeline | None",
-    taken: "Sequence[simulator.Frame]",
+    taken_frames: "Sequence[simulator.Frame]",
     estimate: "Callable[[], hardware.Estimate]",
 ) -> SensorFindings:
     """Findings on the flat, untouched sensor in frames that were taken of it.
 
     Args:
         pipeline: knows the sensor's values; None where it is for another protocol.
-        taken: frames.
+        taken_frames: frames.
         estimate: gives the pipeline's estimate of the last one; may raise FrameError.
     """
     from eitskin.hardware.diagnosis.reading_check import LAWS, check_frames
 
-    readings = check_frames(taken)
+    readings = check_frames(taken_frames)
     findings = readings.findings
-    if pipeline is not None and (expected := pipeline.expected) is not None:
-        known = hardware.check_sensor(taken, expected).findings
-        findings = (*known, *(each for each in findings if each.what in LAWS))
+    if pipeline is not None and (expected := pipeline.expected_magnitudes) is not None:
+        check_findings = hardware.check_sensor(taken_frames, expected).findings
+        findings = (*check_findings, *(finding for finding in findings if finding.what in LAWS))
         # Other faults make a sensor look bent or pressed.
         if pipeline.targets.states or pipeline.targets.angle:
             findings = findings or _not_flat(pipeline, estimate)
@@ -183,14 +183,15 @@ def _not_flat(
         estimate = estimated()
     except FrameError as error:  # of another sensor, by all channels together
         return (Finding(FindingKind.MISFIT, (), (), str(error)),)
-    if pipeline.stored is None:
+    if pipeline.stored_reference is None:
         doubt = next((text for text in estimate.problems if "look flat" in text), "")
     elif estimate.state is datasets.State.IDLE:
         doubt = ""
     else:
         shown = "unknown" if estimate.bend_angle_deg is None else f"{estimate.bend_angle_deg:+.1f}"
         doubt = (
-            f"the sensor is not as its reference was taken, {pipeline.stored.zero}: bent by {shown}"
+            f"the sensor is not as its reference was taken, "
+            f"{pipeline.stored_reference.zero}: bent by {shown}"
             f" deg from it, {len(estimate.touches or ())} touches; release it for the check, or "
             "take the reference again (eitskin tare)"
         )
@@ -214,12 +215,12 @@ def _report(
         "laws": [{**dataclasses.asdict(law), "kind": str(law.kind)} for law in found.laws],
         "findings": [
             {
-                "what": str(each.what),
-                "electrodes": list(each.electrodes),
-                "channels": [protocol.labels[k] for k in each.channels],
-                "message": each.message,
+                "what": str(finding.what),
+                "electrodes": list(finding.electrodes),
+                "channels": [protocol.labels[k] for k in finding.channels],
+                "message": finding.message,
             }
-            for each in found.findings
+            for finding in found.findings
         ],
     }
     output.result(source | result, "\n".join(each.message for each in found.findings) or healthy)

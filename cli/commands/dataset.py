@@ -42,19 +42,19 @@ def info(
             summary.add(part)
     files = [dataset] if dataset.is_file() else list(dataset.glob("shard-*.h5"))
     megabytes = sum(path.stat().st_size for path in files) / 1e6
-    found = {"dataset": str(dataset), "shards": len(files), "megabytes": round(megabytes, 3)}
-    found |= summary.contents()
+    result = {"dataset": str(dataset), "shards": len(files), "megabytes": round(megabytes, 3)}
+    result |= summary.contents()
     if not dataset.is_file():
         names = read_manifest(dataset).names
-        found |= {
+        result |= {
             "specimen_names": names.specimens or None,
             "session_names": names.sessions or None,
         }
     table = Table(box=None, show_header=False, pad_edge=False)
-    for name, value in found.items():
+    for name, value in result.items():
         if value is not None:
             table.add_row(name.replace("_", " "), escape(_as_text(value)))
-    output.result(found, table)
+    output.result(result, table)
 
 
 @app.command("verify", cls=Command)
@@ -105,7 +105,7 @@ def compaction(
     with output.counting("shards") as show:
         manifest = compact(dataset, out, frames_per_shard or None, show, workers)
     size = sum((out / entry.name).stat().st_size for entry in manifest.shards)
-    found = {
+    result = {
         "out": str(out),
         "frames": manifest.frames,
         "shards": len(manifest.shards),
@@ -113,7 +113,7 @@ def compaction(
         "format_version": manifest.format_version,
     }
     output.result(
-        found,
+        result,
         f"{manifest.frames} frames in {len(manifest.shards)} shards in {out}, {decimal(size)}",
     )
 

@@ -15,7 +15,7 @@ from eitskin import hardware, simulator, training
 from eitskin.cli import options
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.help import Command
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 
 app = typer.Typer(
@@ -41,10 +41,10 @@ def _exporting(form: str) -> Callable[..., None]:
 
         with output.counting("shards") as show:
             done = export_dataset(dataset, out, form, license_name, show)
-        found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
+        result = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
         splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
         output.result(
-            found | {"megabytes": round(done.size / 1e6, 3)},
+            result | {"megabytes": round(done.size / 1e6, 3)},
             f"{sum(done.frames.values())} frames ({splits}) in {done.files} files in {out}, "
             f"{decimal(done.size)}",
         )
@@ -190,4 +190,4 @@ def _field_table(folder: Path, fields: dict[str, list[str]]) -> Table:
         for name, names in fields.items()
         for i, field in enumerate(names)
     ]
-    return table_of(("file", "field"), rows, box=box.SIMPLE)
+    return make_table(("file", "field"), rows, box=box.SIMPLE)

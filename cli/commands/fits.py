@@ -16,12 +16,12 @@ from eitskin.cli.commands.recorded_frames import (
     OneSpecimen,
     Recorded,
     Values,
-    of_specimen,
     read_recorded,
     required_protocol,
+    select_specimen,
 )
 from eitskin.cli.help import Command
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -114,21 +114,21 @@ def fit_instrument(
         ],
         "not_identifiable": [list(names) for names in meter.tied],
         "agreement": {
-            name: {kind: asdict(each) for kind, each in both.items()}
-            for name, both in agreements.items()
+            name: {kind: asdict(each) for kind, each in pair.items()}
+            for name, pair in agreements.items()
         },
     }
     lines = [
-        f"{name} frames: ideal meter r = {both['ideal'].r:.3f}, residual "
-        f"{100.0 * both['ideal'].residual:.1f} %; fitted r = {both['meter'].r:.3f}, residual "
-        f"{100.0 * both['meter'].residual:.1f} %"
-        for name, both in agreements.items()
+        f"{name} frames: ideal meter r = {pair['ideal'].r:.3f}, residual "
+        f"{100.0 * pair['ideal'].residual:.1f} %; fitted r = {pair['meter'].r:.3f}, residual "
+        f"{100.0 * pair['meter'].residual:.1f} %"
+        for name, pair in agreements.items()
     ]
     cells = [
         (name, f"{value:.4g}", "not identifiable" if error is None else f"{error:.2g}", unit)
         for name, value, error, unit in rows
     ]
-    shown = table_of(("parameter", "value", "standard error", "unit"), cells)
+    shown = make_table(("parameter", "value", "standard error", "unit"), cells)
     output.result(result, Group(shown, *lines))
     for sentence in _meter_remarks(meter, chosen):
         output.note(sentence)
@@ -153,10 +153,10 @@ def _flat_frames(data: "datasets.Dataset") -> "tuple[NDArray[np.complex128], str
 
 
 def _require_others(first: int | None, count: int, what: str) -> None:
-    """Refuse a --first that leaves no frames to judge on."""
+    """Refuse a --first that leaves no frames to test on."""
     if first is not None and first >= count:
         raise ConfigurationError(
-            f"--first {first} leaves none of {count} {what} to judge on; give fewer"
+            f"--first {first} leaves none of {count} {what} to test on; give fewer"
         )
 
 
@@ -172,7 +172,7 @@ def _meter_rows(fit: "simulator.MeterFit") -> Iterator[tuple[str, float, float |
         yield name, value, error if math.isfinite(error) else None, unit
 
 
-def _tied(groups: Iterable[Sequence[str]], what: str) -> list[str]:
+def _describe_combinations(groups: Iterable[Sequence[str]], what: str) -> list[str]:
     """Sentences about numbers of which only a combination can be identified."""
     return [
         f"not identifiable: of {', '.join(names)} only {what} shows in these frames"
@@ -183,7 +183,7 @@ def _tied(groups: Iterable[Sequence[str]], what: str) -> list[str]:
 
 def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterator[str]:
     """Sentences about what the frames do not call for, and what they do not determine."""
-    fitted = {each.name for each in fit.parameters}
+    fitted = {parameter.name for parameter in fit.parameters}
     if left_out := ", ".join(term for term in terms if term not in fitted):
         yield f"not called for by these frames, and left out: {left_out}"
     numbers = 1 + len(fit.parameters)
@@ -192,7 +192,7 @@ def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterato
             f"by the symmetry of the sensor only {fit.distinct_readings} readings differ, which "
             f"{numbers} numbers fit whatever the board: the agreement is no evidence for them"
         )
-    yield from _tied(fit.tied, "a combination")
+    yield from _describe_combinations(fit.tied, "a combination")
     if single := ", ".join(names[0] for names in fit.tied if len(names) == 1):
         yield f"not identifiable: {single} does not show in these frames"
     if fit.tied:
@@ -246,7 +246,7 @@ def fit_twin(
     widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()
     clamp, materials, _ = read_fixed(fixture, mechanics)
     data = read_recorded(recording, values, protocol)
-    data = data if specimen is None else of_specimen(data, specimen)
+    data = data if specimen is None else select_specimen(data, specimen)
     _require_others(first, len(data), "frames")
     twin = training.Twin.fit(
         sensor,
@@ -259,7 +259,7 @@ def fit_twin(
         seed=seed,
         progress=lambda step: output.detail(f"Gauss-Newton step {step}"),
     )
-    judged = twin.judged(data.select(slice(first, None))) if first is not None else {}
+    judged = twin.evaluate(data.select(slice(first, None))) if first is not None else {}
     write_twin(twin, out)
     plain: dict[str, Any] = as_plain(twin) | {
         "out": str(out),
@@ -272,7 +272,7 @@ def fit_twin(
         for name, each in agreements
     ]
     headings = (Column("number", no_wrap=True), "value", "error", "prior", "unit")
-    output.result(plain, Group(table_of(headings, _twin_rows(twin)), *lines))
+    output.result(plain, Group(make_table(headings, _twin_rows(twin)), *lines))
     for sentence in _twin_remarks(twin):
         output.note(sentence)
     output.note(f"twin: {out}")
@@ -280,7 +280,7 @@ def fit_twin(
 
 def _twin_rows(twin: "training.Twin") -> Iterator[tuple[str, ...]]:
     """Cells of the fitted numbers: value, error, prior."""
-    lost = {names[0] for names in twin.undetermined if len(names) == 1}
+    lost = {names[0] for names in twin.undetermined_combinations if len(names) == 1}
     for each, value, error in zip(twin.parameters, twin.values, twin.standard_errors, strict=True):
         shown = "as the prior" if str(each) in lost else f"{error:.2g}"
         prior = f"{each.number(0.0):.4g} +- {abs(each.slope(0.0)):.2g}"
@@ -293,6 +293,6 @@ def _twin_remarks(twin: "training.Twin") -> Iterator[str]:
 
     if count := twin.frames.left_out:
         yield f"{count} frames have no label that a twin can use, and were left out"
-    yield from _tied(twin.undetermined, "another combination")
+    yield from _describe_combinations(twin.undetermined_combinations, "another combination")
     name, _, _, residual = max(channel_residuals(twin), key=lambda row: row[3]["flat"])
     yield f"largest flat residual: {residual['flat']:.2f} % of channel {name}; see residuals.csv"

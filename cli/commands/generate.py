@@ -12,7 +12,7 @@ from rich.filesize import decimal
 
 from eitskin import datasets
 from eitskin.cli.options import Output, with_output
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.datasets.recipe import shipped_names
 from eitskin.errors import ConfigurationError
 
@@ -58,10 +58,10 @@ def command(
     from eitskin.datasets.recipe.recipe import with_seed
 
     if list_recipes:
-        shipped = {name: datasets.Recipe.shipped(name) for name in shipped_names()}
-        known = {name: (each.frames, each.description) for name, each in shipped.items()}
-        rows = [(name, f"{frames:,}", about) for name, (frames, about) in known.items()]
-        output.result(known, table_of(("recipe", "frames", "content"), rows, box=None))
+        shipped = {name: datasets.Recipe.from_shipped(name) for name in shipped_names()}
+        recipe_facts = {name: (each.frames, each.description) for name, each in shipped.items()}
+        rows = [(name, f"{frames:,}", about) for name, (frames, about) in recipe_facts.items()]
+        output.result(recipe_facts, make_table(("recipe", "frames", "content"), rows, box=None))
         return
     out = out or (Path() if dry_run else None)
     if recipe is None or out is None:
@@ -72,11 +72,11 @@ def command(
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
         _solve_missing(chosen, workers, output, shard)
-        found = estimate_cost(chosen, out, workers)
-        output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
+        cost = estimate_cost(chosen, out, workers)
+        output.result(dataclasses.asdict(cost), _as_text(cost, chosen, workers, out))
         return
     try:
-        made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
+        new_frames = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
     except KeyboardInterrupt:
         again = ["eitskin", "generate", recipe, "--out", str(out)]
         again += [] if seed is None else ["--seed", str(seed)]
@@ -85,7 +85,7 @@ def command(
         # Not through a console, which would break the line.
         typer.echo(f"finished shards are kept; continue with: {shlex.join(again)}", err=True)
         raise
-    output.result(*made)
+    output.result(*new_frames)
 
 
 def make_dataset(
@@ -121,23 +121,23 @@ def make_dataset(
             examined=partial(show, "finished shards"),
         )
     seconds = time.perf_counter() - start
-    finished, made = counts[-1], counts[-1] - counts[0]
+    finished, new_shards = counts[-1], counts[-1] - counts[0]
     size = sum(path.stat().st_size for path in out.glob("shard-*.h5"))
     data = {
         "out": str(out),
         "recipe": recipe.name,
         "seed": recipe.seed,
         "frames": finished,
-        "made": made,
+        "made": new_shards,
         "complete": manifest is not None,
         "seconds": round(seconds, 3),
-        "frames_per_second": round(made / seconds, 1),
+        "frames_per_second": round(new_shards / seconds, 1),
         "megabytes": round(size / 1e6, 3),
     }
     complete = "" if manifest else "; other shards are missing still"
     return data, (
-        f"{finished} frames in {out}: {made} made in {seconds:.1f} s "
-        f"({made / seconds:.0f}/s), {decimal(size)}{complete}"
+        f"{finished} frames in {out}: {new_shards} made in {seconds:.1f} s "
+        f"({new_shards / seconds:.0f}/s), {decimal(size)}{complete}"
     )
 
 
@@ -190,17 +190,17 @@ def _solve_missing(
             prepare(recipe, show, workers, specimens)
 
 
-def _as_text(found: "CostEstimate", recipe: "datasets.Recipe", workers: int, out: Path) -> str:
-    if found.megabytes > found.megabytes_free:
+def _as_text(cost: "CostEstimate", recipe: "datasets.Recipe", workers: int, out: Path) -> str:
+    if cost.megabytes > cost.megabytes_free:
         raise ConfigurationError(
             f"the disk of {out} has no room: '{recipe.name}' will take about "
-            f"{_size(found.megabytes)}, got {_size(found.megabytes_free)}; make room, or choose "
+            f"{_size(cost.megabytes)}, got {_size(cost.megabytes_free)}; make room, or choose "
             "a folder elsewhere"
         )
     return (
-        f"{recipe.name}: {found.frames} frames in {found.shards} shards, about "
-        f"{_duration(found.seconds)} with {workers} workers here and {_size(found.megabytes)} of "
-        f"{_size(found.megabytes_free)} free; measured on {found.measured_frames} frames, nothing "
+        f"{recipe.name}: {cost.frames} frames in {cost.shards} shards, about "
+        f"{_duration(cost.seconds)} with {workers} workers here and {_size(cost.megabytes)} of "
+        f"{_size(cost.megabytes_free)} free; measured on {cost.measured_frames} frames, nothing "
         "was written"
     )
 
@@ -226,4 +226,4 @@ def _read(recipe: str) -> "datasets.Recipe":
         return datasets.Recipe.from_toml(recipe)
     if "/" in recipe:
         raise ConfigurationError(f"there is no recipe {recipe}; give a .toml file")
-    return datasets.Recipe.shipped(recipe)
+    return datasets.Recipe.from_shipped(recipe)

@@ -129,7 +129,7 @@ def command(
             sheet,
             header_row,
         ),
-        simulator.Protocol.named(protocol, len(design.electrodes) if design else None)
+        simulator.Protocol.from_name(protocol, len(design.electrodes) if design else None)
         if protocol
         else None,
         frequency,
@@ -159,20 +159,20 @@ def command(
             "--column LABEL=NAME"
         )
     summary = DatasetSummary()
-    save_parts(summary.watched(recording.parts()), out)
+    save_parts(summary.add_parts(recording.parts()), out)
     _tell(output, out, recording, summary)
 
 
 def _preview(output: Output, recording: "datasets.Recording", context: typer.Context) -> None:
     """Print what is understood of a recording, and the command that says all of it."""
-    said, options = recording.understood()
+    description, options = recording.describe_format()
     words = given_words(context, {"preview", "out", "as_json", "quiet"})
     for option, value in options.items():
         words += [] if option in words else [option, value]
     if recording.unused:
-        said["not read"] += "; a label among them: --column LABEL=NAME"
-    said["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
-    output.result(said, "\n".join(f"{name}: {text}" for name, text in said.items()))
+        description["not read"] += "; a label among them: --column LABEL=NAME"
+    description["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
+    output.result(description, "\n".join(f"{name}: {text}" for name, text in description.items()))
 
 
 def _tell(
@@ -183,8 +183,8 @@ def _tell(
     shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     for kind, names in (("specimen", recording.specimens), ("session", recording.sessions)):
         if any(name != str(number) for name, number in names.items()):
-            told = ", ".join(f"{number} is {name}" for name, number in names.items())
-            output.note(f"numbers of {kind}s: {told}")
+            name_list = ", ".join(f"{number} is {name}" for name, number in names.items())
+            output.note(f"numbers of {kind}s: {name_list}")
     output.result(
         {
             "out": str(out),

@@ -16,7 +16,7 @@ from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.simulate import announce_unsolved
 from eitskin.cli.page.access import PageOptions, tell_invitations
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
@@ -86,14 +86,14 @@ class FrameOptions:
         from eitskin.hardware.opening import is_board
 
         if not source.endswith((".toml", ".eitmodel")):
-            found = (
+            frames = (
                 self._from_board(source, seed, output)
                 if is_board(source)
                 else self._from_dataset(Path(source), output)
             )
             if not self.order:
-                require_order(found.protocol, np.nan_to_num(found.reference).mean(axis=0))
-            return found._replace(protocol=in_order(found.protocol, self.order or "given"))
+                require_order(frames.protocol, np.nan_to_num(frames.reference).mean(axis=0))
+            return frames._replace(protocol=in_order(frames.protocol, self.order or "given"))
         path = Path(source)
         if path.suffix == ".eitmodel":
             raise ConfigurationError(
@@ -107,7 +107,7 @@ class FrameOptions:
     ) -> None:
         """Refuse a --protocol other than that of the source."""
         if self.protocol:
-            named = simulator.Protocol.named(self.protocol, len(design.electrodes))
+            named = simulator.Protocol.from_name(self.protocol, len(design.electrodes))
             named.require_same(known, "--protocol names", whose, "leave --protocol out")
 
     def _from_scene(
@@ -132,7 +132,7 @@ class FrameOptions:
             if self.reference == "flat"
             else dataclasses.replace(scene, touches=())
         )
-        circles = tuple((each.x, each.y, each.indenter.rims[1]) for each in scene.touches)
+        circles = tuple((touch.x, touch.y, touch.indenter.rims[1]) for touch in scene.touches)
         now, then = (np.array([sim.measure(each).impedance]) for each in (scene, before))
         return PicturedFrames(design, sim.protocol, [path.stem], now, then, [circles], then[:0])
 
@@ -154,7 +154,7 @@ class FrameOptions:
         if protocol is not None:
             self.require_protocol(design, protocol, "the dataset has")
         elif self.protocol:
-            protocol = simulator.Protocol.named(self.protocol, len(design.electrodes))
+            protocol = simulator.Protocol.from_name(self.protocol, len(design.electrodes))
         else:
             raise DataError(
                 f"expected a dataset that knows its protocol, got {path} without one; name it with "
@@ -172,7 +172,7 @@ class FrameOptions:
         if self.reference == "flat":
             before = data.reference[data.specimen[chosen]]
         elif self.reference == "untouched":
-            before = data.untouched[chosen]
+            before = data.values_before_touch[chosen]
             if not len(still) and data.source == "measured":
                 still = data.touch_reference[same & data.has_touch_reference]
         else:
@@ -194,7 +194,7 @@ class FrameOptions:
             [f"frame {k}" for k in chosen],
             np.where((data.status[chosen] != 0) | silent, np.nan, data.impedance[chosen]),
             before,
-            [tuple(map(tuple, each[np.isfinite(each[:, 0])].tolist())) for each in circles],
+            [tuple(map(tuple, circle[np.isfinite(circle[:, 0])].tolist())) for circle in circles],
             np.where(silent, np.nan, still),
         )
 
@@ -219,8 +219,8 @@ class FrameOptions:
             arriving = board.frames()
             first = np.array([good(frame) for frame in islice(arriving, self.average)])
             output.note(f"{count} frame{'s' * (count > 1)} to picture; touch the sensor")
-            taken = list(islice(arriving, count))
-        if not taken:
+            taken_frames = list(islice(arriving, count))
+        if not taken_frames:
             raise DataError(
                 f"expected frames after the {self.average} of the reference, got none; take fewer "
                 "with --average"
@@ -228,10 +228,10 @@ class FrameOptions:
         return PicturedFrames(
             design,
             board.protocol,
-            [f"frame {frame.number}" for frame in taken],
-            np.array([good(frame) for frame in taken]),
-            np.tile(np.nanmean(first, axis=0), (len(taken), 1)),
-            [()] * len(taken),
+            [f"frame {frame.number}" for frame in taken_frames],
+            np.array([good(frame) for frame in taken_frames]),
+            np.tile(np.nanmean(first, axis=0), (len(taken_frames), 1)),
+            [()] * len(taken_frames),
             first,
         )
 
@@ -282,7 +282,7 @@ def command(
     from eitskin.training.reconstruction.regions import picture_regions
 
     names: list[Method] = [method] if method != "all" else [*get_args(Method)]
-    chosen_rule = training.Regularisation.named(rule)
+    chosen_rule = training.Regularisation.from_text(rule)
     _require_out(out)
 
     def makers(
@@ -301,7 +301,7 @@ def command(
         return
     frames = wanted.read(source, resolution, seed, output)
     reconstructors = makers(frames.design, frames.protocol)
-    if (mirrored := reconstructors[0].mirrored) > 0.2:
+    if (mirrored := reconstructors[0].ambiguous_share) > 0.2:
         output.note(
             f"with {frames.protocol}, {mirrored:.0%} of the places of this sensor read as another "
             "one: the picture may show a change on the other side, too; measure by adjacent pairs"
@@ -309,15 +309,15 @@ def command(
     images = [image for maker in reconstructors for image in _images(maker, frames)]
     if not np.isfinite(images[0].noise).any() and not source.endswith(".toml"):
         output.note("no five frames of the untouched sensor, so nothing says what is noise")
-    beyond = [each for each in images if np.nanmin(each.values) < -1]
+    beyond = [image for image in images if np.nanmin(image.values) < -1]
     if beyond:
         output.note(
             f"no conductivity falls by more than 100 %, but {len(beyond)} pictures do, to "
             f"{100 * min(np.nanmin(each.values) for each in beyond):.3g} %, which are cut there: "
             "the frames and the sensor do not fit; check protocol, order and reference"
         )
-        images = [each._replace(values=np.maximum(each.values, -1.0)) for each in images]
-    rows = [each.as_dict() for each in images]
+        images = [image._replace(values=np.maximum(image.values, -1.0)) for image in images]
+    rows = [image.as_dict() for image in images]
     for row, each in zip(rows, images, strict=True) if segment else ():
         row["regions"] = [r._asdict() for r in picture_regions(each.values, each.maker.grid)]
     data = {
@@ -328,7 +328,7 @@ def command(
     }
     headings = ("frame", Column("method", no_wrap=True), "lambda")
     ends = ("least, %", "at, mm", "largest, %", "at, mm")
-    output.result(data, table_of((*headings, *ends), map(_cells, rows), pad_edge=False))
+    output.result(data, make_table((*headings, *ends), map(_cells, rows), pad_edge=False))
     for row in rows if segment else ():
         for region in row["regions"]:
             x, y = (1e3 * each for each in region["centre"])
@@ -345,7 +345,7 @@ class Image(NamedTuple):
     """Picture of one frame by one method.
 
     Attributes:
-        maker: of the picture.
+        maker: maker of the picture.
         frame: name of the frame.
         values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
         circles: true touches, where known.
@@ -374,7 +374,7 @@ class Image(NamedTuple):
             "frame": self.frame,
             "method": maker.method,
             "difference": maker.difference,
-            "lambda": maker.lambda_of() if common else None,
+            "lambda": maker.choose_lambda() if common else None,
             "least": float(values[low]),
             "least_at_m": maker.grid.centres[low].tolist(),
             "largest": float(values[high]),
@@ -459,8 +459,8 @@ def _write(out: Path, images: list[Image]) -> None:
     from eitskin.files import atomic_file
     from eitskin.training.reconstruction.regions import segment
 
-    methods = list(dict.fromkeys(each.maker.method for each in images))
-    frames = list(dict.fromkeys(each.frame for each in images))
+    methods = list(dict.fromkeys(image.maker.method for image in images))
+    frames = list(dict.fromkeys(image.frame for image in images))
     grid, kind = images[0].maker.grid, out.suffix.lower()
     with atomic_file(out) as temporary:
         if kind == ".png":
@@ -474,15 +474,15 @@ def _write(out: Path, images: list[Image]) -> None:
             with style():
                 draw_panels(panels, common=len(methods) == 1).savefig(temporary)
         elif kind == ".npz":
-            change = np.array([each.values for each in images])
+            change = np.array([image.values for image in images])
             np.savez_compressed(
                 temporary,
                 x=grid.x,
                 y=grid.y,
                 inside=grid.inside,
                 change=change.reshape(len(methods), len(frames), *grid.shape),
-                noise=np.array([each.noise for each in images[:: len(frames)]]),
-                classes=np.array([segment(each.values, grid) for each in images]).reshape(
+                noise=np.array([image.noise for image in images[:: len(frames)]]),
+                classes=np.array([segment(image.values, grid) for image in images]).reshape(
                     len(methods), len(frames), *grid.shape
                 ),
                 methods=np.array(methods),
@@ -490,12 +490,12 @@ def _write(out: Path, images: list[Image]) -> None:
             )
         else:
             names = [
-                f"{each.maker.method} {each.frame}" if len(methods) > 1 else each.frame
-                for each in images
+                f"{image.maker.method} {image.frame}" if len(methods) > 1 else image.frame
+                for image in images
             ]
             np.savetxt(
                 temporary,
-                np.column_stack([grid.centres, *(each.values[grid.inside] for each in images)]),
+                np.column_stack([grid.centres, *(image.values[grid.inside] for image in images)]),
                 delimiter=",",
                 header=",".join(["x_m", "y_m", *names]),
                 comments="",

@@ -35,7 +35,7 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "data
         DataError: where the recording cannot be used.
         FrameError: for another protocol than the dataset's.
     """
-    named = simulator.Protocol.named(protocol) if protocol else None
+    named = simulator.Protocol.from_name(protocol) if protocol else None
     if not path.exists():
         raise DataError(f"there is no dataset and no file {path}; check the path")
     if not (path.is_dir() or path.suffix.lower() in (".h5", ".hdf5")):
@@ -53,7 +53,7 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "data
     return data
 
 
-def of_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Dataset":
+def select_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Dataset":
     """Frames of one specimen of a dataset; raises ConfigurationError where it has none."""
     own = data.specimen_number[data.specimen] == specimen
     if not own.any():
@@ -64,10 +64,10 @@ def of_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Dataset":
     return data.select(own).own_specimens()
 
 
-def of_one_sensor(data: "datasets.Dataset", specimen: int | None) -> "datasets.Dataset":
+def select_one_sensor(data: "datasets.Dataset", specimen: int | None) -> "datasets.Dataset":
     """Frames of the one specimen, or of that which is chosen; raises ConfigurationError."""
     if specimen is not None:
-        return of_specimen(data, specimen)
+        return select_specimen(data, specimen)
     if (count := len(set(data.specimen.tolist()))) > 1:
         raise ConfigurationError(
             f"a pipeline is adapted to one sensor, got {count} specimens; choose one by --specimen"

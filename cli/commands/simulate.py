@@ -12,7 +12,7 @@ from rich.table import Column, Table
 
 from eitskin import geometry, simulator
 from eitskin.cli import options
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _instrument(noise: float | None, name: str | None) -> "simulator.Instrument 
     """Instrument model: white noise, a named board, that board with other noise, or none."""
     if name is None:
         return None if noise is None else simulator.Instrument(noise)
-    board = simulator.Instrument.named(name)
+    board = simulator.Instrument.from_name(name)
     return board if noise is None else dataclasses.replace(board, snr_db=noise)
 
 
@@ -101,8 +101,8 @@ def _drive(
 
     if view is not None:
         require_picture(view)
-    for option, given in (("--color", color), ("--drive", drive)):
-        if given is not None and view is None:
+    for option, option_value in (("--color", color), ("--drive", drive)):
+        if option_value is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
     if drive is None:
         return None
@@ -151,10 +151,10 @@ def _as_data(
 def _as_table(data: dict[str, Any]) -> Table:
     """Table of `_as_data`."""
     figures = ("R, ohm", "X, ohm", "change, ohm", "change, %")
-    headings = [Column(each, justify="right") for each in figures]
+    headings = [Column(figure, justify="right") for figure in figures]
     names = "measurements", "impedance_real_ohm", "impedance_imag_ohm", "change_ohm"
     columns = [*(data[name] for name in names), data["relative_change"]]
-    return table_of(
+    return make_table(
         ("measurement", *headings),
         (
             (label, f"{R:.3f}", f"{X:.3f}", f"{change:+.3f}", _percent(part))
@@ -199,17 +199,17 @@ def _touch_data(press: "PressedTouch") -> dict[str, Any]:
 
 def _touch_tables(touches: list[dict[str, Any]]) -> Iterator[RenderableType]:
     """Table of touches, and their cautions; nothing without touches."""
-    places = [f"{1e3 * each['x_m']:.1f}, {1e3 * each['y_m']:.1f}" for each in touches]
+    places = [f"{1e3 * touch['x_m']:.1f}, {1e3 * touch['y_m']:.1f}" for touch in touches]
     headings = (Column(heading, justify="right") for heading, *_ in _TOUCH_COLUMNS)
     rows = (
-        (place, *(format(factor * each[name], form) for _, name, factor, form in _TOUCH_COLUMNS))
-        for place, each in zip(places, touches, strict=True)
+        (place, *(format(factor * touch[name], form) for _, name, factor, form in _TOUCH_COLUMNS))
+        for place, touch in zip(places, touches, strict=True)
     )
     if touches:
-        yield table_of(("touch\nat, mm", *headings), rows)
-    for place, each in zip(places, touches, strict=True):
-        if each["caution"]:
-            yield f"caution: touch at {place} mm: {each['caution']}"
+        yield make_table(("touch\nat, mm", *headings), rows)
+    for place, touch in zip(places, touches, strict=True):
+        if touch["caution"]:
+            yield f"caution: touch at {place} mm: {touch['caution']}"
 
 
 def on_support(scene: "simulator.Scene", support: str | None) -> "simulator.Scene":
@@ -221,8 +221,8 @@ def on_support(scene: "simulator.Scene", support: str | None) -> "simulator.Scen
 
     if support is None:
         return scene
-    given = from_dict(simulator.Scene, {"support": support}, "--support")
-    return dataclasses.replace(scene, support=given.support)
+    support_scene = from_dict(simulator.Scene, {"support": support}, "--support")
+    return dataclasses.replace(scene, support=support_scene.support)
 
 
 def announce_unsolved(
@@ -232,7 +232,7 @@ def announce_unsolved(
     from eitskin.simulator.deformation.press_table import press_problems
     from eitskin.simulator.deformation.solution_store import cache_folder, missing
 
-    sensor = sim.supported(scene), sim.mechanics
+    sensor = sim.design_on_support(scene), sim.mechanics
     indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
     unsolved = sum(bool(missing(press_problems(*sensor, i, sim.grid))) for i in indenters)
     if unsolved:
@@ -279,18 +279,18 @@ def mesh(
         require_picture(view)
     start = time.perf_counter()
     _, grading = discretisation(resolution, design, kind)
-    made = mesh_design(design, grading, kind)
-    data = _mesh_data(design, made, kind, time.perf_counter() - start)
+    new_mesh = mesh_design(design, grading, kind)
+    data = _mesh_data(design, new_mesh, kind, time.perf_counter() - start)
     output.result(
-        data, table_of(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)
+        data, make_table(("mesh", Column("", justify="right")), _mesh_rows(data), show_header=False)
     )
     if view is not None:
         from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
 
         if pair is None:
-            draw_mesh(made, view)
+            draw_mesh(new_mesh, view)
         else:
-            draw_drive(model_for_pictures(design, kind), pair, view, made)
+            draw_drive(model_for_pictures(design, kind), pair, view, new_mesh)
         output.note(f"picture: {view}")
 
 

@@ -70,8 +70,8 @@ def taken_from_board(
 ) -> "training.StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""
     pipeline.layout.require_same_measurements(board.protocol, board.info.frequency)
-    taken = list(islice(board.frames(), frames))
-    return pipeline.tare(taken, zero, board_number(board.info), board.uri)
+    taken_frames = list(islice(board.frames(), frames))
+    return pipeline.tare(taken_frames, zero, board_number(board.info), board.uri)
 
 
 def reference_frame(folder: Path, specimen: int) -> "simulator.Frame":
@@ -126,14 +126,14 @@ def use_reference(
 
 
 def tell_unjudged(pipeline: "training.Pipeline", output: options.Output) -> None:
-    """Note where a pipeline cannot judge whether a session begins flat and untouched."""
-    from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
+    """Note where a pipeline cannot test whether a session begins flat and untouched."""
+    from eitskin.training.pipeline.flat_sensors import MIN_SPECIMENS
 
-    if pipeline.stored is None and pipeline.flat_sensors is None:
+    if pipeline.stored_reference is None and pipeline.flat_sensors is None:
         count = f"one of {pipeline.trained_on.get('specimens', 'an unknown number')}"
-        known = "one of touch positions only" if pipeline.targets.positions_only else count
+        reason = "one of touch positions only" if pipeline.targets.positions_only else count
         output.note(
             "whether the sensor starts flat and untouched is not checked: expected a pipeline "
-            f"trained on {FEWEST_SPECIMENS} specimens or more, got {known}; make sure that it lies "
+            f"trained on {MIN_SPECIMENS} specimens or more, got {reason}; make sure that it lies "
             "flat and untouched, or give a reference that was taken so (eitskin tare, --reference)"
         )

@@ -21,7 +21,7 @@ from eitskin.cli.options import (
     own_method,
     with_output,
 )
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
@@ -130,7 +130,7 @@ def _positions_alone(data: "datasets.Dataset") -> str:
         return "no geometry in this dataset"
     if data.protocol is None:
         return "no table of measurements in this dataset"
-    if training.Targets.of(with_implied_labels(data)).positions_only:
+    if training.Targets.from_dataset(with_implied_labels(data)).positions_only:
         return "neither untouched frames nor bend angles in this dataset"
     return ""
 
@@ -153,7 +153,7 @@ class Choice:
     """Choice of what is trained, from the options of the command.
 
     Attributes:
-        settings: of the training; None where the method is selected by held-out specimens.
+        settings: settings of the training; None where the method is selected by held-out specimens.
         method: one of the user's own, in place of the one that the settings name.
         seed: of the training.
         epochs: passes over the frames; None for those of the settings.
@@ -164,7 +164,7 @@ class Choice:
     seed: int
     epochs: int | None
 
-    def adjusted(self, settings: "training.TrainingSettings") -> "training.TrainingSettings":
+    def adjust_settings(self, settings: "training.TrainingSettings") -> "training.TrainingSettings":
         """Settings with the wanted number of epochs."""
         return settings if self.epochs is None else settings.with_epochs(self.epochs)
 
@@ -194,7 +194,7 @@ def choose(
     else:
         settings = replace(training.TrainingSettings.preset(str(preset), seed), options=values)
     choice = Choice(settings, own, seed, epochs)
-    return replace(choice, settings=choice.adjusted(settings))
+    return replace(choice, settings=choice.adjust_settings(settings))
 
 
 def read_options(texts: Sequence[str]) -> dict[str, Any]:
@@ -223,7 +223,9 @@ def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) 
     selection = None
     with output.bars() as show:
         if choice.settings is None:
-            selection = Selection.of(data, choice.seed, adjust=choice.adjusted, progress=show)
+            selection = Selection.from_dataset(
+                data, choice.seed, adjust=choice.adjust_settings, progress=show
+            )
         else:
             pipeline = training.Pipeline.fit(data, choice.settings, show, choice.method)
     output.detail(f"trained in {time.perf_counter() - start:.0f} s, measuring")
@@ -231,7 +233,7 @@ def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) 
         output.show(_comparison(selection))
         evaluation = selection.evaluation
     else:
-        evaluation = Evaluation.of(pipeline, data.select(pipeline.held_out(data)))
+        evaluation = Evaluation.from_dataset(pipeline, data.select(pipeline.held_out(data)))
     evaluation.pipeline.metrics.update(evaluation.report.as_dict())
     return evaluation
 
@@ -257,7 +259,7 @@ def _comparison(selection: "Selection") -> Group:
             remarks.append(f"{trial.preset} cannot be trained here: {trial.refusal}")
         if trial.stopped:
             remarks.append(f"{trial.preset} was not trained to the end: {trial.stopped}")
-    table = table_of(
+    table = make_table(
         ("method", "states", "touch error", "found", "false", "bend error", "loss", "time"),
         rows,
         title=f"{len(judged)} held-out frames of {specimens_in_words(judged)}",
@@ -273,7 +275,7 @@ def train_positions(
     from eitskin.training.method.settings import POSITIONS
 
     learned = training.Pipeline.fit(data, training.TrainingSettings(POSITIONS))
-    score = training.PositionScore.of(learned, data)
+    score = training.PositionScore.from_dataset(learned, data)
     learned.metrics.update(score.as_dict())
     return learned, score
 
@@ -301,7 +303,7 @@ def evaluate(
     if out is not None:
         require_report_folder(out)
     if trained.settings.method == POSITIONS:
-        score = training.PositionScore.of(trained, data)
+        score = training.PositionScore.from_dataset(trained, data)
         if out is not None:
             _save_report((trained, data), out, output)
         rows = (
@@ -315,16 +317,16 @@ def evaluate(
         )
         for fault in score.faults:
             output.note(fault)
-        table = table_of(("touch position", "here"), rows, title=f"{score.frames} frames")
+        table = make_table(("touch position", "here"), rows, title=f"{score.frames} frames")
         output.result(score.as_dict(), table)
         return
     frames = trained.held_out(data)
     if len(frames) < len(data):
         held_out = f"{len(frames)} frames never seen, of {specimens_in_words(data.select(frames))}"
         output.note(f"trained on this dataset: only the {held_out}, count")
-    for fault in trained.followed(data.select(frames))[1]:
+    for fault in trained.mark_failures(data.select(frames))[1]:
         output.note(fault)
-    evaluation = Evaluation.of(trained, data.select(frames))
+    evaluation = Evaluation.from_dataset(trained, data.select(frames))
     if out is not None:
         _save_report(evaluation, out, output)
     output.result(evaluation.report.as_dict(), paper_table(evaluation.report))
@@ -352,9 +354,9 @@ def _save_report(
 
 
 def paper_table(report: "training.Report") -> Table:
-    """Table of the paper's figures beside those of `report`."""
+    """Table of the paper's figures next to those of `report`."""
     from eitskin.training.evaluation.report import HEADINGS, table_rows
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
     title = f"{report.frames} frames"
-    return table_of(HEADINGS, table_rows(report), title=title, caption=SSIM_DEFINITION)
+    return make_table(HEADINGS, table_rows(report), title=title, caption=SSIM_DEFINITION)

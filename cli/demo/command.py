@@ -90,13 +90,13 @@ def run_demo(demo: "Demo", words: list[str]) -> Document:
         for shown in (stage.table, *stage.remarks):
             if shown is not None:
                 demo.output.show(shown)
-    made = asdict(Provenance.now(demo.seed))
+    provenance = asdict(Provenance.now(demo.seed))
     numbers = {
         "provenance": {
             "command": shlex.join([*words, "--seed", str(demo.seed)]),
             "versions": package_versions(PACKAGES),
             "cores": os.cpu_count(),
-            **{key: made[key] for key in ("machine", "python", "seed", "date")},
+            **{key: provenance[key] for key in ("machine", "python", "seed", "date")},
         },
         "seconds": seconds,
         **{name: stage.numbers for name, stage in stages.items()},

@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from eitskin.cli.page.drawing import INSIDE, METAL, GelShape
-from eitskin.cli.page.plan import outline_of
+from eitskin.cli.page.plan import plan_outline
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.extras import require
@@ -35,7 +35,9 @@ FILM_FRAMES = 4  # of each step that are shown, evenly spaced
 MILLISECONDS = 450  # for which each is shown
 FACES = {"idle": "#c9d3dc", "touch": "#f4c9ab", "bend": "#b9d8ee"}
 COLOURS = {"idle": GREY, "touch": ORANGE, "bend": BLUE}
-_UNQUOTED = " !$()*+,-./:;=?@[]^_`{|}~"  # what an address within quotation marks may hold as it is
+_UNQUOTED_CHARACTERS = (
+    " !$()*+,-./:;=?@[]^_`{|}~"  # what an address within quotation marks may hold as it is
+)
 
 # Words as text instead of outlines of glyphs, and the same bytes each time.
 _PLAIN = {"svg.hashsalt": "eitskin", "svg.fonttype": "none"}
@@ -61,7 +63,7 @@ class Picture:
     width: float
 
     @classmethod
-    def of_webp(cls, alt: str, caption: str, image: bytes, width: float) -> "Picture":
+    def from_webp(cls, alt: str, caption: str, image: bytes, width: float) -> "Picture":
         """Picture of a WebP file."""
         source = f"data:image/webp;base64,{base64.b64encode(image).decode()}"
         return cls(alt, caption, source, width)
@@ -72,7 +74,7 @@ def as_pictures(**drawn: tuple[CaptionedFigure | NoFigure, str]) -> dict[str, Pi
     pictures = {}
     for name, (each, alt) in drawn.items():
         if isinstance(each, CaptionedFigure):  # as text, which is shorter than base64
-            source = f"data:image/svg+xml,{quote(_svg(each.figure), safe=_UNQUOTED)}"
+            source = f"data:image/svg+xml,{quote(_svg(each.figure), safe=_UNQUOTED_CHARACTERS)}"
             pictures[name] = Picture(alt, each.caption, source, each.figure.get_figwidth())
     return pictures
 
@@ -85,14 +87,14 @@ def _svg(figure: Any) -> bytes:
     return file.getvalue()
 
 
-def rendered(render: Callable[[Path], None], alt: str, caption: str, width: float) -> Picture:
+def render_picture(render: Callable[[Path], None], alt: str, caption: str, width: float) -> Picture:
     """Picture that `render` writes as a PNG, as a WebP file a seventh as large."""
     file = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         render(path)
         _image(path).save(file, "WEBP", quality=85, method=6)
-    return Picture.of_webp(alt, caption, file.getvalue(), width)
+    return Picture.from_webp(alt, caption, file.getvalue(), width)
 
 
 def _image(file: Any) -> Any:
@@ -150,7 +152,7 @@ def episode_film(rows: Sequence[Row], design: SensorDesign) -> bytes:
 
     It begins with the moment of most touches, which is what paper shows.
     """
-    shape = GelShape.of(design)
+    shape = GelShape.from_design(design)
     moments = [
         (row, int(k))
         for row in rows
@@ -196,7 +198,7 @@ def _draw_moment(shape: GelShape, rows: Sequence[Row], moment: tuple[Row, int], 
 def _draw_estimate(axes: Any, shape: GelShape, state: str, angle: float, places: Places) -> None:
     """The sensor as estimated, bent and dented, with discs where touches are found."""
     body, kinds = shape.body, shape.body.kinds[shape.body.faces[:, 0]]
-    points = 1e3 * shape.bent(angle, [(1e-3 * x, 1e-3 * y, np.nan) for x, y in places])
+    points = 1e3 * shape.bend_points(angle, [(1e-3 * x, 1e-3 * y, np.nan) for x, y in places])
     colours = np.where((kinds == METAL) | (kinds == INSIDE), DARK, FACES.get(state, "#ffffff"))
     collection = require("mpl_toolkits.mplot3d.art3d", EXTRA).Poly3DCollection
     faces = points[body.vertices[body.faces]]
@@ -212,11 +214,11 @@ def _draw_estimate(axes: Any, shape: GelShape, state: str, angle: float, places:
 
 def _draw_truth(axes: Any, shape: GelShape, angle: float, places: Places) -> None:
     """Dashed outline of the sensor as it is, with rings where it is touched."""
-    corners = outline_of(shape.design)
+    corners = plan_outline(shape.design)
     sides = np.linspace(corners, np.roll(corners, -1, axis=0), 20, axis=1).reshape(-1, 2)
     top = np.column_stack([sides, np.full(len(sides), shape.design.thickness)])
     dashed = {"color": DARK, "linewidth": 1.2, "linestyle": "--", "zorder": 2}
-    axes.plot(*(1e3 * shape.bent(angle, [], top)).T, **dashed)
+    axes.plot(*(1e3 * shape.bend_points(angle, [], top)).T, **dashed)
     draw_touches(axes, shape, angle, places, color="none", edgecolors=DARK, s=130, zorder=4)
 
 
@@ -224,4 +226,6 @@ def draw_touches(axes: Any, shape: GelShape, angle: float, places: Places, **loo
     """Marks at places [mm] on the upper face of the bent sensor."""
     if len(places):
         top = [(1e-3 * x, 1e-3 * y, shape.design.thickness) for x, y in places]
-        axes.scatter(*(1e3 * shape.bent(angle, [], np.array(top))).T, depthshade=False, **look)
+        axes.scatter(
+            *(1e3 * shape.bend_points(angle, [], np.array(top))).T, depthshade=False, **look
+        )

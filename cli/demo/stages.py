@@ -20,12 +20,12 @@ from eitskin.cli.demo.pictures import (
     as_pictures,
     episode_film,
     raw_frames,
-    rendered,
+    render_picture,
     touch_positions,
 )
 from eitskin.cli.options import Output
 from eitskin.cli.page.commands import STEPS
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.datasets.recipe.recipe import Recipe, with_seed
 from eitskin.datasets.recordings.recorded_file import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
@@ -44,7 +44,7 @@ from eitskin.training.evaluation.report import PICTURES
 from eitskin.training.evaluation.scores import match_distances
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.targets import STATE_NAMES
-from eitskin.training.pipeline.saved_form import SHIPPED as SHIPPED_MODEL
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH as SHIPPED_MODEL
 from eitskin.training.pipeline.saved_form import read_pipeline
 
 PACKAGES = ("eitskin", "numpy", "scipy", "torch")
@@ -75,7 +75,7 @@ COLUMNS = ("true", "state", "angle, deg", "touches: true", "estimated", "error, 
 
 @dataclass
 class Stage:
-    """Result of one stage: plain data, pictures by name, remarks beside them, a table."""
+    """Result of one stage: plain data, pictures by name, remarks next to them, a table."""
 
     numbers: Any
     pictures: dict[str, Picture] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class Demo:
     def __post_init__(self) -> None:
         """Make the folder, and choose the recipes."""
         if not self.recipes:
-            shipped = [Recipe.shipped(name) for name in SETS]
+            shipped = [Recipe.from_shipped(name) for name in SETS]
             *quick, grid = [with_seed(each, each.seed + self.seed) for each in shipped]
             grid = dataclasses.replace(grid, resolution="standard")
             self.recipes = dict(zip(SETS, (*quick, grid), strict=True))
@@ -134,7 +134,7 @@ class Demo:
             choice = choose("quick", epochs=self.epochs, seed=self.seed)
             trained = train_and_measure(self.sets["quick"], choice, self.output).pipeline
             seconds = round(time.perf_counter() - start, 1)
-            trained.metrics["training"] = {"made_from": self._made_from, "seconds": seconds}
+            trained.metrics["training"] = {"made_from": self._training_inputs, "seconds": seconds}
             self.output.show(f"saved pipeline: {trained.save(self.model)}")
         return training.Pipeline.load(self.model if which == TRAINED else SHIPPED_MODEL)
 
@@ -144,10 +144,10 @@ class Demo:
             metrics = read_pipeline(self.model).document["metrics"]
         except DataError:
             return False
-        return bool(metrics.get("training", {}).get("made_from") == self._made_from)
+        return bool(metrics.get("training", {}).get("made_from") == self._training_inputs)
 
     @cached_property
-    def _made_from(self) -> dict[str, Any]:
+    def _training_inputs(self) -> dict[str, Any]:
         """Everything that the trained pipeline depends on."""
         versions, frames = package_versions(PACKAGES), fingerprint(self.sets["quick"])
         return {"versions": versions, "seed": self.seed, "frames": frames, "epochs": self.epochs}
@@ -176,7 +176,7 @@ def show_sensor(demo: Demo) -> Stage:
         "Meshes for measurements are graded more finely."
     )
     alt = "Sensor with numbered electrodes, its mesh, potential and current"
-    drawn = rendered(partial(draw_drive, model, DRIVE), alt, caption, 10.0)
+    drawn = render_picture(partial(draw_drive, model, DRIVE), alt, caption, 10.0)
     return Stage(numbers, {"sensor": drawn})
 
 
@@ -192,11 +192,11 @@ def show_scenes(demo: Demo) -> Stage:
         scenes.append({"scene": title, "rms_percent": float(np.sqrt(np.mean(change**2)))})
     caption = (
         "Three scenes to one scale. Colours: change of the conductance along the sensor, which "
-        "falls under a touch and where the bend stretches the gel; rings beside a touch are gel "
+        "falls under a touch and where the bend stretches the gel; rings next to a touch are gel "
         "that was pushed aside."
     )
     alt = "The sensor " + "; ".join(title for title, _ in SCENES)
-    drawn = rendered(partial(draw_scenes, sim, SCENES), alt, caption, 6.4)
+    drawn = render_picture(partial(draw_scenes, sim, SCENES), alt, caption, 6.4)
     return Stage({"scenes": scenes}, {"scenes": drawn})
 
 
@@ -234,7 +234,7 @@ def train(demo: Demo) -> Stage:
 
 def evaluate(which: str, frames: str, demo: Demo) -> Stage:
     """Figures of `eitskin evaluate`, and the pictures of its report."""
-    evaluation = Evaluation.of(demo.pipeline(which), demo.sets[frames])
+    evaluation = Evaluation.from_dataset(demo.pipeline(which), demo.sets[frames])
     drawn = {name: (PICTURES[f"{name}.png"](evaluation), alt) for name, alt in ALT.items()}
     numbers, table = evaluation.report.as_dict(), paper_table(evaluation.report)
     return Stage(numbers, as_pictures(**drawn), table=table)
@@ -264,8 +264,8 @@ def go_live(demo: Demo) -> Stage:
         "estimated state, dented and with discs at the detected touches. Dashed lines and rings: "
         "the truth. Below, the estimated angle of every frame (dots) and the true one (line)."
     )
-    film = Picture.of_webp(alt, caption, episode_film(rows, demo.design), 6.5)
-    return Stage(numbers, {"film": film}, table=table_of(COLUMNS, map(episode_cells, rows)))
+    film = Picture.from_webp(alt, caption, episode_film(rows, demo.design), 6.5)
+    return Stage(numbers, {"film": film}, table=make_table(COLUMNS, map(episode_cells, rows)))
 
 
 def run_episode(pipeline: "hardware.FramePipeline", seed: int, frames: int) -> list[dict[str, Any]]:
@@ -283,7 +283,7 @@ def run_episode(pipeline: "hardware.FramePipeline", seed: int, frames: int) -> l
 
 def _episode_row(scene: Scene, readings: "Sequence[hardware.Reading]") -> dict[str, Any]:
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
-    names = [str(getattr(each.state, "name", each.state)).lower() for each in estimates]
+    names = [str(getattr(estimate.state, "name", estimate.state)).lower() for estimate in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
     true = [(touch.x, touch.y) for touch in scene.touches]
     places = [[(float(x), float(y)) for x, y, _ in each.touches or ()] for each in estimates]
@@ -302,7 +302,7 @@ def _episode_row(scene: Scene, readings: "Sequence[hardware.Reading]") -> dict[s
         "latency_ms": float(np.median(latencies)),
         "states": names,
         "angles_deg": angles,
-        "found_mm": [_millimetres(each) for each in places],
+        "found_mm": [_millimetres(place) for place in places],
         "latencies_ms": latencies,
     }
 
@@ -313,7 +313,7 @@ def _millimetres(places: Sequence[tuple[float, float]]) -> list[list[float]]:
 
 def episode_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     """Cells of a step's row: truth and estimate, one text for each of `COLUMNS`."""
-    true, found = (
+    true, estimated = (
         " ".join(f"({x:.0f},{y:.0f})" for x, y in row[name]) or "-"
         for name in ("true_touches_mm", "touches_mm")
     )
@@ -322,7 +322,7 @@ def episode_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         f"{row['state']} ({row['right_frames']}/{len(row['states'])})",
         f"{row['angle_deg']:+.1f} (true {row['true_angle_deg']:+.0f})",
         true,
-        found,
+        estimated,
         ", ".join(f"{error:.1f}" for error in row["errors_mm"]) or "-",
         f"{row['latency_ms']:.1f}",
     )

@@ -22,7 +22,7 @@ from eitskin.files import atomic_file
 LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 18
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{16,128}")
-_LARGEST_FILE = 4096  # bytes
+_MAX_FILE = 4096  # bytes
 
 
 class Role(IntEnum):
@@ -56,35 +56,35 @@ class Tokens:
             raise ConfigurationError("expected two tokens, got the same for view and command")
 
     @classmethod
-    def made(cls) -> "Tokens":
+    def generate(cls) -> "Tokens":
         """New tokens from the system's randomness."""
         return cls(secrets.token_urlsafe(_TOKEN_BYTES), secrets.token_urlsafe(_TOKEN_BYTES))
 
     @classmethod
-    def kept(cls, path: Path) -> "Tokens":
+    def load_or_create(cls, path: Path) -> "Tokens":
         """Tokens of a file, which is made where there is none.
 
         The file has the lines `view TOKEN` and `command TOKEN`. Raises ConfigurationError for
         another file, and for one that others may read.
         """
         if not path.exists():
-            tokens = cls.made()
+            tokens = cls.generate()
             with atomic_file(path, mode=0o600) as temporary:
                 temporary.write_text(f"view {tokens.view}\ncommand {tokens.command}\n")
             return tokens
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _LARGEST_FILE:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > _MAX_FILE:
             raise ConfigurationError(f"{path}: expected a file of two tokens, got something else")
         try:
             lines = dict(line.split() for line in path.read_text().splitlines() if line.strip())
             tokens = cls(lines["view"], lines["command"])
         except (ConfigurationError, KeyError, OSError, ValueError) as error:
-            told = f": {error}" if isinstance(error, ConfigurationError) else ""
+            reason = f": {error}" if isinstance(error, ConfigurationError) else ""
             raise ConfigurationError(
-                f"{path}: expected the lines `view TOKEN` and `command TOKEN`{told}; name a file "
+                f"{path}: expected the lines `view TOKEN` and `command TOKEN`{reason}; name a file "
                 "that does not exist, to have it made"
             ) from error
-        if os.name == "posix" and found.st_mode & 0o077:
+        if os.name == "posix" and status.st_mode & 0o077:
             raise ConfigurationError(
                 f"{path}: expected a file that only you may read, got one that others may; "
                 f"chmod 600 {path}"
@@ -112,15 +112,15 @@ class Access:
     tokens: Tokens | None = None
 
     @classmethod
-    def of(cls, host: str = LOOPBACK, token_file: Path | None = None) -> "Access":
+    def for_host(cls, host: str = LOOPBACK, token_file: Path | None = None) -> "Access":
         """Access without a token only on the loopback interface.
 
-        Raises ConfigurationError for a host that is none, and those of `Tokens.kept`.
+        Raises ConfigurationError for a host that is none, and those of `Tokens.load_or_create`.
         """
         if token_file is not None:
-            return cls(host, Tokens.kept(token_file))
-        loopback = ipaddress.ip_address(resolved(host)[1]).is_loopback
-        return cls(host, None if loopback else Tokens.made())
+            return cls(host, Tokens.load_or_create(token_file))
+        loopback = ipaddress.ip_address(resolve_host(host)[1]).is_loopback
+        return cls(host, None if loopback else Tokens.generate())
 
     def role(self, token: str) -> Role:
         """Role of who shows this token, or an empty one."""
@@ -134,7 +134,7 @@ class Access:
         """
         at = ipaddress.ip_address(local.partition("%")[0])
         at = getattr(at, "ipv4_mapped", None) or at  # as an IPv6 socket shows an IPv4 address
-        names = {_bracketed(str(at)), _bracketed(self.host)}
+        names = {_format_host(str(at)), _format_host(self.host)}
         if at.is_loopback:
             names.add("localhost")
         if self.tokens is not None:
@@ -143,7 +143,7 @@ class Access:
 
     def url(self, port: int) -> str:
         """Address of the page without a token."""
-        return f"http://{_bracketed(self._shown())}:{port}/"
+        return f"http://{_format_host(self._display_host())}:{port}/"
 
     def invitations(self, port: int) -> tuple[tuple[str, str], ...]:
         """Permissions and their addresses; a token follows `#`, which no request shows."""
@@ -154,9 +154,9 @@ class Access:
             ("page, to view and command", f"{self.url(port)}#{self.tokens.command}"),
         )
 
-    def _shown(self) -> str:
+    def _display_host(self) -> str:
         """Host of the page's address; one that the network reaches where all are listened at."""
-        family, address = resolved(self.host)
+        family, address = resolve_host(self.host)
         if not ipaddress.ip_address(address).is_unspecified:
             return self.host
         foreign = "192.0.2.1" if family == socket.AF_INET else "2001:db8::1"  # for documentation
@@ -190,23 +190,23 @@ class PageOptions:
 
     @property
     def access(self) -> Access:
-        """Address and tokens; raises ConfigurationError as `Access.of` does."""
-        return Access.of(self.page_host, self.page_token_file)
+        """Address and tokens; raises ConfigurationError as `Access.for_host` does."""
+        return Access.for_host(self.page_host, self.page_token_file)
 
 
-def resolved(host: str) -> tuple[socket.AddressFamily, str]:
+def resolve_host(host: str) -> tuple[socket.AddressFamily, str]:
     """Family and address of a host; raises ConfigurationError for a host that is none."""
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+        address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
         raise ConfigurationError(
             f"expected an address or a name of this machine for the page, got {host!r}: {error}; "
             f"{LOOPBACK} serves this machine only, 0.0.0.0 every network that it is in"
         ) from error
-    return found[0], str(found[4][0]).partition("%")[0]
+    return address[0], str(address[4][0]).partition("%")[0]
 
 
-def _bracketed(host: str) -> str:
+def _format_host(host: str) -> str:
     """Host as it stands in an address: IPv6 in brackets."""
     return f"[{host}]" if ":" in host else host
 
@@ -214,7 +214,7 @@ def _bracketed(host: str) -> str:
 def tell_invitations(invitations: Sequence[tuple[str, str]], output: Output) -> None:
     """Note the addresses of a page.
 
-    Those with tokens are told nowhere else, and therefore when a command is quiet, too.
+    Those with tokens are reported nowhere else, and therefore when a command is quiet, too.
     """
     for what, address in invitations:
         if output.quiet and "#" in address:

@@ -10,19 +10,19 @@ import msgspec
 import numpy as np
 
 from eitskin import hardware
-from eitskin.bounds import require_within
+from eitskin.bounds import require_in_range
 from eitskin.cli.page.plan import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.bodies.pressed_body import require_above
+from eitskin.simulator.bodies.pressed_body import require_over_body
 from eitskin.simulator.scene.scene import Scene, Touch
 
 Kind = TypeVar("Kind")
 
-MOST_TOUCHES = 4
+MAX_TOUCHES = 4
 STEP = 3.0  # duration of each step of the episode [s]
 _SPREAD = (Touch(0.025, 0.018), Touch(0.050, 0.042), Touch(0.100, 0.042), Touch(0.125, 0.018))
 _OTHERS = (Touch(0.025, 0.042), Touch(0.060, 0.018), Touch(0.090, 0.042), Touch(0.125, 0.018))
@@ -52,7 +52,7 @@ class PageTouch:
 
     def __post_init__(self) -> None:
         """Check the force; the position is checked with the sensor."""
-        require_within("force", self.force, *FORCE_RANGE, "N")
+        require_in_range("force", self.force, *FORCE_RANGE, "N")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +64,10 @@ class SceneCommand:
 
     def __post_init__(self) -> None:
         """Check angle and number."""
-        require_within("bend_deg", self.bend_deg, *BEND_RANGE, "deg")
-        if len(self.touches) > MOST_TOUCHES:
+        require_in_range("bend_deg", self.bend_deg, *BEND_RANGE, "deg")
+        if len(self.touches) > MAX_TOUCHES:
             raise ConfigurationError(
-                f"at most {MOST_TOUCHES} touches at once, got {len(self.touches)}"
+                f"at most {MAX_TOUCHES} touches at once, got {len(self.touches)}"
             )
 
 
@@ -122,19 +122,19 @@ May raise ConfigurationError. Without an answer the browser learns that it was d
 """
 
 
-def commands_of(
+def make_commands(
     actions: Mapping[str, tuple[Any, Callable[[Any], bytes | None]]],
     act: Callable[[Callable[[Any], Any], Any], bytes | None],
 ) -> Commands:
     """Commands from the type of each payload and its action, which `act` calls with the payload."""
 
-    def take(path: str, kind: Any, action: Callable[[Any], Any], body: bytes) -> bytes | None:
-        return act(action, read_command(kind, path, body))
+    def take(path: str, target: Any, action: Callable[[Any], Any], body: bytes) -> bytes | None:
+        return act(action, read_command(target, path, body))
 
     return {path: partial(take, path, *action) for path, action in actions.items()}
 
 
-def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
+def read_command(target: type[Kind], path: str, body: bytes) -> Kind:
     """Command that was posted to `path`; raises ConfigurationError for another body."""
     try:
         data = msgspec.json.decode(body)
@@ -142,7 +142,7 @@ def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
         raise ConfigurationError(f"expected JSON, got what is not: {error}") from error
     if not isinstance(data, Mapping):
         raise ConfigurationError(f"expected a JSON object, got {type(data).__name__}")
-    return from_dict(kind, data, path.lstrip("/"))
+    return from_dict(target, data, path.lstrip("/"))
 
 
 def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Commands:
@@ -179,14 +179,14 @@ def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Com
         "/fault": (FaultCommand, set_fault),
         "/play": (PlayCommand, play),
     }
-    return commands_of(actions, act)
+    return make_commands(actions, act)
 
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:
-    region = sheet if isinstance(sheet, Region) else Region.around(sheet)
+    region = sheet if isinstance(sheet, Region) else Region.from_design(sheet)
     area = sheet if isinstance(sheet, Region) else sheet.outline
     if isinstance(area, Surface):
-        require_above(area, Touch(press.x, press.y, press.force))
+        require_over_body(area, Touch(press.x, press.y, press.force))
     elif not area.contains(np.array([press.x, press.y])):
         raise ConfigurationError(
             f"touches are on the sensor, {region.length:g} x {region.width:g} m, got one at "

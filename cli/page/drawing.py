@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.cli.page.plan import arc_of, pieces_of
+from eitskin.cli.page.plan import arc_lengths, count_pieces
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.contact_areas import ContactArea, Pad, Strip, placed
+from eitskin.geometry.design.contact_areas import ContactArea, Pad, Strip, contact_areas
 from eitskin.geometry.design.outline import PlaneOutline, Rectangle
 from eitskin.geometry.design.patches import area_vectors, on_boundary
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import triangulated
+from eitskin.geometry.meshing.delaunay import triangulate
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.touches import sketched_dents
@@ -36,12 +36,12 @@ _OF_SURFACE = 2500  # points of a body from a file, at most
 _LOOSEST = 1.5  # longest edges over those of as many equilateral triangles
 _SHARP = np.cos(np.radians(40.0))  # normals of faces beyond an edge that is seen as one
 _UPWARD = 0.3  # least z of the normal where the touch map is seen
-_SAME = 1e-9  # relative distance of points that count as one
+_POINT_TOLERANCE = 1e-9  # relative distance of points that count as one
 
 
 FORCE_UNKNOWN = 6.0  # drawn for a touch whose force is not estimated [N]
-_STEEPEST = 60.0  # bends are drawn up to this, either way [deg]
-_FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed once
+_MAX_DRAWN_ANGLE = 60.0  # bends are drawn up to this, either way [deg]
+_ANGLE_STEP = 0.2  # difference of two bends that are drawn [deg]; each is computed once
 _STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
 _SAME_ANGLE, _SAME_PRESS = 0.3, (0.0015, 0.0015, 0.5)  # too little to be seen [deg], [m, m, N]
 
@@ -61,9 +61,9 @@ class DrawnBody:
     """Body and electrodes as triangles whose vertices are split where an edge is sharp.
 
     Attributes:
-        points: of the flat sensor (n, 3) [m].
+        points: points of the flat sensor (n, 3) [m].
         vertices: number of each vertex's point (v,).
-        kinds: of the vertices (v,), `GEL`, `FACE`, `METAL` or `INSIDE`.
+        kinds: kinds of the vertices (v,), `GEL`, `FACE`, `METAL` or `INSIDE`.
         faces: vertices of the triangles (k, 3); those of kind `INSIDE` come last.
         electrodes: first vertex and number of vertices of each electrode, (electrodes, 2).
     """
@@ -75,18 +75,18 @@ class DrawnBody:
     electrodes: Numbers
 
     @classmethod
-    def of(cls, design: SensorDesign) -> "DrawnBody":
+    def from_design(cls, design: SensorDesign) -> "DrawnBody":
         """Body of a sensor with any outline."""
         outline = design.outline
         if isinstance(outline, Surface):
-            body = _clustered(Triangles(*outline.triangles()), _OF_SURFACE)
+            body = _cluster_vertices(Triangles(*outline.triangles()), _OF_SURFACE)
         else:
             body = _layer(outline, design.thickness)
         spacing = _mean_edge(body)
-        contacts = placed(design.electrodes, outline, design.thickness)
+        contacts = contact_areas(design.electrodes, outline, design.thickness)
         parts = [body, *(_sheet(contact, body, spacing) for contact in contacts)]
         kinds = [INSIDE if isinstance(c, Pad) and c.on == "inside" else METAL for c in contacts]
-        return _joined(parts, [FACE, *kinds])
+        return _join_bodies(parts, [FACE, *kinds])
 
     @property
     def opaque(self) -> int:
@@ -97,10 +97,10 @@ class DrawnBody:
 def _layer(outline: PlaneOutline, thickness: float) -> Triangles:
     """Boundary of a layer: both faces and the side."""
     whole = np.full(1, max(outline.length, outline.width))
-    points, faces = triangulated(outline, np.empty(0), lambda at: np.repeat(whole, len(at)))
-    area = float(area_vectors(_lifted(points, 0.0)[faces])[:, 2].sum())
+    points, faces = triangulate(outline, np.empty(0), lambda at: np.repeat(whole, len(at)))
+    area = float(area_vectors(_lift_points(points, 0.0)[faces])[:, 2].sum())
     size = np.array([_LOOSEST * np.sqrt(2.0 / np.sqrt(3.0) * area / _ON_TOP)])
-    points, top = triangulated(outline, np.empty(0), lambda at: np.repeat(size, len(at)))
+    points, top = triangulate(outline, np.empty(0), lambda at: np.repeat(size, len(at)))
     count = len(points)
     edges = np.concatenate([top[:, [0, 1]], top[:, [1, 2]], top[:, [2, 0]]])
     ordered = {tuple(edge) for edge in edges.tolist()}
@@ -109,10 +109,12 @@ def _layer(outline: PlaneOutline, thickness: float) -> Triangles:
         [np.column_stack([a + count, b + count, b]), np.column_stack([a + count, b, a])]
     )
     faces = np.concatenate([top, top[:, ::-1] + count, side])
-    return Triangles(np.concatenate([_lifted(points, thickness), _lifted(points, 0.0)]), faces)
+    return Triangles(
+        np.concatenate([_lift_points(points, thickness), _lift_points(points, 0.0)]), faces
+    )
 
 
-def _lifted(points: Array, z: float) -> Array:
+def _lift_points(points: Array, z: float) -> Array:
     """Points (n, 3) [m] at one height of plane ones (n, 2) [m]."""
     return np.column_stack([points, np.full(len(points), z)])
 
@@ -122,9 +124,9 @@ def _mean_edge(body: Triangles) -> float:
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
 
 
-def _clustered(whole: Triangles, most: int) -> Triangles:
+def _cluster_vertices(whole: Triangles, most: int) -> Triangles:
     """Triangles between at most `most` points: points of one cell of a grid become their mean."""
-    extent, cell = float(np.ptp(whole.points, axis=0).max()), _SAME
+    extent, cell = float(np.ptp(whole.points, axis=0).max()), _POINT_TOLERANCE
     while True:
         grid = np.floor((whole.points - whole.points.min(axis=0)) / (cell * extent))
         _, number = np.unique(grid, axis=0, return_inverse=True)
@@ -142,11 +144,11 @@ def _sheet(contact: ContactArea, body: Triangles, spacing: float) -> Triangles:
     if isinstance(contact, Strip):
         return _strip(contact, spacing)
     if contact.on == "surface":
-        found = _covered(contact, body)
-        if len(found.faces):
-            return found
+        covered = _surface_under_pad(contact, body)
+        if len(covered.faces):
+            return covered
     rim = contact.edges(spacing)
-    rings = pieces_of(contact.reach, spacing)
+    rings = count_pieces(contact.reach, spacing)
     share = np.arange(1, rings + 1)[:, None, None] / rings
     points = contact.centre + share * (rim - contact.centre)
     outer = 1 + np.arange(rings * len(rim)).reshape(rings, -1)
@@ -158,9 +160,9 @@ def _sheet(contact: ContactArea, body: Triangles, spacing: float) -> Triangles:
 
 def _strip(strip: Strip, spacing: float) -> Triangles:
     """Triangles of a strip on the side."""
-    arc = arc_of(strip, spacing)
-    height = np.linspace(strip.low, strip.high, 1 + pieces_of(strip.high - strip.low, spacing))
-    points = np.concatenate([_lifted(strip.outline.at(arc), z) for z in height])
+    arc = arc_lengths(strip, spacing)
+    height = np.linspace(strip.low, strip.high, 1 + count_pieces(strip.high - strip.low, spacing))
+    points = np.concatenate([_lift_points(strip.outline.rim_points(arc), z) for z in height])
     return Triangles(points, _quads(np.arange(len(points)).reshape(len(height), -1)))
 
 
@@ -176,12 +178,12 @@ def _quads(grid: Numbers, *, closed: bool = False) -> Numbers:
     return real
 
 
-def _covered(pad: Pad, body: Triangles) -> Triangles:
+def _surface_under_pad(pad: Pad, body: Triangles) -> Triangles:
     """Part of a body's surface under a pad; without faces where the drawn body has none there."""
     corners = body.points[body.faces]
     normals = area_vectors(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-    snap = _SAME * float(np.ptp(body.points))
+    snap = _POINT_TOLERANCE * float(np.ptp(body.points))
     (region,) = pad.patch().regions
     pieces = on_boundary(corners, normals, np.arange(len(corners)), region, snap).polygons
     points, number = np.unique(pieces.reshape(-1, 3).round(9), axis=0, return_inverse=True)
@@ -191,12 +193,12 @@ def _covered(pad: Pad, body: Triangles) -> Triangles:
     return Triangles(points, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)])
 
 
-def _joined(parts: list[Triangles], kinds: list[int]) -> DrawnBody:
+def _join_bodies(parts: list[Triangles], kinds: list[int]) -> DrawnBody:
     """Body, then electrodes, as one set of triangles."""
     vertices, faces, kind, spans = [], [], [], []
     point = vertex = 0
     for part, what in zip(parts, kinds, strict=True):
-        own, of_faces, up = _smoothed(part)
+        own, of_faces, up = _shading_vertices(part)
         vertices.append(point + own)
         faces.append(vertex + of_faces)
         kind.append(np.where(up, FACE, GEL) if what == FACE else np.full(len(own), what))
@@ -212,20 +214,20 @@ def _joined(parts: list[Triangles], kinds: list[int]) -> DrawnBody:
     )
 
 
-def _smoothed(part: Triangles) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
+def _shading_vertices(part: Triangles) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
     """Vertices of smooth shading: point of each, faces (k, 3), and whether each looks upwards.
 
     Faces around a point share a vertex unless their normals differ by an edge.
     """
     areas = area_vectors(part.points[part.faces])
     normals = areas / np.maximum(np.linalg.norm(areas, axis=1), np.finfo(float).tiny)[:, None]
-    found: dict[int, list[tuple[Array, int]]] = {}
+    neighbours: dict[int, list[tuple[Array, int]]] = {}
     points: list[int] = []
     up: list[bool] = []
     faces = np.empty_like(part.faces)
     for (face, column), point in np.ndenumerate(part.faces):
         normal = normals[face]
-        around = found.setdefault(int(point), [])
+        around = neighbours.setdefault(int(point), [])
         smooth = (vertex for first, vertex in around if first @ normal > _SHARP)
         vertex = next(smooth, len(points))
         if vertex == len(points):
@@ -255,31 +257,31 @@ class GelShape:
 
     @classmethod
     @lru_cache(maxsize=8)  # the same sensor is shown again after a page was closed
-    def of(cls, design: SensorDesign) -> "GelShape":
+    def from_design(cls, design: SensorDesign) -> "GelShape":
         """Shape of a sensor with any outline."""
         outline = design.outline
         origin = outline.bounds[0] if isinstance(outline, Surface) else np.zeros(3)
         reach = [_farthest(design, sign) for sign in (-1, 1)]
-        return cls(design, DrawnBody.of(design), origin, *reach)
+        return cls(design, DrawnBody.from_design(design), origin, *reach)
 
-    def bent(
+    def bend_points(
         self, angle_deg: float, presses: Sequence[DrawnPress], points: Array | None = None
     ) -> Array:
         """Deformed points (n, 3) [m] under a bend and touches at (x [m], y [m], force [N]).
 
         The points are those of the body, unless others on the flat sensor are given.
 
-        Bends are drawn in steps of `_FINEST`. Dents are to scale, those of the 15 mm cylinder on
-        the reference sensor; unknown forces are drawn as `FORCE_UNKNOWN`, an unknown angle as
+        Bends are drawn in steps of `_ANGLE_STEP`. Dents are to scale, those of the 15 mm cylinder
+        on the reference sensor; unknown forces are drawn as `FORCE_UNKNOWN`, an unknown angle as
         flat. A body from a file has no dents.
         """
-        angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
+        angle = _ANGLE_STEP * round(angle_deg / _ANGLE_STEP) if math.isfinite(angle_deg) else 0.0
         angle = min(max(angle, self.least), self.most)
         points = self.body.points if points is None else points
         if presses and not isinstance(self.design.outline, Surface):
             touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
             points = sketched_dents(touches, self.design).positions(points)
-        return _bent(self.design, angle).positions(points) if angle else points
+        return _page_bend(self.design, angle).positions(points) if angle else points
 
 
 @dataclass(slots=True, eq=False)
@@ -297,10 +299,11 @@ class GelDrawing:
     _points: str = ""
 
     @classmethod
-    def of(cls, design: SensorDesign) -> "GelDrawing":
+    def from_design(cls, design: SensorDesign) -> "GelDrawing":
         """Drawing of a sensor with any outline."""
         return cls(
-            GelShape.of(design), 2.0 * max(design.outline.length, design.outline.width) / _STEPS
+            GelShape.from_design(design),
+            2.0 * max(design.outline.length, design.outline.width) / _STEPS,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -309,35 +312,35 @@ class GelDrawing:
         return {
             "unit": self.unit,
             "points": self._steps(body.points),
-            "vertices": encoded(body.vertices, "<u2"),
-            "kinds": encoded(body.kinds, "u1"),
-            "faces": encoded(body.faces, "<u2"),
+            "vertices": encode_numbers(body.vertices, "<u2"),
+            "kinds": encode_numbers(body.kinds, "u1"),
+            "faces": encode_numbers(body.faces, "<u2"),
             "opaque": body.opaque,
             "electrodes": body.electrodes.tolist(),
         }
 
     def points(self, angle_deg: float, presses: Sequence[DrawnPress]) -> str:
         """Deformed points from the origin in multiples of `unit`: int16, little-endian, base64."""
-        wanted = np.array([angle_deg, *(value for press in presses for value in press)])
+        key = np.array([angle_deg, *(value for press in presses for value in press)])
         tolerance = np.array([_SAME_ANGLE, *_SAME_PRESS * len(presses)])
         drawn = self._drawn if self._drawn is not None else np.empty(0)
         same: dict[str, Any] = {"rtol": 0.0, "atol": tolerance, "equal_nan": True}
-        if drawn.shape != wanted.shape or not np.allclose(wanted, drawn, **same):
-            self._points = self._steps(self.shape.bent(angle_deg, presses))
-            self._drawn = wanted
+        if drawn.shape != key.shape or not np.allclose(key, drawn, **same):
+            self._points = self._steps(self.shape.bend_points(angle_deg, presses))
+            self._drawn = key
         return self._points
 
     def _steps(self, points: Array) -> str:
-        return encoded(np.rint((points - self.shape.origin) / self.unit), "<i2")
+        return encode_numbers(np.rint((points - self.shape.origin) / self.unit), "<i2")
 
 
-def encoded(numbers: NDArray[Any], kind: str) -> str:
+def encode_numbers(numbers: NDArray[Any], kind: str) -> str:
     """Numbers of one kind of integers in base64."""
     return base64.b64encode(numbers.astype(kind).tobytes()).decode()
 
 
 @lru_cache(maxsize=256)
-def _bent(design: SensorDesign, angle: float) -> Deformation:
+def _page_bend(design: SensorDesign, angle: float) -> Deformation:
     """Bend by the default clamp where that has been solved, by the kinematic hinge elsewhere."""
     plane = isinstance(design.outline, Rectangle)
     solved = plane and not missing(bend_table.bend_problems(design, Clamp(), Mechanics()))
@@ -347,9 +350,9 @@ def _bent(design: SensorDesign, angle: float) -> Deformation:
 
 def _farthest(design: SensorDesign, sign: int) -> float:
     """Largest bend in one direction that the fixture can reach [deg]."""
-    for angle in np.arange(_STEEPEST, 0.0, -20.0):
+    for angle in np.arange(_MAX_DRAWN_ANGLE, 0.0, -20.0):
         try:
-            _bent(design, float(sign * angle))
+            _page_bend(design, float(sign * angle))
         except ConfigurationError:
             continue
         return float(sign * angle)
@@ -358,5 +361,5 @@ def _farthest(design: SensorDesign, sign: int) -> float:
 
 def _drawn_force(force: float) -> float:
     """Force rounded to 0.1 N, so that each dent is computed once."""
-    known = force if math.isfinite(force) else FORCE_UNKNOWN
-    return round(max(known, 0.1), 1)
+    drawn = force if math.isfinite(force) else FORCE_UNKNOWN
+    return round(max(drawn, 0.1), 1)

@@ -11,7 +11,7 @@ from eitskin import hardware
 from eitskin.cli.page.access import Access
 from eitskin.cli.page.commands import SessionCommands, stage_commands
 from eitskin.cli.page.plan import Region
-from eitskin.cli.page.state import PageContent, Snapshot, reference_after
+from eitskin.cli.page.state import PageContent, Snapshot, next_reference
 from eitskin.closeable import Closeable
 from eitskin.extras import require_all
 from eitskin.geometry.design.sensor import SensorDesign
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-SHORTEST = 1.0  # s; a machine that is busy for a moment is no silence
+MIN_SILENCE = 1.0  # s; a machine that is busy for a moment is no silence
 HEARTBEAT = 1.0  # s
-MOST_PER_SECOND = 60  # more than a screen shows
+MAX_UPDATE_RATE = 60  # more than a screen shows
 
 
 class LivePage(Closeable):
@@ -51,13 +51,13 @@ class LivePage(Closeable):
         """Start to serve.
 
         Args:
-            connection: to the board whose readings will be published; a virtual one can be
-                commanded by the page.
+            connection: connection to the board whose readings will be published; a virtual one can
+                be commanded by the page.
             sheet: design of its sensor, or the region of positions where that is not known.
             port: 0 for any that is free.
             access: address to serve at, and who may use the page; without it this machine.
             session: takes what is asked of the live session; without it nothing is.
-            limits: with browsers.
+            limits: limits with browsers.
             clock: [s].
 
         Raises ConfigurationError where the port cannot be had.
@@ -67,7 +67,7 @@ class LivePage(Closeable):
 
         board = connection.board
         self._connection, self._clock = connection, clock
-        self._content = PageContent.of(board, sheet)
+        self._content = PageContent.from_board(board, sheet)
         self._acquired = AcquisitionClock()
         self._newest: Snapshot | None = None
         self._arrived = self._told = self._closed = False
@@ -92,10 +92,10 @@ class LivePage(Closeable):
     def publish(self, reading: "hardware.Reading") -> None:
         """Make this reading the next one that the page shows; returns at once."""
         counts, now, frame = self._connection.board.counts, self._clock(), reading.frame
-        begun = self._acquired.begun(frame, now - reading.latency)
+        begun = self._acquired.measurement_start(frame, now - reading.latency)
         with self._changed:
             before = self._newest
-            reference = reference_after(None if before is None else before.reference, frame)
+            reference = next_reference(None if before is None else before.reference, frame)
             self._newest, self._arrived = Snapshot(reading, counts, reference, begun, now), True
             self._changed.notify()
 
@@ -116,7 +116,7 @@ class LivePage(Closeable):
 
     def _send_events(self) -> None:
         """Encode each newest reading once, and the connection's health while none comes."""
-        sent = -1.0 / MOST_PER_SECOND
+        sent = -1.0 / MAX_UPDATE_RATE
         while True:
             snapshot = self._wait(sent)
             if self._closed:
@@ -129,13 +129,13 @@ class LivePage(Closeable):
             except Exception:  # the page must outlive whatever a pipeline comes up with
                 log.exception("the page cannot show frame")
 
-    def _wait(self, sent: float) -> Snapshot | None:
+    def _wait(self, sent_time: float) -> Snapshot | None:
         """Wait for a reading or the next heartbeat, no more often than a screen shows.
 
         The newest reading; None where that was taken before.
         """
         with self._changed:
-            pause = sent + 1.0 / MOST_PER_SECOND - self._clock()
+            pause = sent_time + 1.0 / MAX_UPDATE_RATE - self._clock()
             if pause > 0.0:
                 self._changed.wait_for(lambda: self._closed, pause)
             self._changed.wait_for(
@@ -146,16 +146,16 @@ class LivePage(Closeable):
             return newest
 
     def _heartbeat_delay(self) -> float:
-        """Time without a reading until the page is told [s]."""
+        """Time without a reading until the page is reported [s]."""
         age = self._age()
-        left = self.stale_after() - age if age is not None else 0.0
-        return min(left, HEARTBEAT) if left > 0.0 else HEARTBEAT
+        remaining = self.max_age() - age if age is not None else 0.0
+        return min(remaining, HEARTBEAT) if remaining > 0.0 else HEARTBEAT
 
-    def stale_after(self) -> float:
+    def max_age(self) -> float:
         """Age at which the newest reading is stale [s]; a text board's period is learned late."""
         from eitskin.hardware.boards.board import longest_silence
 
-        return longest_silence(self._connection.board.info.period, SHORTEST)
+        return longest_silence(self._connection.board.info.period, MIN_SILENCE)
 
     def _age(self) -> float | None:
         """Age of the newest reading [s]; None without a reading."""
@@ -166,7 +166,7 @@ class LivePage(Closeable):
         health = {
             "sent": round(self._clock(), 4),
             "age": None if age is None else round(age, 3),
-            "stale": age is None or age >= self.stale_after(),
+            "stale": age is None or age >= self.max_age(),
             "connection": self._connection.problem,
             "tasks": None if self._session is None else self._session.state(),
         }

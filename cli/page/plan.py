@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 _RIM = 96  # points of an outline without corners
-_MOST_PIECES = 40  # most steps along an electrode
+_MAX_PIECES = 40  # most steps along an electrode
 _LINES = 10.0  # of the grid, about, along the longer side
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0])
 
@@ -37,7 +37,7 @@ class Region:
     high: tuple[float, float]
 
     @classmethod
-    def around(cls, design: SensorDesign) -> "Region":
+    def from_design(cls, design: SensorDesign) -> "Region":
         """Bounding rectangle of a design's outline."""
         outline = design.outline
         if isinstance(outline, Surface):
@@ -46,7 +46,7 @@ class Region:
         return cls((0.0, 0.0), (outline.length, outline.width))
 
     @classmethod
-    def of_positions(cls, extent: ArrayLike, margin: float) -> "Region":
+    def from_positions(cls, extent: ArrayLike, margin: float) -> "Region":
         """Rectangle around positions, smallest and largest x and y (2, 2) [m], and a margin [m]."""
         low, high = np.asarray(extent, dtype=float)
         return cls(tuple((low - margin).tolist()), tuple((high + margin).tolist()))
@@ -72,10 +72,10 @@ class Region:
         return bool((position >= self.low).all() and (position <= self.high).all())
 
 
-def sheet_of(pipeline: "Pipeline") -> SensorDesign | Region:
+def sensor_or_region(pipeline: "Pipeline") -> SensorDesign | Region:
     """Sensor of a pipeline, or the region of the positions that it was trained with.
 
-    Raises ConfigurationError where a pipeline tells neither.
+    Raises ConfigurationError where a pipeline shows neither.
     """
     layout = pipeline.layout
     if layout.known_design is not None:
@@ -85,10 +85,10 @@ def sheet_of(pipeline: "Pipeline") -> SensorDesign | Region:
             "expected a pipeline that knows its sensor, for the page, got touch positions of "
             "version 0.1; leave out --page, or train them again"
         )
-    return Region.of_positions(layout.extent, _MARGIN)
+    return Region.from_positions(layout.extent, _MARGIN)
 
 
-def outline_of(design: SensorDesign) -> Array:
+def plan_outline(design: SensorDesign) -> Array:
     """Vertices of the body seen from above (k, 2) [m]; the convex hull for one from a file."""
     outline = design.outline
     if isinstance(outline, Surface):
@@ -98,26 +98,26 @@ def outline_of(design: SensorDesign) -> Array:
         hull: Array = points[ConvexHull(points).vertices]
         return hull
     if isinstance(outline, Disc):
-        return outline.at(np.arange(_RIM) * (outline.perimeter / _RIM))
+        return outline.rim_points(np.arange(_RIM) * (outline.perimeter / _RIM))
     return outline.vertices
 
 
-def grid_of(length: float, width: float) -> float:
+def grid_spacing(length: float, width: float) -> float:
     """Distance between two lines of the grid on a sensor, a round number [m]."""
-    wanted = max(length, width) / _LINES
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return float(power * _ROUND[np.abs(np.log(_ROUND * power / wanted)).argmin()])
+    target_spacing = max(length, width) / _LINES
+    power = 10.0 ** math.floor(math.log10(target_spacing))
+    return float(power * _ROUND[np.abs(np.log(_ROUND * power / target_spacing)).argmin()])
 
 
-def arc_of(strip: Strip, spacing: float) -> Array:
+def arc_lengths(strip: Strip, spacing: float) -> Array:
     """Arc lengths along a strip (k,) [m], with those of the outline's corners within it."""
     turns = np.array([[-1.0], [0.0], [1.0]]) * strip.outline.perimeter
     corners = (turns + strip.outline.corners).ravel()
     within = corners[(corners > strip.start) & (corners < strip.end)]
-    even = np.linspace(strip.start, strip.end, 1 + pieces_of(strip.end - strip.start, spacing))
+    even = np.linspace(strip.start, strip.end, 1 + count_pieces(strip.end - strip.start, spacing))
     return np.unique(np.concatenate([even, within]))
 
 
-def pieces_of(length: float, spacing: float) -> int:
+def count_pieces(length: float, spacing: float) -> int:
     """Number of pieces of a length [m], each about as long as the spacing [m]."""
-    return int(np.clip(np.ceil(length / spacing), 1, _MOST_PIECES))
+    return int(np.clip(np.ceil(length / spacing), 1, _MAX_PIECES))

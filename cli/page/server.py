@@ -23,7 +23,7 @@ from uvicorn import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
-from eitskin.cli.page.access import Access, Role, resolved
+from eitskin.cli.page.access import Access, Role, resolve_host
 from eitskin.cli.page.commands import Commands, ConflictError, EnterCommand, read_command
 from eitskin.errors import ConfigurationError
 
@@ -33,7 +33,9 @@ MAX_ARRIVING = 64  # connections whose requests are not whole yet
 MAX_HEAD = 16384  # bytes
 MAX_BODY = 4096  # bytes
 _BACKLOG = 128
-_LOCKED = "this page needs its whole address, as the terminal shows it, with what follows #"
+_ADDRESS_MESSAGE = (
+    "this page needs its whole address, as the terminal shows it, with what follows #"
+)
 KINDS = {
     ".html": "text/html",
     ".css": "text/css",
@@ -203,12 +205,12 @@ class Server:
             return self.access.role(token.strip())
         return self.access.role(request.cookies.get(self.cookie, ""))
 
-    def _require(self, request: Request, least: Role) -> None:
+    def _require(self, request: Request, min_role: Role) -> None:
         """Refuse who may not."""
         role = self._role(request)
         if role is Role.STRANGER:
-            raise HTTPException(401, _LOCKED)
-        if role < least:
+            raise HTTPException(401, _ADDRESS_MESSAGE)
+        if role < min_role:
             raise HTTPException(403, "this address only views; commands need the other")
 
     async def _show_role(self, request: Request) -> Response:
@@ -248,11 +250,11 @@ class Server:
         token = read_command(EnterCommand, "/enter", await _body(request)).token
         role = self.access.role(token)
         if role is Role.STRANGER:
-            raise HTTPException(401, _LOCKED)
+            raise HTTPException(401, _ADDRESS_MESSAGE)
         cookie = f"{self.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"
         # Whoever needs no token has shown what may not be one, and gets no cookie of it.
-        kept = {} if self.access.tokens is None else {"Set-Cookie": cookie}
-        return JSONResponse({"role": role.name.lower()}, headers=kept)
+        headers = {} if self.access.tokens is None else {"Set-Cookie": cookie}
+        return JSONResponse({"role": role.name.lower()}, headers=headers)
 
 
 class _Stream(StreamingResponse):
@@ -286,28 +288,28 @@ class _Connection(H11Protocol):
         if len(arriving) >= MAX_ARRIVING:
             self._page.make_room()
         arriving[self] = transport.get_extra_info("peername")[0]
-        self._abort_after(limits.receive)
+        self._schedule_abort(limits.receive)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         if self.cycle is not None and not self.cycle.more_body and self in self._page.arriving:
             del self._page.arriving[self]
-            self._abort_after(None)
+            self._schedule_abort(None)
 
     def pause_writing(self) -> None:
         super().pause_writing()
-        self._abort_after(self._page.limits.send)
+        self._schedule_abort(self._page.limits.send)
 
     def resume_writing(self) -> None:
         super().resume_writing()
-        self._abort_after(None)
+        self._schedule_abort(None)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._page.arriving.pop(self, None)
-        self._abort_after(None)
+        self._schedule_abort(None)
         super().connection_lost(exc)
 
-    def _abort_after(self, seconds: float | None) -> None:
+    def _schedule_abort(self, seconds: float | None) -> None:
         """Disconnect after this time; None, or another call meanwhile, calls it off."""
         if self._timer is not None:
             self._timer.cancel()
@@ -344,7 +346,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
     Raises ConfigurationError where it cannot be had.
     """
-    family, address = resolved(host)
+    family, address = resolve_host(host)
     try:
         return socket.create_server((address, port), family=family, backlog=_BACKLOG)
     except (OSError, OverflowError) as error:

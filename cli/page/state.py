@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin import hardware, simulator
-from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MOST_TOUCHES
-from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encoded
-from eitskin.cli.page.plan import Region, grid_of, outline_of
+from eitskin.cli.page.commands import BEND_RANGE, FORCE_RANGE, MAX_TOUCHES
+from eitskin.cli.page.drawing import DrawnPress, GelDrawing, encode_numbers
+from eitskin.cli.page.plan import Region, grid_spacing, plan_outline
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.streams import bad_channels, state_name, zero_name
@@ -29,8 +29,8 @@ class Snapshot:
     """Reading with the board's counts and the session's reference frame.
 
     Attributes:
-        reading: from the live loop.
-        counts: of the board at that moment.
+        reading: reading from the live loop.
+        counts: counts of the board at that moment.
         reference: first frame of the session, from which changes of channels count.
         begun: when the frame's measurement began, by the page's clock [s]; NaN where unknown.
         published: when the reading came, by the page's clock [s].
@@ -58,26 +58,28 @@ class PageContent:
     drawing: GelDrawing | None
 
     @classmethod
-    def of(cls, board: "hardware.Board", sheet: "SensorDesign | Region") -> "PageContent":
+    def from_board(cls, board: "hardware.Board", sheet: "SensorDesign | Region") -> "PageContent":
         """Contents for a board with a sensor."""
-        return cls(board, sheet, None if isinstance(sheet, Region) else GelDrawing.of(sheet))
+        return cls(
+            board, sheet, None if isinstance(sheet, Region) else GelDrawing.from_design(sheet)
+        )
 
     def sensor(self) -> dict[str, Any]:
         """Plain data of the sensor, which does not change while the page is open."""
         sheet, board = self.sheet, self.board
         known = None if isinstance(sheet, Region) else sheet
-        region = sheet if isinstance(sheet, Region) else Region.around(sheet)
-        outline = outline_of(known) if known else region.corners
+        region = sheet if isinstance(sheet, Region) else Region.from_design(sheet)
+        outline = plan_outline(known) if known else region.corners
         return {
             "uri": board.uri,
             "firmware": board.info.firmware,
-            "period": _known(board.info.period, 6),
+            "period": _finite_or_none(board.info.period, 6),
             "origin": list(region.low),
             "length": region.length,
             "width": region.width,
             "thickness": known and known.thickness,
             "outline": np.round(outline, 5).tolist(),
-            "grid": grid_of(region.length, region.width),
+            "grid": grid_spacing(region.length, region.width),
             "electrodes": [
                 (round(each.x, 5), round(each.y, 5)) for each in (known.electrodes if known else ())
             ],
@@ -95,7 +97,7 @@ class PageContent:
         return {
             "bend": list(BEND_RANGE),
             "force": list(FORCE_RANGE),
-            "touches": MOST_TOUCHES,
+            "touches": MAX_TOUCHES,
             "faults": list(FAULTS),
         }
 
@@ -106,10 +108,10 @@ class PageContent:
         return {
             "number": frame.number,
             "session": frame.session,
-            "time": _known(frame.time, 3),
-            "rate": _known(reading.rate, 2),
-            "latency_ms": _known(1e3 * reading.latency, 2),
-            "begun": _known(snapshot.begun, 4),
+            "time": _finite_or_none(frame.time, 3),
+            "rate": _finite_or_none(reading.rate, 2),
+            "latency_ms": _finite_or_none(1e3 * reading.latency, 2),
+            "begun": _finite_or_none(snapshot.begun, 4),
             "unusable": reading.unusable,
             "frames": counts.frames,
             "lost": counts.lost,
@@ -128,18 +130,18 @@ class PageContent:
         angle = math.nan if estimate.bend_angle_deg is None else float(estimate.bend_angle_deg)
         return {
             "state": state_name(estimate),
-            "probabilities": [_known(float(p), 4) for p in estimate.probabilities],
-            "angle": _known(angle, 3),
-            "deviation": _known(getattr(estimate, "bend_deviation_deg", None), 3),
+            "probabilities": [_finite_or_none(float(p), 4) for p in estimate.probabilities],
+            "angle": _finite_or_none(angle, 3),
+            "deviation": _finite_or_none(getattr(estimate, "bend_deviation_deg", None), 3),
             "map": None if estimate.touch_map is None else pixels(estimate.touch_map),
             "picture": signed_pixels(getattr(estimate, "picture", None)),
             "touches": touches
             and [
                 {
-                    "x": _known(x, 5),
-                    "y": _known(y, 5),
-                    "strength": _known(strength, 3),
-                    "force": _known(press[2], 2),
+                    "x": _finite_or_none(x, 5),
+                    "y": _finite_or_none(y, 5),
+                    "strength": _finite_or_none(strength, 3),
+                    "force": _finite_or_none(press[2], 2),
                 }
                 for (x, y, strength), press in zip(touches, presses, strict=True)
             ],
@@ -170,7 +172,7 @@ def recorded_moments(
 
     Its pipeline processes no more frames than are shown.
     """
-    content = PageContent.of(board, sheet)
+    content = PageContent.from_board(board, sheet)
     board.pause = max(MOMENT_PERIOD, board.duration / MAX_MOMENTS)
     reference: Frame | None = None
     moments: list[dict[str, Any]] = []
@@ -180,21 +182,21 @@ def recorded_moments(
         if reference is None or reference.session != frame.session:
             begin = 0.0 if reference is None else newest + board.pause
             offset = begin - frame.time
-        reference = reference_after(reference, frame)
+        reference = next_reference(reference, frame)
         newest = offset + frame.time
         snapshot = Snapshot(reading, board.counts, reference)
-        moments.append(content.frame(snapshot) | {"time": _known(newest, 3)})
+        moments.append(content.frame(snapshot) | {"time": _finite_or_none(newest, 3)})
     return moments
 
 
-def reference_after(reference: Frame | None, frame: Frame) -> Frame:
+def next_reference(reference: Frame | None, frame: Frame) -> Frame:
     """Frame from which changes count, as of `frame`: the first of its session, made whole."""
     if reference is None or reference.session != frame.session:
         return frame
-    return filled(reference, frame) if reference.status.any() else reference
+    return fill_bad_channels(reference, frame) if reference.status.any() else reference
 
 
-def filled(reference: Frame, frame: Frame) -> Frame:
+def fill_bad_channels(reference: Frame, frame: Frame) -> Frame:
     """Reference whose bad channels are replaced by good ones of `frame`."""
     better = (reference.status != 0) & (frame.status == 0)
     return dataclasses.replace(
@@ -209,7 +211,7 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
     now, then = frame.impedance, reference.impedance
     with np.errstate(all="ignore"):
         change = 100.0 * np.real((now - then) / then)
-    return [_known(float(value), 3) for value in change]
+    return [_finite_or_none(float(value), 3) for value in change]
 
 
 def found_presses(estimate: "hardware.Estimate") -> list[DrawnPress]:
@@ -234,29 +236,29 @@ def signed_pixels(picture: "Picture | None") -> dict[str, Any] | None:
         return None
     share = np.nan_to_num(picture.values) / picture.limit
     image = _image(128.0 + 127.0 * np.clip(share, -1.0, 1.0))
-    return image | {"limit": _known(picture.limit, 8)}
+    return image | {"limit": _finite_or_none(picture.limit, 8)}
 
 
 def _image(levels: NDArray[np.float64]) -> dict[str, Any]:
     rows, columns = levels.shape
-    return {"rows": rows, "columns": columns, "data": encoded(np.rint(levels), "u1")}
+    return {"rows": rows, "columns": columns, "data": encode_numbers(np.rint(levels), "u1")}
 
 
 def _scene(scene: "simulator.Scene") -> dict[str, Any]:
     touches = [touch for touch in scene.touches if not touch.released]
     return {
-        "bend_deg": _known(scene.bend.angle_deg, 3),
+        "bend_deg": _finite_or_none(scene.bend.angle_deg, 3),
         "touches": [
             {
-                "x": _known(touch.x, 5),
-                "y": _known(touch.y, 5),
-                "force": _known(touch.force, 2) if touch.depth is None else None,
+                "x": _finite_or_none(touch.x, 5),
+                "y": _finite_or_none(touch.y, 5),
+                "force": _finite_or_none(touch.force, 2) if touch.depth is None else None,
             }
             for touch in touches
         ],
     }
 
 
-def _known(value: float | None, digits: int) -> float | None:
+def _finite_or_none(value: float | None, digits: int) -> float | None:
     """`value` in few digits, None where it is unknown or not finite, which JSON cannot say."""
     return round(float(value), digits) if value is not None and math.isfinite(value) else None

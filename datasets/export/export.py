@@ -50,7 +50,7 @@ _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "
 
 
 @dataclass(frozen=True, slots=True)
-class Exported:
+class ExportSummary:
     """Frames of each split that has any, number of files, and their size together [bytes]."""
 
     frames: dict[str, int]
@@ -65,7 +65,7 @@ def export_dataset(
     license_name: str = "unknown",
     progress: Progress | None = None,
     file_bytes: int = FILE_BYTES,
-) -> Exported:
+) -> ExportSummary:
     """Write a dataset in a format of other programs; docs/how-to/generate-data.md has the formats.
 
     The dataset is read a shard at a time, and each of its files is verified. The new folder appears
@@ -73,7 +73,7 @@ def export_dataset(
     with the same versions of eitskin and pyarrow.
 
     Args:
-        folder: of the dataset.
+        folder: folder of the dataset.
         out: folder to write, new or empty.
         form: "parquet", "huggingface" or "lerobot".
         license_name: identifier of a licence as Hugging Face has them, for the card.
@@ -122,7 +122,7 @@ def export_dataset(
             text = card(folder.resolve().name, license_name, sizes, data, shown)
             (temporary / "README.md").write_text(text, encoding="utf-8")
         files, size = _write_sums(temporary)
-    return Exported({name: count for name, (count, _) in sizes.items()}, files, size)
+    return ExportSummary({name: count for name, (count, _) in sizes.items()}, files, size)
 
 
 def _write_frames(
@@ -136,7 +136,7 @@ def _write_frames(
 ) -> dict[str, tuple[int, int]]:
     """Write all frames as rows; returns frames and size in memory [bytes] of each split."""
     out.mkdir()
-    told = json.dumps(origin(data))
+    origin_text = json.dumps(origin(data))
     frames: Counter[str] = Counter()
     writers: dict[str, ParquetFiles] = {}
     with contextlib.ExitStack() as stack:
@@ -152,12 +152,12 @@ def _write_frames(
             split = split[part.specimen]
             frames.update(split.tolist())
             if form == "parquet":
-                write("frames", frame_table(part, told, split))
+                write("frames", frame_table(part, origin_text, split))
                 continue
             for name in np.unique(split).tolist():
-                write(name, frame_table(part.select(np.flatnonzero(split == name)), told))
-        for each in writers.values():
-            each.close()
+                write(name, frame_table(part.select(np.flatnonzero(split == name)), origin_text))
+        for writer in writers.values():
+            writer.close()
     sizes = {name: writers[name].size if name in writers else 0 for name in frames}
     return {name: (frames[name], sizes[name]) for name in SPLITS if frames[name]}
 
@@ -187,14 +187,14 @@ def card(
     the table of frames, none for episodes.
     """
     version, frames = metadata.version("eitskin"), sum(count for count, _ in sizes.values())
-    made = "measured, and exported" if data.source == "measured" else "simulated"
+    origin_text = "measured, and exported" if data.source == "measured" else "simulated"
     electrodes = f"{data.protocol.n_electrodes} electrodes, " if data.protocol else ""
     of_what = data.quantity or "values of a kind that the recording does not name"
     counts = "\n".join(f"| {name} | {count} |" for name, (count, _) in sizes.items())
     return f"""{_front_matter(license_name, sizes, shown)}
 # {title}
 
-Frames of electrical-impedance robot skin, {made} by eitskin {version}. {frames} frames; \
+Frames of electrical-impedance robot skin, {origin_text} by eitskin {version}. {frames} frames; \
 {electrodes}{data.frequency:g} Hz; {of_what}. SI units; degrees where a name ends in `_deg`. \
 Places are those of the flat sensor, from a corner of its conductive layer.
 

@@ -27,13 +27,13 @@ def specimen_splits(numbers: Iterable[int], names: Names, seed: int) -> dict[int
     80 % are in `train`, 10 % in each other. Where `train` would be empty, as it may be for one or
     two specimens, all are in `train`.
     """
-    found = {n: split_of(names.specimens.get(n, f"{seed}:{n}")) for n in numbers}
-    if SPLITS[0] not in found.values():
-        return dict.fromkeys(found, SPLITS[0])
-    return found
+    splits = {n: parse_split(names.specimens.get(n, f"{seed}:{n}")) for n in numbers}
+    if SPLITS[0] not in splits.values():
+        return dict.fromkeys(splits, SPLITS[0])
+    return splits
 
 
-def split_of(key: str) -> str:
+def parse_split(key: str) -> str:
     """Split that the text `key` stands for."""
     digest = hashlib.sha256(f"eitskin split 1: {key}".encode()).digest()
     place = int.from_bytes(digest[:8], "big") / 2.0**64
@@ -44,7 +44,7 @@ def split_of(key: str) -> str:
 
 TOUCH_FIELDS = ("x", "y", "force", "radius", "depth")
 METADATA = b"eitskin"
-"""Key of the schema's metadata: JSON of what is not said of single frames."""
+"""Key of the schema's metadata: JSON of what is not stated of single frames."""
 
 FILE_BYTES = 1 << 28
 """Size in memory of the rows of one file [bytes]."""
@@ -61,9 +61,9 @@ class Column:
     """Column of the table.
 
     Attributes:
-        name: of the column.
+        name: name of the column.
         kind: "text", "touches", or the name of an Arrow type.
-        length: of the list in each row; 0 for a single value.
+        length: length of the list in each row; 0 for a single value.
         units: SI, or "1".
         description: one line.
     """
@@ -78,21 +78,21 @@ class Column:
 def columns(data: Dataset) -> Iterator[Column]:
     """Columns of the frames of a dataset."""
     channels, units = data.channels, _UNITS[data.quantity]
-    said = {field.name: field.description.replace("NaN", "null") for field in FIELDS}
+    descriptions = {field.name: field.description.replace("NaN", "null") for field in FIELDS}
     yield Column("specimen", "int32", 0, "1", "number of the sensor within the dataset")
     yield Column("state", "text", 0, "1", "idle, touch or bend; null where unknown")
     yield Column("bend_angle_deg", "float32", 0, "degree", "bend; null where unknown")
     yield Column("touches", "touches", 0, "SI", f"{_TOUCH_TEXT}; null where unknown")
     for name in CLAMP_FIELDS:
-        yield Column(name, "float32", 0, "m" if name in _LENGTHS else "1", said[name])
+        yield Column(name, "float32", 0, "m" if name in _LENGTHS else "1", descriptions[name])
     for name in ("impedance", "touch_reference", "reference"):
         for part in ("real", "imag"):
-            what = f"{part} part: {said[name]}"
+            what = f"{part} part: {descriptions[name]}"
             yield Column(f"{name}_{part}", "float32", channels, units, what)
-    yield Column("status", "uint8", channels, "1", said["status"])
-    yield Column("time", "float64", 0, "s", said["time"])
-    yield Column("episode", "int64", 0, "1", said["episode"])
-    yield Column("number", "int64", 0, "1", said["number"])
+    yield Column("status", "uint8", channels, "1", descriptions["status"])
+    yield Column("time", "float64", 0, "s", descriptions["time"])
+    yield Column("episode", "int64", 0, "1", descriptions["episode"])
+    yield Column("number", "int64", 0, "1", descriptions["number"])
 
 
 def frame_table(data: Dataset, told: str, split: NDArray[np.str_] | None = None) -> Any:
@@ -126,12 +126,12 @@ def origin(data: Dataset) -> dict[str, Any]:
         "n_electrodes": None if data.protocol is None else data.protocol.n_electrodes,
         "protocol": table,
         "design": None if data.design is None else data.design.to_toml(),
-        "specimen_names": _by_text(data.names.specimens),
-        "session_names": _by_text(data.names.sessions),
+        "specimen_names": _names_by_number(data.names.specimens),
+        "session_names": _names_by_number(data.names.sessions),
     }
 
 
-def _by_text(names: Mapping[int, str]) -> dict[str, str] | None:
+def _names_by_number(names: Mapping[int, str]) -> dict[str, str] | None:
     return {str(number): name for number, name in names.items()} or None
 
 
@@ -178,10 +178,10 @@ def _touches(arrow: Any, data: Dataset) -> Any:
         for name in TOUCH_FIELDS
     ]
     touches = arrow.StructArray.from_arrays(parts, list(TOUCH_FIELDS))
-    known = np.isin(data.state, [int(state) for state in State]) | there.any(axis=1)
+    has_label = np.isin(data.state, [int(state) for state in State]) | there.any(axis=1)
     # A touched frame without a place has touches that nobody noted.
-    known &= (data.state != State.TOUCH) | there.any(axis=1)
-    return arrow.ListArray.from_arrays(arrow.array(offsets), touches, mask=arrow.array(~known))
+    has_label &= (data.state != State.TOUCH) | there.any(axis=1)
+    return arrow.ListArray.from_arrays(arrow.array(offsets), touches, mask=arrow.array(~has_label))
 
 
 class ParquetFiles:
@@ -191,7 +191,7 @@ class ParquetFiles:
     the same pyarrow. The files get their names when the writer is closed.
 
     Attributes:
-        size: of the rows so far in memory [bytes].
+        size: size of the rows so far in memory [bytes].
     """
 
     def __init__(self, folder: Path, stem: str, file_bytes: int = FILE_BYTES) -> None:
@@ -207,7 +207,7 @@ class ParquetFiles:
         """Append the rows of a table; all tables have one schema."""
         self._tables.append(table)
         self.size += table.nbytes
-        if sum(each.nbytes for each in self._tables) >= self._group_bytes:
+        if sum(table.nbytes for table in self._tables) >= self._group_bytes:
             self._flush()
 
     def close(self) -> None:
@@ -220,7 +220,7 @@ class ParquetFiles:
 
     def abandon(self) -> None:
         """Close an unfinished file, whose folder is about to be removed."""
-        with contextlib.suppress(OSError):  # a full disk has been told already
+        with contextlib.suppress(OSError):  # a full disk has been reported already
             self._end_file()
 
     def _flush(self) -> None:

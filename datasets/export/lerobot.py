@@ -102,7 +102,7 @@ def write_lerobot(
 
     episodes, features = Episodes(data, splits), _features(data)
     row_bytes = sum(
-        np.dtype(each["dtype"]).itemsize * each["shape"][0] for each in features.values()
+        np.dtype(feature["dtype"]).itemsize * feature["shape"][0] for feature in features.values()
     )
     files = episodes.file_numbers(max(1, FILE_MEGABYTES * 2**20 // row_bytes))
     statistics = _write_frames(folder, out, episodes, files, progress)
@@ -259,7 +259,7 @@ def joined_statistics(parts: Sequence[Columns]) -> dict[str, list[float]]:
     """Statistics of a table as plain data, a number for each column, from those of its parts.
 
     The variance of the whole is the mean of the parts' variances and the variance of their means,
-    which loses no digits where a mean is large beside the deviation.
+    which loses no digits where a mean is large next to the deviation.
     """
     each = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     weights = each["count"][:, 0]

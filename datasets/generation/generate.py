@@ -19,9 +19,9 @@ from eitskin.datasets.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from eitskin.datasets.store.schema import ENGINE, MOST_SHARD_BYTES
+from eitskin.datasets.store.schema import ENGINE, MAX_SHARD_BYTES
 from eitskin.datasets.store.shard import shard_name, write_entry
-from eitskin.datasets.store.shard_reader import engine_of, shard_of
+from eitskin.datasets.store.shard_reader import parse_shard, read_engine
 from eitskin.datasets.store.worker_processes import (
     check_scheduler,
     leave_worker_that_starts,
@@ -33,7 +33,7 @@ from eitskin.files import TEMPORARY, read_bytes, remove_file, remove_leftovers, 
 
 RECIPE = "recipe.toml"
 # Lower bound for any frame: noise does not compress, and each channel is stored twice.
-_LEAST_BYTES_PER_CHANNEL = 4
+_MIN_BYTES_PER_CHANNEL = 4
 
 Progress = Callable[[int, int], None]
 Entries = dict[int, ShardEntry]
@@ -56,7 +56,7 @@ def generate(
     `if __name__ == "__main__":`.
 
     Args:
-        recipe: of the dataset.
+        recipe: recipe of the dataset.
         out: folder; new or empty, unless `resume` or `shard`.
         workers: number of processes; one works in this process. With `scheduler` they only look
             for finished shards, with `shard` there are none.
@@ -80,7 +80,7 @@ def generate(
 
     Example:
         >>> from eitskin.datasets import Recipe, generate
-        >>> generate(Recipe.shipped("quick"), "data", workers=2)  # doctest: +SKIP
+        >>> generate(Recipe.from_shipped("quick"), "data", workers=2)  # doctest: +SKIP
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
@@ -97,7 +97,9 @@ def generate(
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
     kept: Entries = {}
     if resume or shard is not None:
-        kept = _finished(recipe, folder, wanted, workers if shard is None else 1, examined)
+        kept = _verify_finished_shards(
+            recipe, folder, wanted, workers if shard is None else 1, examined
+        )
     missing = [number for number in wanted if number not in kept]
     _require_engine(folder, kept.values() if missing else ())
     _check_room(recipe, folder, missing)
@@ -115,8 +117,8 @@ def generate(
     if missing:
         remove_file(folder / MANIFEST)
         try:
-            with closing(make_shards(recipe, folder, missing, workers, scheduler)) as made:
-                for number, entry in made:
+            with closing(make_shards(recipe, folder, missing, workers, scheduler)) as new_shards:
+                for number, entry in new_shards:
                     kept[number] = entry
                     report(number)
         finally:
@@ -126,10 +128,10 @@ def generate(
         shards = range(recipe.shards)
         if not all((folder / shard_name(number)).is_file() for number in shards):
             return None
-        kept = _finished(recipe, folder, shards)
+        kept = _verify_finished_shards(recipe, folder, shards)
     if len(kept) < recipe.shards:
         return None
-    manifest = Manifest.of_shards("simulated", kept.values(), recipe.to_toml(), recipe.seed)
+    manifest = Manifest.from_shards("simulated", kept.values(), recipe.to_toml(), recipe.seed)
     write_manifest(folder, manifest)
     return manifest
 
@@ -137,7 +139,7 @@ def generate(
 def make_shards(
     recipe: Recipe, folder: Path, shards: Sequence[int], workers: int, scheduler: str | None
 ) -> Generator[tuple[int, ShardEntry], None, None]:
-    """Simulate `shards` into `folder`; numbers and entries of the finished ones as they come."""
+    """Simulate `shards` into `folder`; numbers and entries of the finished ones in their order."""
     task = partial(make_shard, recipe, folder.resolve())
     remedy = "continue with --resume"
     for number, entry in run_tasks(task, shards, workers, scheduler, remedy):
@@ -171,10 +173,10 @@ def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
     return specimen_numbers(recipe, recipe.shard_range(shard))
 
 
-def _require_engine(folder: Path, kept: Iterable[ShardEntry]) -> None:
+def _require_engine(folder: Path, entries: Iterable[ShardEntry]) -> None:
     """Raise ConfigurationError for finished shards whose frames would be made otherwise now."""
-    for entry in kept:
-        engine = engine_of(folder / entry.name)
+    for entry in entries:
+        engine = read_engine(folder / entry.name)
         if engine != ENGINE:
             raise ConfigurationError(
                 f"cannot resume in {folder}: {entry.name} is of simulation {engine}, and this "
@@ -187,7 +189,7 @@ def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
     """Raise ConfigurationError for a disk that is certainly too full, before hours of work."""
     electrodes = len(recipe.sensor.electrodes)
     channels = _frames(recipe, missing) * electrodes * (electrodes - 1) // 2
-    needed, free = channels * _LEAST_BYTES_PER_CHANNEL, free_bytes(folder)
+    needed, free = channels * _MIN_BYTES_PER_CHANNEL, free_bytes(folder)
     if needed > free:
         raise ConfigurationError(
             f"the disk of {folder} has no room: expected at least {needed / 1e6:.2g} MB, got "
@@ -227,7 +229,7 @@ def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
         write_file(path, text)
 
 
-def _finished(
+def _verify_finished_shards(
     recipe: Recipe,
     folder: Path,
     shards: Sequence[int],
@@ -238,35 +240,35 @@ def _finished(
     checksums: dict[str, str] = {}
     with suppress(DataError):
         checksums = {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
-    wanted = []
+    names = []
     for name, frames in ((shard_name(shard), recipe.shard_range(shard)) for shard in shards):
-        wanted.append(ShardEntry(name, frames.start, len(frames), checksums.get(name, "")))
-    workers = worthwhile(workers, (folder / entry.name for entry in wanted))
-    found: Entries = {}
-    numbers = dict(zip(wanted, shards, strict=True))
+        names.append(ShardEntry(name, frames.start, len(frames), checksums.get(name, "")))
+    workers = worthwhile(workers, (folder / entry.name for entry in names))
+    valid_entries: Entries = {}
+    numbers = dict(zip(names, shards, strict=True))
     examine = partial(_examine, folder, recipe)
-    with closing(run_tasks(examine, wanted, workers)) as entries:
+    with closing(run_tasks(examine, names, workers)) as entries:
         for count, (expected, entry) in enumerate(entries, 1):
             if entry is not None:
-                found[numbers[expected]] = entry
+                valid_entries[numbers[expected]] = entry
             if examined:
-                examined(count, len(wanted))
-    return found
+                examined(count, len(names))
+    return valid_entries
 
 
-def _examine(folder: Path, recipe: Recipe, wanted: ShardEntry) -> ShardEntry | None:
+def _examine(folder: Path, recipe: Recipe, expected_entry: ShardEntry) -> ShardEntry | None:
     """Entry of a shard that is whole and of this recipe; None where it has to be made."""
-    path = folder / wanted.name
+    path = folder / expected_entry.name
     try:
-        content = read_bytes(path, MOST_SHARD_BYTES, DataError)
-        found = hashlib.sha256(content).hexdigest()
-        if wanted.sha256 not in ("", found):
+        content = read_bytes(path, MAX_SHARD_BYTES, DataError)
+        digest = hashlib.sha256(content).hexdigest()
+        if expected_entry.sha256 not in ("", digest):
             return None
         # Whoever made the file, a seal says that it is whole and not that it does no harm.
-        data = shard_of(content, path, wanted.first_index)
+        data = parse_shard(content, path, expected_entry.first_index)
     except DataError:
         return None
     origin = data.recipe, data.seed, data.source, data.protocol, data.design
     expected = recipe.to_toml(), recipe.seed, "simulated", recipe.measured_protocol, recipe.sensor
-    sound = len(data) == wanted.count and origin == expected
-    return dataclasses.replace(wanted, sha256=found) if sound else None
+    sound = len(data) == expected_entry.count and origin == expected
+    return dataclasses.replace(expected_entry, sha256=digest) if sound else None

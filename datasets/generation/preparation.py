@@ -43,20 +43,20 @@ _LEVELS = 6  # values of each property for which a specimen is taken
 
 def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
     """Paths of the bend tables that `prepare` would solve."""
-    clamped = _clamped(recipe, specimens)
+    clamped = _clamped_designs(recipe, specimens)
     return {path for bent in clamped for path in missing(bend_problems(*bent))}
 
 
 def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
     """Paths of the press tables that `prepare` would solve."""
-    pairs, found = _touches_together(recipe), set[Path]()
+    pairs, paths = _touches_together(recipe), set[Path]()
     for indenter in _indenters(recipe):
-        for sensor in _pressed(recipe, indenter, specimens):
+        for sensor in _pressed_designs(recipe, indenter, specimens):
             problems = (*press_problems(*sensor), *correction_problems(*sensor, pairs))
-            found |= missing(problems).keys()
+            paths |= missing(problems).keys()
         on_plates = (each.problem(indenter) for each, _ in _on_plates(recipe, indenter, specimens))
-        found |= missing(on_plates).keys()
-    return found
+        paths |= missing(on_plates).keys()
+    return paths
 
 
 def solved_frames(recipe: Recipe) -> int:
@@ -68,9 +68,9 @@ def solved_frames(recipe: Recipe) -> int:
 
     touched = [group for group in recipe.scenes if group.state == "touch"]
     frames = sum(group.frames for group in touched if is_solved(group.support))
-    episodes = [each for each in recipe.episodes if each.largest_force]
+    episodes = [episode for episode in recipe.episodes if episode.largest_force]
     if is_solved(None):
-        frames += sum(each.count * each.frames for each in episodes)
+        frames += sum(episode.count * episode.frames for episode in episodes)
     return frames
 
 
@@ -88,26 +88,26 @@ def prepare(
     ConfigurationError for forces or bends out of reach on one of the specimens.
     """
     specimens = deciding_specimens(recipe) if specimens is None else specimens
-    clamped = list(_clamped(recipe, specimens))
-    for some in (clamped[:1], clamped[1:]):  # bends out of reach are told after the first table
+    clamped = list(_clamped_designs(recipe, specimens))
+    for some in (clamped[:1], clamped[1:]):  # bends out of reach are reported after the first table
         solve_missing((each for bent in some for each in bend_problems(*bent)), progress, workers)
         for bent in some:
             for angle in recipe.extreme_angles:
                 bend_table(*bent).check(angle)
     pairs = _touches_together(recipe)
     for indenter, force in _indenters(recipe).items():
-        sensors = list(_pressed(recipe, indenter, specimens))
-        problems = [each for sensor in sensors for each in press_problems(*sensor)]
+        sensors = list(_pressed_designs(recipe, indenter, specimens))
+        problems = [problem for sensor in sensors for problem in press_problems(*sensor)]
         solve_missing(problems, progress, workers)
         for sensor in sensors:
-            deepest = press_table(*sensor).at_force(force).depth
+            deepest = press_table(*sensor).dent_from_force(force).depth
             if is_tabulable(sensor[0]):
                 solve_missing(correction_problems(*sensor, pairs), progress, workers)
                 corrections(*sensor).check_depth(deepest)
         held = list(_on_plates(recipe, indenter, specimens))
         for plates, group in held:
             table = press_table(plates.design, plates.mechanics, indenter, plates.grid)
-            depth = table.at_force(group.force[1]).depth
+            depth = table.dent_from_force(group.force[1]).depth
             for x in _nearest_to_gap(group, plates.design.outline.length):
                 plates.check(indenter, x, depth)
         solve_missing((each.problem(indenter) for each, _ in held), progress, workers)
@@ -115,16 +115,16 @@ def prepare(
 
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
     """Indenters that press, each with the largest force of its touches [N]."""
-    found: dict[AnyIndenter, float] = {}
+    indenters: dict[AnyIndenter, float] = {}
     groups = [
-        (group.pressed_by, group.force[1]) for group in recipe.scenes if group.state == "touch"
+        (group.touch_indenter, group.force[1]) for group in recipe.scenes if group.state == "touch"
     ]
     episodes = [(Cylinder(), each.largest_force) for each in recipe.episodes if each.largest_force]
     for indenter, force in (*groups, *episodes):
         # On the body by whose tables it presses, at the same mean pressure.
-        alike = force * (indenter.tabled.rims[1] / indenter.rims[1]) ** 2
-        found[indenter] = max(alike, found.get(indenter, 0.0))
-    return found
+        alike = force * (indenter.table_indenter.rims[1] / indenter.rims[1]) ** 2
+        indenters[indenter] = max(alike, indenters.get(indenter, 0.0))
+    return indenters
 
 
 def _touches_together(recipe: Recipe) -> bool:
@@ -152,29 +152,29 @@ def deciding_specimens(recipe: Recipe) -> tuple[int, ...]:
     return tuple(sorted(chosen))
 
 
-def _properties(made: Specimen) -> tuple[float, ...]:
+def _properties(specimen_numbers: Specimen) -> tuple[float, ...]:
     """Properties of a specimen on which its tables and the depth of its presses depend."""
-    fixture, height = made.fixture, np.log(made.design.thickness)
-    gel = np.log(made.mechanics.gel.shear_modulus)
-    around = np.log(made.mechanics.encapsulation.shear_modulus)
+    fixture, height = specimen_numbers.fixture, np.log(specimen_numbers.design.thickness)
+    gel = np.log(specimen_numbers.mechanics.gel.shear_modulus)
+    around = np.log(specimen_numbers.mechanics.encapsulation.shear_modulus)
     offset = 0.0 if isinstance(fixture, FreeArc) else fixture.offset
     # Depth over thickness depends on force over modulus times thickness squared.
     soft = (gel + 2.0 * height, around + 2.0 * height, gel + around + 4.0 * height)
     return (height, around - gel, free_length(fixture), offset, *soft)
 
 
-def _clamped(
+def _clamped_designs(
     recipe: Recipe, specimens: Sequence[int] | None
 ) -> Iterator[tuple[SensorDesign, Clamp, Mechanics, SensorGrid]]:
     """Designs, clamps, materials and grids of specimens on all supports on which clamps bend."""
     supports = [group.support for group in recipe.scenes if any(group.angle_deg)]
-    supports += [None for each in recipe.episodes if any(each.angles_deg)]
-    for made in _on_supports(recipe, specimens, supports):
-        if isinstance(made.fixture, Clamp):
-            yield made.design, made.fixture, made.mechanics, made.grid
+    supports += [None for episode in recipe.episodes if any(episode.angles_deg)]
+    for supported in _on_supports(recipe, specimens, supports):
+        if isinstance(supported.fixture, Clamp):
+            yield supported.design, supported.fixture, supported.mechanics, supported.grid
 
 
-def _pressed(
+def _pressed_designs(
     recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
 ) -> Iterator[tuple[SensorDesign, Mechanics, AnyIndenter, SensorGrid]]:
     """Designs, materials and grids of specimens on all supports on which the indenter presses."""
@@ -182,9 +182,9 @@ def _pressed(
     supports: list[Support | None] = []
     if recipe.episodes and indenter == Cylinder():
         supports.append(None)
-    supports += [group.support for group in touched if group.pressed_by == indenter]
-    for made in _on_supports(recipe, specimens, supports):
-        yield made.design, made.mechanics, indenter, made.grid
+    supports += [group.support for group in touched if group.touch_indenter == indenter]
+    for supported in _on_supports(recipe, specimens, supports):
+        yield supported.design, supported.mechanics, indenter, supported.grid
 
 
 def _on_plates(
@@ -192,10 +192,10 @@ def _on_plates(
 ) -> Iterator[tuple[PlateBend, SceneGroup]]:
     """Specimens on plates at the extreme angles of the groups in which the indenter presses."""
     for group in recipe.scenes:
-        if group.state == "touch" and group.pressed_by == indenter:
-            for made in _on_supports(recipe, specimens, [group.support]):
+        if group.state == "touch" and group.touch_indenter == indenter:
+            for supported in _on_supports(recipe, specimens, [group.support]):
                 for angle in dict.fromkeys(group.angle_deg):
-                    fixed = made.design, made.fixture, made.mechanics, made.grid
+                    fixed = supported.design, supported.fixture, supported.mechanics, supported.grid
                     if (plates := held_by_plates(*fixed, angle)) is not None:
                         yield plates, group
 
@@ -239,7 +239,8 @@ class CostEstimate:
     Attributes:
         frames: number of frames.
         shards: number of files.
-        seconds: with the given number of workers, as far as this machine has cores for them.
+        seconds: seconds with the given number of workers, as far as this machine has cores for
+            them.
         megabytes: size on the disk.
         megabytes_free: free space on the disk now.
         measured_frames: number of frames measured for `seconds` and `megabytes`.
@@ -254,7 +255,7 @@ class CostEstimate:
 
 
 class _Trial(NamedTuple):
-    """Measured part of a dataset: frames, seconds, of each flat specimen beside, size [bytes]."""
+    """Measured part of a dataset: frames, seconds, of each flat specimen as well, size [bytes]."""
 
     frames: int
     seconds: float
@@ -275,7 +276,7 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     slow = bool(solved_frames(recipe))
     frames = min(_FIRST_SOLVED if slow else _FIRST_FRAMES, most)
     trials = [_run_trial(recipe, frames)]  # in which everything is new
-    if not (slow and trials[0].seconds > _LONG_SECONDS):  # beside which that counts little
+    if not (slow and trials[0].seconds > _LONG_SECONDS):  # next to which that counts little
         trials.append(_run_trial(recipe, frames, again=True))
         while trials[-1].seconds < _ENOUGH_SECONDS and frames < most:
             frames = min(_GROWTH * frames, most)

@@ -55,23 +55,23 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     numbers = sorted({each.specimen for each in samples})
     boards = {n: _board(recipe, protocol, n, solved[n, Scene()]) for n in numbers}
 
-    def clean(each: Sample, scene: Scene, after: Scene | None) -> Impedance:
-        impedance = solved[each.specimen, scene]
+    def clean(frame_sample: Sample, scene: Scene, after: Scene | None) -> Impedance:
+        impedance = solved[frame_sample.specimen, scene]
         if offsets.any() and after is not None:
-            impedance = impedance + offsets / each.period * (
-                solved[each.specimen, after] - impedance
+            impedance = impedance + offsets / frame_sample.period * (
+                solved[frame_sample.specimen, after] - impedance
             )
         return impedance
 
-    def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
+    def measure(frame_sample: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
         """Frame, and mean of its untouched reference frames, with the status of both."""
         count = recipe.reference_frames
-        session, _ = boards[each.specimen]
-        touched = clean(each, each.scene, each.after)
-        later = None if each.after is None else without_touches(each.after)
-        untouched = clean(each, without_touches(each.scene), later)
-        rng = generator(recipe, Stream.NOISE, each.index)
-        times = np.full(1 + count, each.session_time)
+        session, _ = boards[frame_sample.specimen]
+        touched = clean(frame_sample, frame_sample.scene, frame_sample.after)
+        later = None if frame_sample.after is None else without_touches(frame_sample.after)
+        untouched = clean(frame_sample, without_touches(frame_sample.scene), later)
+        rng = generator(recipe, Stream.NOISE, frame_sample.index)
+        times = np.full(1 + count, frame_sample.session_time)
         measured, status = session.measure(np.stack([touched] + count * [untouched]), times, rng)
         return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
 
@@ -102,12 +102,12 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
     )
 
 
-def _clamp(scene: Scene, made: Specimen) -> tuple[float, float, float, float]:
+def _clamp(scene: Scene, drawn_specimen: Specimen) -> tuple[float, float, float, float]:
     """Values of `CLAMP_FIELDS`, on which the bends of clamped sensors depend; else NaN."""
-    if not isinstance(made.fixture, Clamp):
+    if not isinstance(drawn_specimen.fixture, Clamp):
         return (np.nan,) * 4
-    clamp = on_support(made.fixture, scene.support or made.design.support)
-    laws = made.mechanics
+    clamp = on_support(drawn_specimen.fixture, scene.support or drawn_specimen.design.support)
+    laws = drawn_specimen.mechanics
     stiffness = laws.encapsulation.shear_modulus / laws.gel.shear_modulus
     return clamp.span, clamp.offset, 1.0 if clamp.faces == "bottom" else 2.0, stiffness
 
@@ -141,14 +141,14 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
 
     They are those of the instrument's terminals, (2, measurements) [ohm].
     """
-    wanted: dict[int, dict[Scene, None]] = {}
+    scenes_by_specimen: dict[int, dict[Scene, None]] = {}
     for each in samples:
         # The scene at a frame's end matters only for frames scanned during a movement.
         scenes = [each.scene, each.after] if skewed and each.after is not None else [each.scene]
         scenes += [without_touches(scene) for scene in scenes]
-        wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
+        scenes_by_specimen.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
     solved: dict[tuple[int, Scene], Impedance] = {}
-    for number, distinct in wanted.items():
+    for number, distinct in scenes_by_specimen.items():
         made, board = specimen(recipe, number), instrument(recipe, number)
         solved[number, Scene()] = flat_impedance(made, recipe, board)
         scenes = [scene for scene in distinct if scene != Scene()]
@@ -157,12 +157,12 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
             for scene in scenes
         ]
         for tabulated in dict.fromkeys(tables):
-            alike = list(itertools.compress(scenes, (each == tabulated for each in tables)))
+            alike = list(itertools.compress(scenes, (table == tabulated for table in tables)))
             simulator = _simulator(
                 made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
             )
-            found = simulator.measure_all(alike, instrument=board)
-            solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
+            frames = simulator.measure_all(alike, instrument=board)
+            solved |= {(number, scene): row for scene, row in zip(alike, frames, strict=True)}
     return solved
 
 
@@ -170,7 +170,7 @@ def _solve(recipe: Recipe, samples: Sequence[Sample], skewed: bool) -> Solved:
 # matrices of its mesh. Specimens follow each other, so that shards next to each other share one.
 @lru_cache(maxsize=4)
 def _simulator(
-    made: Specimen,
+    drawn_specimen: Specimen,
     nominal: SensorDesign,
     resolution: Resolution,
     protocol: Protocol | None,
@@ -179,7 +179,7 @@ def _simulator(
 ) -> Simulator:
     """Simulator of a specimen, kept."""
     touch_model: TouchModel = "tabulated" if tabulated else "solved"
-    return made.simulator(nominal, resolution, protocol, touch_model)
+    return drawn_specimen.simulator(nominal, resolution, protocol, touch_model)
 
 
 def flat_impedance(made: Specimen, recipe: Recipe, board: Instrument) -> Impedance:
@@ -188,5 +188,5 @@ def flat_impedance(made: Specimen, recipe: Recipe, board: Instrument) -> Impedan
     They are those of the instrument's terminals, (2, measurements) [ohm].
     """
     simulator = _simulator(made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=True)
-    found: Impedance = simulator.measure_all([Scene()], instrument=board)[0]
-    return found
+    impedance: Impedance = simulator.measure_all([Scene()], instrument=board)[0]
+    return impedance

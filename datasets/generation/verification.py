@@ -52,7 +52,7 @@ def verify(
     the folder are checked without SHA-256. A worker holds one shard at a time.
 
     Args:
-        folder: of the dataset.
+        folder: folder of the dataset.
         watch: called with the number of checked shards and of all shards.
         workers: number of processes for a large dataset; more than one needs
             `if __name__ == "__main__":` in a script.
@@ -72,7 +72,7 @@ def verify(
     try:
         manifest = read_manifest(folder)
         entries = {entry.name: entry for entry in manifest.shards}
-        damage.extend(_around(folder, manifest))
+        damage.extend(_damage_outside_shards(folder, manifest))
     except DataError as error:
         damage.append(DamagedFile(MANIFEST, str(error)))
         entries = {path.name: None for path in sorted(folder.glob(SHARDS))}
@@ -83,11 +83,11 @@ def verify(
         watch(0, len(entries))
     workers = worthwhile(workers, (folder / name for name in entries))
     task, items = partial(_check, folder, manifest), list(entries.items())
-    for number, ((name, _), found) in enumerate(run_tasks(task, items, workers), 1):
-        if isinstance(found, str):
-            damage.append(DamagedFile(name, found))
+    for number, ((name, _), file_damage) in enumerate(run_tasks(task, items, workers), 1):
+        if isinstance(file_damage, str):
+            damage.append(DamagedFile(name, file_damage))
         else:
-            count, shared = found
+            count, shared = file_damage
             first = shared if first is None else first
             try:
                 require_same_origin(first, shared)
@@ -105,7 +105,7 @@ def verify(
 def _check(
     folder: Path, manifest: Manifest | None, shard: tuple[str, ShardEntry | None]
 ) -> tuple[int, Dataset] | str:
-    """Frames and shared data of a shard that is sound by itself; the problem of a damaged one."""
+    """Frames and shared data of a shard that is sound on its own; the problem of a damaged one."""
     name, entry = shard
     try:
         data = read_entry(folder, entry) if entry else read_shard(folder / name)
@@ -119,17 +119,17 @@ def _check(
     return len(data), data.select([])
 
 
-def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:
-    """Damage of the recipe beside the shards, and shards that the manifest does not name."""
+def _damage_outside_shards(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:
+    """Damage of the recipe next to the shards, and shards that the manifest does not name."""
     recipe = folder / RECIPE
     if manifest.source == "simulated" and recipe.is_file():
-        found = hashlib.sha256(read_bytes(recipe, failure=DataError)).hexdigest()
-        if found != manifest.recipe_sha256:
+        digest = hashlib.sha256(read_bytes(recipe, failure=DataError)).hexdigest()
+        if digest != manifest.recipe_sha256:
             yield DamagedFile(
                 RECIPE,
-                f"expected SHA-256 {manifest.recipe_sha256}, got {found}; copy it again",
+                f"expected SHA-256 {manifest.recipe_sha256}, got {digest}; copy it again",
             )
-    known = {entry.name for entry in manifest.shards}
+    shard_names = {entry.name for entry in manifest.shards}
     for path in sorted(folder.glob(SHARDS)):
-        if path.name not in known:
+        if path.name not in shard_names:
             yield DamagedFile(path.name, f"is not named in {MANIFEST}; move it elsewhere")

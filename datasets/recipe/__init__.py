@@ -5,9 +5,9 @@ A `recipe` has `specimen`s, `scene_group`s and `episode`s; `frame_sampling` draw
 
 from pathlib import Path
 
-SHIPPED = Path(__file__).parent / "shipped"
+SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 
 
 def shipped_names() -> tuple[str, ...]:
     """Names of the recipes that come with eitskin; loads nothing else."""
-    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+    return tuple(sorted(path.stem for path in SHIPPED_FOLDER.glob("*.toml")))

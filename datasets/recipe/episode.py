@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eitskin.bounds import drawn
+from eitskin.bounds import sample_uniform
 from eitskin.datasets.recipe.scene_group import (
     count_problems,
     draw_positions,
@@ -25,7 +25,7 @@ from eitskin.simulator.scene.scene import Scene, Touch
 PERIOD = 0.297
 """Time from one frame to the next [s]: 28 measurements of 10.6 ms."""
 
-LONGEST_PERIOD = 86400.0
+MAX_PERIOD = 86400.0
 """Longest time from one frame to the next [s]."""
 
 _ENDLESS = 1e18  # frames, more than any recipe may have
@@ -56,9 +56,9 @@ class Timeline:
     """Bend angle and touches of one episode as functions of time.
 
     Attributes:
-        times: of the knots of the angle, rising [s].
-        angles_deg: at the knots; linear between knots, constant beyond.
-        touches: in any order.
+        times: times of the knots of the angle, rising [s].
+        angles_deg: angles at the knots; linear between knots, constant beyond.
+        touches: touches in any order.
     """
 
     times: tuple[float, ...]
@@ -71,10 +71,10 @@ class Timeline:
         Held touches come first. A released touch is dropped when its residual force is below a
         thousandth of its force.
         """
-        held = [each for each in self.touches if each.start <= time < each.end]
+        held = [touch for touch in self.touches if touch.start <= time < touch.end]
         touches = [_scene_touch(each, time - each.start if relaxation else None) for each in held]
         if relaxation:
-            for each in (each for each in self.touches if each.end <= time):
+            for each in (touch for touch in self.touches if touch.end <= time):
                 lasted, released = each.end - each.start, max(time - each.end, _INSTANT)
                 if elastic_force(relaxation, 1.0, lasted, released) > _NEGLIGIBLE:
                     touches.append(_scene_touch(each, lasted, released))
@@ -82,8 +82,8 @@ class Timeline:
         return Scene(bend, tuple(touches))
 
 
-def _scene_touch(each: HeldTouch, lasted: float | None, released: float = 0.0) -> Touch:
-    touch = each.touch
+def _scene_touch(held_touch: HeldTouch, lasted: float | None, released: float = 0.0) -> Touch:
+    touch = held_touch.touch
     return Touch(touch.x, touch.y, touch.force, held=lasted, released=released)
 
 
@@ -247,21 +247,21 @@ class RandomEpisodes:
         end = self.frames * self.period
         times, angles = [0.0], [0.0]
         while times[-1] < end:
-            rest, angle = drawn(moves, self.rest_s), drawn(moves, self.angle_deg)
-            lasts = abs(angle - angles[-1]) / drawn(moves, self.speed_deg_s)
-            times += [times[-1] + rest, times[-1] + rest + lasts]
+            pause, angle = sample_uniform(moves, self.rest_s), sample_uniform(moves, self.angle_deg)
+            lasts = abs(angle - angles[-1]) / sample_uniform(moves, self.speed_deg_s)
+            times += [times[-1] + pause, times[-1] + pause + lasts]
             angles += [angles[-1], angle]
         return Timeline(tuple(times), tuple(angles), tuple(self._touches(outline, touches)))
 
     def _touches(self, outline: PlaneOutline, rng: np.random.Generator) -> Iterator[HeldTouch]:
-        time = drawn(rng, self.pause_s)
+        time = sample_uniform(rng, self.pause_s)
         while time < self.frames * self.period:
             amount = int(rng.integers(*self.touches, endpoint=True))
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng).tolist()
-            end = time + drawn(rng, self.hold_s)
+            end = time + sample_uniform(rng, self.hold_s)
             for x, y in positions:
-                yield HeldTouch(EpisodeTouch(x, y, drawn(rng, self.force)), time, end)
-            time = end + drawn(rng, self.pause_s)
+                yield HeldTouch(EpisodeTouch(x, y, sample_uniform(rng, self.force)), time, end)
+            time = end + sample_uniform(rng, self.pause_s)
 
 
 Episodes = ScriptedEpisode | RandomEpisodes
@@ -269,5 +269,5 @@ Episodes = ScriptedEpisode | RandomEpisodes
 
 def _count_problems(count: int, period: float) -> Iterator[str]:
     yield from count_problems("count", count)
-    if not 0.0 < period <= LONGEST_PERIOD:
-        yield f"period must be a time above 0 s and at most {LONGEST_PERIOD:g} s, got {period}"
+    if not 0.0 < period <= MAX_PERIOD:
+        yield f"period must be a time above 0 s and at most {MAX_PERIOD:g} s, got {period}"

@@ -55,7 +55,7 @@ class Sample:
         index: number of the frame.
         specimen: number of the specimen.
         state: label of the frame.
-        scene: at the frame's start.
+        scene: scene at the frame's start.
         after: scene at the start of the episode's next frame; None without a change.
         episode: number of the episode; a snapshot is an episode of one frame.
         time: since the episode's start [s].
@@ -106,14 +106,14 @@ def instrument(recipe: Recipe, number: int) -> Instrument:
 
 def specimen_numbers(recipe: Recipe, frames: range) -> list[int]:
     """Numbers of the specimens that occur in `frames`, consecutive ones, rising."""
-    found: set[int] = set()
+    numbers: set[int] = set()
     spans = (_blocks, 0, recipe.snapshots), (_episodes, recipe.snapshots, recipe.frames)
     for pieces, start, stop in spans:
         inside = range(max(frames.start, start), min(frames.stop, stop))
         if inside:
             first, last = (pieces(recipe).number(frame) for frame in (inside[0], inside[-1]))
-            found.update(pieces(recipe).specimens[first : last + 1].tolist())
-    return sorted(found)
+            numbers.update(pieces(recipe).specimens[first : last + 1].tolist())
+    return sorted(numbers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ class _Pieces:
 
     Attributes:
         kinds: number of each piece's group of scenes, or entry of episodes, in the recipe.
-        numbers: of the pieces within their kinds.
+        numbers: numbers of the pieces within their kinds.
         starts: number of each piece's first frame.
         specimens: number of each piece's specimen: equal shares, one after the other.
         begun: duration of the specimen's pieces before, which follow each other.
@@ -135,7 +135,7 @@ class _Pieces:
     begun: NDArray[Any]
 
     @classmethod
-    def dealt(
+    def from_lengths(
         cls,
         recipe: Recipe,
         which: tuple[Integers, Integers],
@@ -172,35 +172,35 @@ def _blocks(recipe: Recipe) -> _Pieces:
     full = np.array([group.per_bend for group in recipe.scenes])[groups]
     frames = np.array([group.frames for group in recipe.scenes])[groups]
     lengths = np.minimum(full, frames - numbers * full)
-    return _Pieces.dealt(recipe, (groups, numbers), lengths, lengths)
+    return _Pieces.from_lengths(recipe, (groups, numbers), lengths, lengths)
 
 
 @lru_cache(maxsize=4)
 def _episodes(recipe: Recipe) -> _Pieces:
     """Episodes, entry after entry of the recipe; they last as many seconds."""
     kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
-    frames = np.array([each.frames for each in recipe.episodes])[kinds]
-    lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
-    dealt = _Pieces.dealt(recipe, (kinds, np.arange(len(kinds))), frames, lasts)
+    frames = np.array([episode.frames for episode in recipe.episodes])[kinds]
+    lasts = np.array([episode.frames * episode.period for episode in recipe.episodes])[kinds]
+    dealt = _Pieces.from_lengths(recipe, (kinds, np.arange(len(kinds))), frames, lasts)
     return dataclasses.replace(dealt, starts=recipe.snapshots + dealt.starts)
 
 
 def _snapshot(recipe: Recipe, index: int) -> Sample:
     blocks = _blocks(recipe)
     block = blocks.number(index)
-    group, made = recipe.scenes[blocks.kinds[block]], int(blocks.specimens[block])
+    group, specimen_number = recipe.scenes[blocks.kinds[block]], int(blocks.specimens[block])
     frame = index - int(blocks.starts[block])
     untouched = group.draw_untouched(generator(recipe, Stream.BEND, block))
     rng = generator(recipe, Stream.SCENE, index)
     number = int(blocks.numbers[block]) * group.per_bend + frame
     scene = group.draw(number, untouched, recipe.outline, rng)
     if scene.support is not None:
-        nominal = recipe.nominal(made).fixture
-        widened = free_length(specimen(recipe, made).fixture) - free_length(nominal)
+        nominal = recipe.nominal(specimen_number).fixture
+        widened = free_length(specimen(recipe, specimen_number).fixture) - free_length(nominal)
         scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
     return Sample(
         index=index,
-        specimen=made,
+        specimen=specimen_number,
         state=group.label,
         scene=scene,
         after=None,

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from eitskin.config import Location, read, read_toml, to_toml
-from eitskin.datasets.recipe import SHIPPED, shipped_names
+from eitskin.datasets.recipe import SHIPPED_FOLDER, shipped_names
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup, count_problems, refusal
 from eitskin.datasets.recipe.specimen import SPREAD_LOADS, Mounts, Specimen, Specimens
-from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
+from eitskin.datasets.store.schema import LIMITS, MAX_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign, Support, require_fit
@@ -29,14 +30,15 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import require_bendable
 
-MOST_FRAMES = 10**9
-MOST_SHARDS = 10**6
-_ROLLED = (
+MAX_FRAMES = 10**9
+MAX_SHARDS = 10**6
+_ROLL_MESSAGE = (
     "a rolled sensor needs a kinematic fixture, got clamps; give fixture = { length = 0.1 } for a "
     "free arc, or a hinge, and no mounts"
 )
 
 
+@old_names(expanded="expand_data", shipped="from_shipped")
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """Full description of a dataset; equal recipes make equal datasets.
@@ -52,7 +54,7 @@ class Recipe:
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
         protocol: drive and sense electrodes of each measurement; all pairs of electrodes when
-            omitted. In TOML also a text for `Protocol.named`, as "adjacent" or "table.csv".
+            omitted. In TOML also a text for `Protocol.from_name`, as "adjacent" or "table.csv".
         fixture: device that bends the sensor; the default clamp when omitted. In TOML also the
             table `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
@@ -67,7 +69,7 @@ class Recipe:
 
     Example:
         >>> from eitskin import Recipe
-        >>> Recipe.shipped("quick").frames
+        >>> Recipe.from_shipped("quick").frames
         3000
     """
 
@@ -102,17 +104,17 @@ class Recipe:
         return read_toml(cls, path)
 
     @classmethod
-    def shipped(cls, name: str) -> "Recipe":
-        """Recipe that comes with eitskin, by name; see `shipped_names`."""
+    def from_shipped(cls, name: str) -> "Recipe":
+        """Recipe that ships with eitskin, by name; see `shipped_names`."""
         if name not in shipped_names():
             raise ConfigurationError(
                 f"there is no shipped recipe '{name}'; shipped are {', '.join(shipped_names())}. "
                 "For a recipe of your own, give the path of its .toml file"
             )
-        return cls.from_toml(SHIPPED / f"{name}.toml")
+        return cls.from_toml(SHIPPED_FOLDER / f"{name}.toml")
 
     @classmethod
-    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
+    def expand_data(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """TOML table `data` with the sensor and protocol that it names, and in today's form.
 
         The hinge of version 0.1 is a fixture; the grid of version 0.2 stood in the fixture and in
@@ -120,16 +122,16 @@ class Recipe:
         """
         if "hinge" in data and "fixture" in data:
             raise location.error("expected `fixture` or `hinge`, got both; leave `hinge` out")
-        made = with_grid({key: value for key, value in data.items() if key != "hinge"})
+        table = with_grid({key: value for key, value in data.items() if key != "hinge"})
         if "hinge" in data:
-            made["fixture"] = read(Hinge, data["hinge"], location.under("hinge"))
+            table["fixture"] = read(Hinge, data["hinge"], location.child("hinge"))
         if "sensor" in data:
-            made["sensor"] = _sensor(data["sensor"], location.under("sensor"))
+            table["sensor"] = _sensor(data["sensor"], location.child("sensor"))
         if isinstance(data.get("protocol"), str):
-            design = made.get("sensor", SensorDesign.reference())
+            design = table.get("sensor", SensorDesign.reference())
             folder = location.folder or Path()
-            made["protocol"] = Protocol.named(data["protocol"], len(design.electrodes), folder)
-        return made
+            table["protocol"] = Protocol.from_name(data["protocol"], len(design.electrodes), folder)
+        return table
 
     @property
     def measured_protocol(self) -> Protocol:
@@ -157,8 +159,8 @@ class Recipe:
         if self.mounts.count:
             mount = specimen % self.mounts.count
             fixture, mechanics = self.mounts.clamp(mount), self.mounts.mechanics(mount, mechanics)
-        own = SensorGrid.about(self.sensor, fixture, mechanics)
-        return Specimen(self.sensor, fixture, mechanics, own.replaced_by(self.grid))
+        own = SensorGrid.from_nominal(self.sensor, fixture, mechanics)
+        return Specimen(self.sensor, fixture, mechanics, own.override(self.grid))
 
     @property
     def snapshots(self) -> int:
@@ -168,13 +170,13 @@ class Recipe:
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return self.snapshots + sum(each.count * each.frames for each in self.episodes)
+        return self.snapshots + sum(episode.count * episode.frames for episode in self.episodes)
 
     @property
     def extreme_angles(self) -> tuple[float, float]:
         """Least and largest bend of any frame [deg]; zeros without bends."""
         angles = [angle for group in self.scenes for angle in group.angle_deg]
-        angles += [angle for each in self.episodes for angle in each.angles_deg]
+        angles += [angle for episode in self.episodes for angle in episode.angles_deg]
         return min([*angles, 0.0]), max([*angles, 0.0])
 
     @property
@@ -192,7 +194,7 @@ class Recipe:
         if not 0 <= self.seed < 2**63:
             yield f"seed must be from 0 to 2^63 - 1, got {self.seed}"
         yield from count_problems("frames_per_shard", self.frames_per_shard, 1, LIMITS["frame"])
-        counted = self.reference_frames, 1, MOST_REFERENCE_FRAMES
+        counted = self.reference_frames, 1, MAX_REFERENCE_FRAMES
         yield from count_problems("reference_frames", *counted)
         yield from self._size_problems()
         yield from self._protocol_problems()
@@ -209,15 +211,15 @@ class Recipe:
         for number, group in enumerate(self.scenes):
             problems = [*group.problems(outline), *map(self._bend_problem, group.angle_deg)]
             if group.rolls and isinstance(self.fixture, Clamp):
-                problems.append(_ROLLED)
+                problems.append(_ROLL_MESSAGE)
             problems += self._support_problems(group.support, group.bends)
             for problem in filter(None, problems):
                 yield f"scenes[{number}] ({group.state}): {problem}"
-        for number, each in enumerate(self.episodes):
-            problems = list(each.problems(outline))
-            problems = problems or [*map(self._bend_problem, each.angles_deg)]
-            problems += self._skew_problems(each.period)
-            problems += self._support_problems(None, each.angles_deg != (0.0, 0.0))
+        for number, episode in enumerate(self.episodes):
+            problems = list(episode.problems(outline))
+            problems = problems or [*map(self._bend_problem, episode.angles_deg)]
+            problems += self._skew_problems(episode.period)
+            problems += self._support_problems(None, episode.angles_deg != (0.0, 0.0))
             for problem in filter(None, problems):
                 yield f"episodes[{number}]: {problem}"
 
@@ -228,13 +230,13 @@ class Recipe:
         yield from bend or refusal(lambda: require_fit(support, self.sensor.outline))
 
     def _size_problems(self) -> Iterator[str]:
-        if self.frames > MOST_FRAMES:
-            yield f"scenes and episodes must have at most {MOST_FRAMES} frames, got {self.frames}"
-        elif self.frames > MOST_SHARDS * self.frames_per_shard:
+        if self.frames > MAX_FRAMES:
+            yield f"scenes and episodes must have at most {MAX_FRAMES} frames, got {self.frames}"
+        elif self.frames > MAX_SHARDS * self.frames_per_shard:
             yield (
-                f"frames_per_shard must be at least {-(-self.frames // MOST_SHARDS)} for "
+                f"frames_per_shard must be at least {-(-self.frames // MAX_SHARDS)} for "
                 f"{self.frames} frames, got {self.frames_per_shard}: a dataset has at most "
-                f"{MOST_SHARDS} files"
+                f"{MAX_SHARDS} files"
             )
 
     def _specimen_problems(self) -> Iterator[str]:
@@ -262,8 +264,8 @@ class Recipe:
                 f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
                 f"{electrodes}"
             )
-        given = self.measured_protocol, 1.0, np.random.default_rng(0)
-        yield from refusal(lambda: self.instrument.session(*given), "instrument: ")
+        arguments = self.measured_protocol, 1.0, np.random.default_rng(0)
+        yield from refusal(lambda: self.instrument.session(*arguments), "instrument: ")
 
     def _bend_problem(self, angle_deg: float) -> str:
         """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
@@ -309,9 +311,9 @@ def _kinematic_problem(
 def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
     """Frames of each shard: first snapshots, then whole episodes."""
     pieces = [(recipe.snapshots, recipe.frames_per_shard)]
-    for each in recipe.episodes:
-        together = max(1, recipe.frames_per_shard // each.frames)
-        pieces.append((each.count * each.frames, together * each.frames))
+    for episode in recipe.episodes:
+        together = max(1, recipe.frames_per_shard // episode.frames)
+        pieces.append((episode.count * episode.frames, together * episode.frames))
     ranges, start = [], 0
     for frames, length in pieces:
         end = start + frames
@@ -320,17 +322,17 @@ def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
     return tuple(ranges)
 
 
-def _sensor(given: Any, location: Location) -> SensorDesign:
+def _sensor(value: Any, location: Location) -> SensorDesign:
     """Design in a recipe: a table, the path of a design file, or "reference"."""
-    if isinstance(given, Mapping) and "file" in given:
+    if isinstance(value, Mapping) and "file" in value:
         raise location.error(
             "a design file is named as sensor = \"PATH.toml\", got a table with the key 'file'"
         )
-    if given == "reference":
+    if value == "reference":
         return SensorDesign.reference()
-    if isinstance(given, str):
-        return SensorDesign.from_toml((location.folder or Path()) / given)
-    design: SensorDesign = read(SensorDesign, given, location)
+    if isinstance(value, str):
+        return SensorDesign.from_toml((location.folder or Path()) / value)
+    design: SensorDesign = read(SensorDesign, value, location)
     return design
 
 

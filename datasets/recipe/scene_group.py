@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import drawn
+from eitskin.bounds import sample_uniform
 from eitskin.datasets.store.schema import MAX_TOUCHES, State
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Roll
@@ -99,14 +99,14 @@ class SceneGroup:
                 self.margin,
                 self.spacing,
                 outline,
-                self.pressed_by,
+                self.touch_indenter,
                 self.from_middle,
             )
         else:
             plain = SceneGroup(self.state)
-            given = [each for each in _TOUCH_ONLY if getattr(self, each) != getattr(plain, each)]
-            if given:
-                yield f"state '{self.state}' has no touches, so leave out {', '.join(given)}"
+            fields = [each for each in _TOUCH_ONLY if getattr(self, each) != getattr(plain, each)]
+            if fields:
+                yield f"state '{self.state}' has no touches, so leave out {', '.join(fields)}"
         if self.state == "idle" and self.bends:
             yield 'an idle sensor is flat: leave out angle_deg and roll_deg, or say state = "bend"'
         if self.state == "bend" and not self.bends:
@@ -128,14 +128,18 @@ class SceneGroup:
         return self.roll_deg not in (None, (0.0, 0.0))
 
     @property
-    def pressed_by(self) -> Cylinder | Sphere | Profile | Footprint:
+    def touch_indenter(self) -> Cylinder | Sphere | Profile | Footprint:
         """Indenter of all touches."""
         return self.indenter or Cylinder()
 
     def draw_untouched(self, rng: np.random.Generator) -> Scene:
         """Random bend and roll of one block of frames."""
-        bend = Bend(float(drawn(rng, self.angle_deg)))
-        roll = Roll(float(drawn(rng, self.roll_deg))) if self.roll_deg and self.rolls else None
+        bend = Bend(float(sample_uniform(rng, self.angle_deg)))
+        roll = (
+            Roll(float(sample_uniform(rng, self.roll_deg)))
+            if self.roll_deg and self.rolls
+            else None
+        )
         return Scene(bend=bend, roll=roll, support=self.support)
 
     def draw(
@@ -151,9 +155,9 @@ class SceneGroup:
             positions = draw_positions(
                 amount, outline, self.margin, self.spacing, rng, self.from_middle
             )
-        forces = drawn(rng, self.force, len(positions))
+        forces = sample_uniform(rng, self.force, len(positions))
         touches = tuple(
-            Touch(float(x), float(y), float(force), self.pressed_by)
+            Touch(float(x), float(y), float(force), self.touch_indenter)
             for (x, y), force in zip(positions, forces, strict=True)
         )
         return replace(untouched, touches=touches)

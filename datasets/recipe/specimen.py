@@ -47,7 +47,7 @@ RANGES = {
 }
 
 
-MOST_MOUNTS = 1000
+MAX_MOUNTS = 1000
 
 # Roberts (2018): powers of the inverse of the root of x^(d + 1) = x + 1 make a sequence that
 # fills d dimensions evenly, however many of its points are taken.
@@ -118,8 +118,8 @@ class Specimens:
         """Sensors and fixtures with the largest possible deviations from the nominal ones."""
         thick = scaled_thickness(design, lognormal(self.thickness, MAX_DEVIATIONS))
         ends = (-MAX_DEVIATIONS, MAX_DEVIATIONS)
-        for one, other in itertools.product(ends, ends):
-            moved = (one * self.hinge_span, other * self.hinge_offset)
+        for first, second in itertools.product(ends, ends):
+            moved = (first * self.hinge_span, second * self.hinge_offset)
             yield thick, moved_fixture(fixture, *moved)
 
 
@@ -149,19 +149,19 @@ class Mounts:
         """Clamp of mount `number`."""
         across, along, _ = self._shares(number)
         faces = self.faces[number % len(self.faces)]
-        return Clamp(_between(self.span, across), _between(self.offset, along), faces=faces)
+        return Clamp(_interpolate(self.span, across), _interpolate(self.offset, along), faces=faces)
 
     def mechanics(self, number: int, nominal: Mechanics) -> Mechanics:
         """Materials of mount `number`, from the nominal ones."""
         low, high = (math.log(factor) for factor in self.stiffness)
-        factor = math.exp(_between((low, high), self._shares(number)[2]))
+        factor = math.exp(_interpolate((low, high), self._shares(number)[2]))
         law = nominal.encapsulation
         stiffer = dataclasses.replace(law, shear_modulus=factor * law.shear_modulus)
         return dataclasses.replace(nominal, encapsulation=stiffer)
 
     def problems(self) -> Iterator[str]:
         """Impossible values, a sentence each."""
-        yield from count_problems("mounts: count", self.count, 0, MOST_MOUNTS)
+        yield from count_problems("mounts: count", self.count, 0, MAX_MOUNTS)
         for name in ("span", "offset", "stiffness"):
             above = -math.inf if name == "offset" else 0.0
             if problem := range_problem(name, getattr(self, name), above):
@@ -234,14 +234,14 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         for electrode, contact, place in zip(design.electrodes, contacts, places, strict=True)
     )
     widened = spread.hinge_span * span
-    made = dataclasses.replace(
+    design_drawn = dataclasses.replace(
         design, electrodes=electrodes, support=with_wider_gap(design.support, widened)
     )
-    made = scaled_conductivity(made, factor("conductivity", conductivity))
+    design_drawn = scaled_conductivity(design_drawn, factor("conductivity", conductivity))
     if spread.thickness:
-        made = scaled_thickness(made, factor("thickness", thickness))
+        design_drawn = scaled_thickness(design_drawn, factor("thickness", thickness))
     return Specimen(
-        made,
+        design_drawn,
         moved_fixture(fixture, widened, spread.hinge_offset * offset),
         dataclasses.replace(
             mechanics,
@@ -268,10 +268,10 @@ def draw_meter(
     )
 
 
-def with_wider_gap(support: Support, by: float) -> Support:
-    """Support whose plates are farther apart `by` [m]; other supports unchanged."""
-    if isinstance(support, Plates) and by:
-        return dataclasses.replace(support, span=support.span + by)
+def with_wider_gap(support: Support, extra_gap: float) -> Support:
+    """Support whose plates are farther apart `extra_gap` [m]; other supports unchanged."""
+    if isinstance(support, Plates) and extra_gap:
+        return dataclasses.replace(support, span=support.span + extra_gap)
     return support
 
 
@@ -340,7 +340,7 @@ def moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign)
     outline = design.outline
     if electrode.on != "side" or not distance or isinstance(outline, Surface):
         return electrode
-    x, y = outline.at(outline.locate(electrode.x, electrode.y) + distance).tolist()
+    x, y = outline.rim_points(outline.locate(electrode.x, electrode.y) + distance).tolist()
     return dataclasses.replace(electrode, x=x, y=y)
 
 
@@ -363,15 +363,15 @@ def clearance(design: SensorDesign) -> tuple[float, str]:
     gaps = 0.5 * (around - half[order] - half[after])
     nearest = int(gaps.argmin())
     pair = f"electrodes {numbers[order[nearest]]} and {numbers[after[nearest]]}"
-    found = [(float(gaps[nearest]), pair)]
+    gaps_found = [(float(gaps[nearest]), pair)]
     if isinstance(outline, Rectangle):
         corners = np.append(outline.corners, outline.perimeter)
         gaps = np.abs(places[:, None] - corners).min(axis=1) - half
         nearest = int(gaps.argmin())
-        found.append((float(gaps[nearest]), f"electrode {numbers[nearest]} and a corner"))
-    return min(found)
+        gaps_found.append((float(gaps[nearest]), f"electrode {numbers[nearest]} and a corner"))
+    return min(gaps_found)
 
 
-def _between(ends: tuple[float, float], share: float) -> float:
+def _interpolate(ends: tuple[float, float], share: float) -> float:
     low, high = ends
     return low + share * (high - low)

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.patterns import stimulated
-from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
+from eitskin.datasets.recordings.patterns import measurement_rows
+from eitskin.datasets.recordings.reader import Contents, Reader, ReadRequest, Tables, as_data_errors
 from eitskin.datasets.store.shard_reader import require_stored
 from eitskin.errors import DataError
 
@@ -31,18 +31,18 @@ class ArrayReader(Reader):
     """
 
     @abstractmethod
-    def opened(self) -> Any:
+    def open_file(self) -> Any:
         """Context manager of the open file, from which `array` reads."""
 
     @abstractmethod
     def array(self, file: Any, name: str) -> Any:
         """Array `name` of the open file: something with a shape that can be sliced."""
 
-    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        with self.opened() as file:
-            values = {name: self.array(file, name) for name in wanted.values}
+    def blocks(self, request: ReadRequest) -> Iterator[Tables]:
+        with self.open_file() as file:
+            values = {name: self.array(file, name) for name in request.values}
             first, measured = next(iter(values.values())).shape, len(self.contents.measured)
-            transposed = wanted.transposed or (0 < measured == first[0] and first[1:] != first[:1])
+            transposed = request.transposed or (0 < measured == first[0] and first[1:] != first[:1])
             shapes = [_shape(array, name, transposed) for name, array in values.items()]
             for name, shape in zip(values, shapes, strict=True):
                 if shape != shapes[0]:
@@ -51,11 +51,11 @@ class ArrayReader(Reader):
                     )
             rows = shapes[0][0]
             labels = {
-                name: _label(np.asarray(self.array(file, name)[()]), name, rows, wanted.paired)
-                for name in wanted.labels
+                name: _label(np.asarray(self.array(file, name)[()]), name, rows, request.paired)
+                for name in request.labels
             }
-            for start in range(0, rows, wanted.block_rows):
-                chosen = slice(start, min(start + wanted.block_rows, rows))
+            for start in range(0, rows, request.block_rows):
+                chosen = slice(start, min(start + request.block_rows, rows))
                 yield {
                     name: _numbers(_frames(array, chosen, transposed), name)
                     for name, array in values.items()
@@ -67,11 +67,11 @@ class NumpyReader(ArrayReader):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        with self.opened() as file:
+        with self.open_file() as file:
             self.contents = Contents(tuple(file), usual_values="v" if "v" in file else None)
 
     @contextmanager
-    def opened(self) -> Iterator[Any]:
+    def open_file(self) -> Iterator[Any]:
         with as_data_errors("file of plain arrays, as numpy.save and numpy.savez write it,"):
             read = np.load(self.path, allow_pickle=False)
             if isinstance(read, np.ndarray):
@@ -94,7 +94,7 @@ class MatReader(ArrayReader):
         from scipy.io import loadmat, whosmat
 
         super().__init__(path)
-        with self.opened() as file:
+        with self.open_file() as file:
             kinds = {name: kind for name, _, kind in whosmat(file)}
         names = [name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS]
         unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
@@ -102,15 +102,15 @@ class MatReader(ArrayReader):
         self._inside: dict[str, NDArray[Any]] = {}
         stimulations: list[Any] = []
         if structures:
-            with self.opened() as file:
+            with self.open_file() as file:
                 read = loadmat(file, variable_names=structures, simplify_cells=True)
             for name in structures:
-                _look_into(read[name], name, self._inside, stimulations)
+                _collect_arrays(read[name], name, self._inside, stimulations)
         parts = [tuple(map(_dense, (each[k] for k in _STIMULATION))) for each in stimulations]
         self.contents = _eidors((*names, *self._inside), unread, parts)
 
     @contextmanager
-    def opened(self) -> Iterator[Any]:
+    def open_file(self) -> Iterator[Any]:
         with as_data_errors("MATLAB file"), self.path.open("rb") as file:
             yield file
 
@@ -123,7 +123,9 @@ class MatReader(ArrayReader):
         return loadmat(file, variable_names=[name])[name]
 
 
-def _look_into(value: Any, name: str, found: dict[str, NDArray[Any]], patterns: list[Any]) -> None:
+def _collect_arrays(
+    value: Any, name: str, found: dict[str, NDArray[Any]], patterns: list[Any]
+) -> None:
     """Collect the arrays of numbers in a structure, and EIDORS's stimulations."""
     several = value if isinstance(value, list) else [value]
     dicts = [each for each in several if isinstance(each, dict)]
@@ -131,7 +133,7 @@ def _look_into(value: Any, name: str, found: dict[str, NDArray[Any]], patterns: 
         patterns += [] if patterns else dicts
     elif isinstance(value, dict):
         for key, inner in value.items():
-            _look_into(inner, f"{name}/{key}", found, patterns)
+            _collect_arrays(inner, f"{name}/{key}", found, patterns)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biufc" and value.ndim:
         found[name] = value
 
@@ -145,7 +147,7 @@ def _eidors(
 ) -> Contents:
     """Contents of a MATLAB file, with what EIDORS's stimulations say of its readings."""
     try:
-        rows, currents, electrodes = stimulated(parts)  # type: ignore[arg-type]
+        rows, currents, electrodes = measurement_rows(parts)  # type: ignore[arg-type]
     except DataError:  # patterns of many electrodes are no protocol
         rows = []
     if not rows:
@@ -174,7 +176,7 @@ class Hdf5Reader(ArrayReader):
         super().__init__(path)
         names: list[str] = []
         unread: dict[str, str] = {}
-        with self.opened() as file:
+        with self.open_file() as file:
             for name, array in _arrays(file, "", unread):
                 fields = array.dtype.names or ()
                 if array.dtype.kind == "O" and h5py.check_string_dtype(array.dtype) is None:
@@ -189,7 +191,7 @@ class Hdf5Reader(ArrayReader):
         self.contents = _eidors(tuple(names), unread, parts)
 
     @contextmanager
-    def opened(self) -> Iterator[Any]:
+    def open_file(self) -> Iterator[Any]:
         with as_data_errors("HDF5 file"), h5py.File(self.path, "r") as file:
             yield file
 
@@ -199,7 +201,7 @@ class Hdf5Reader(ArrayReader):
             require_stored(stored.id, name)
             if h5py.check_string_dtype(stored.dtype) is not None:
                 return np.asarray(stored.asstr()[()], dtype=np.str_)
-            return _Transposed(stored) if "MATLAB_class" in stored.attrs else stored
+            return _TransposedArray(stored) if "MATLAB_class" in stored.attrs else stored
         path, _, field = name.rpartition("/")
         require_stored(file[path].id, path)
         return file[path].fields(field)[()]
@@ -235,20 +237,20 @@ def _matrix(item: Any) -> NDArray[Any]:
     if isinstance(item, h5py.Dataset):
         return np.asarray(item[()]).T
     starts, rows = np.asarray(item["jc"]), np.asarray(item["ir"])
-    found = np.zeros((int(item.attrs["MATLAB_sparse"]), len(starts) - 1))
-    found[rows, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = item["data"]
-    return found
+    matrix = np.zeros((int(item.attrs["MATLAB_sparse"]), len(starts) - 1))
+    matrix[rows, np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = item["data"]
+    return matrix
 
 
-class _Transposed:
+class _TransposedArray:
     """View of an array that MATLAB stored with its axes in reverse order."""
 
-    def __init__(self, stored: h5py.Dataset) -> None:
-        self._stored = stored
-        self.shape = stored.shape[::-1]
+    def __init__(self, array: h5py.Dataset) -> None:
+        self._stored = array
+        self.shape = array.shape[::-1]
 
-    def __getitem__(self, chosen: tuple[Any, ...]) -> NDArray[Any]:
-        return np.asarray(self._stored[chosen[::-1]]).T
+    def __getitem__(self, key: tuple[Any, ...]) -> NDArray[Any]:
+        return np.asarray(self._stored[key[::-1]]).T
 
 
 def _shape(array: Any, name: str, transposed: bool) -> tuple[int, ...]:
@@ -288,8 +290,8 @@ def _label(array: NDArray[Any], name: str, rows: int, paired: bool) -> NDArray[A
 def _numbers(array: NDArray[Any], name: str) -> NDArray[Any]:
     """Numbers or text of an array; complex where MATLAB stored two fields."""
     if array.dtype.names == _MATLAB_COMPLEX:
-        found: NDArray[Any] = array["real"] + 1j * array["imag"]
-        return found
+        numbers: NDArray[Any] = array["real"] + 1j * array["imag"]
+        return numbers
     if array.dtype.kind not in "biufcUM":
         raise DataError(f"'{name}' must hold plain numbers, got {array.dtype}")
     return array

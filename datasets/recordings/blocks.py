@@ -28,7 +28,7 @@ class Block:
         before: readings before each touch, (n, C); NaN where lost, None where there are none.
         labels: (n, ...) under the names of `Dataset`'s attributes.
         specimens, sessions: names, (n,).
-        status: of the values, (n, C).
+        status: status of the values, (n, C).
     """
 
     values: Complex
@@ -39,7 +39,7 @@ class Block:
     status: NDArray[np.uint8]
 
     @property
-    def bent(self) -> Mask:
+    def is_bent(self) -> Mask:
         """Whether each frame is known to be bent, (n,)."""
         angle = self.labels.get("bend_angle_deg", np.zeros(len(self.values)))
         return np.asarray(np.isfinite(angle) & (angle != 0))
@@ -101,7 +101,7 @@ def without_bad_values(block: Block, choice: str, first: int) -> Block:
     return replace(block, values=np.where(bad, 0, block.values), status=status)
 
 
-def with_before(block: Block, last: Block | None) -> Block:
+def add_previous_readings(block: Block, last: Block | None) -> Block:
     """Frames of a block, each after the reading before its touch as a frame of its own.
 
     The touch reference of such a reading is the one before, of the same specimen and session.
@@ -122,7 +122,7 @@ def with_before(block: Block, last: Block | None) -> Block:
             labels[name] = labels[name].astype(np.float64)
             labels[name][::2] = np.nan
     state = labels.get("state", np.full(len(doubled.values), State.TOUCH)).copy()
-    state[::2] = np.where(block.bent, State.BEND, State.IDLE)
+    state[::2] = np.where(block.is_bent, State.BEND, State.IDLE)
     doubled.values[::2] = np.where(lost, 0, before)
     doubled.status[::2] = np.where(lost, np.uint8(Status.NOT_FINITE), 0)
     assert doubled.before is not None  # noqa: S101 - as above
@@ -157,7 +157,7 @@ class ReferenceMeans:
             untouched = np.asarray(np.isfinite(readings).any(axis=1))
         for name in dict.fromkeys(block.specimens.tolist()):
             own = block.specimens == name
-            for grade, usable in ((2, untouched & ~block.bent), (1, untouched), (0, own)):
+            for grade, usable in ((2, untouched & ~block.is_bent), (1, untouched), (0, own)):
                 rows = np.flatnonzero(own & usable)
                 if len(rows):
                     self._add(name, grade, readings[rows if grade else rows[:1]])

@@ -41,7 +41,7 @@ class FieldReader(ArrayReader):
         super().__init__(path)
         self._tables, self.contents = read(path)
 
-    def opened(self) -> AbstractContextManager[Any]:
+    def open_file(self) -> AbstractContextManager[Any]:
         return nullcontext(self._tables)
 
     def array(self, file: Any, name: str) -> Any:
@@ -106,7 +106,7 @@ def _sciospec_frame(file: Path) -> tuple[list[Row], int, NDArray[Any]]:
     try:
         head, lines = (
             lines[: int(lines[0])],
-            [each for each in lines[int(lines[0]) :] if each.strip()],
+            [line for line in lines[int(lines[0]) :] if line.strip()],
         )
         old = len(head) < 11  # without a line for the version
         count, current = int(float(head[7 - old])), float(head[8 - old])
@@ -179,7 +179,7 @@ def _gimli_lines(path: Path) -> list[list[str]]:
     names = [each.strip("#") for line in lines[data[0] + 1 : data[1]] for each in line]
     size = int(lines[data[0]][0])
     chosen = [lines[k] for k in data[1 : 1 + size]]
-    names = [each for each in names if each]
+    names = [name for name in names if name]
     return [names, *chosen] if {"a", "b", "m", "n"} <= set(names) else []
 
 

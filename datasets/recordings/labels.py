@@ -14,7 +14,7 @@ from eitskin.datasets.recordings.reader import Tables
 from eitskin.datasets.recordings.source import Source
 from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import quoted
+from eitskin.files import quote_value
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 
@@ -26,16 +26,16 @@ _TOUCHES: Final = {
     "force": "touch_force",
 }
 NAMES: Final = ("specimen", "sensor", "session")
-"""Labels that tell frames of different origin apart, by number or name."""
+"""Labels that distinguish frames of different origin, by number or name."""
 
 _LABELS: Final = ("state", "angle_deg", "t", *_TOUCHES, *NAMES)
 _PLACE: Final = re.compile(r"(?P<name>.+?)(?::(?P<column>\d{1,4}))?(?:\*(?P<factor>[-+.\deE]+))?")
 
-LARGEST_FORCE: Final = 500.0  # N on a skin; more is most likely grams
-_MARGIN: Final = 0.01  # of the sensor's size, by which positions may err at the rim
+MAX_FORCE: Final = 500.0  # N on a skin; more is most likely grams
+_MARGIN: Final = 0.01  # of the sensor's size, by which positions may have an error at the rim
 _SCATTERED, _LEAST_SPAN = 10, 200  # so many positions spread over this fraction of the sensor
-SLOWEST: Final = 30.0  # s from frame to frame
-LATEST: Final = 1e11  # s since 1970
+MAX_FRAME_PERIOD: Final = 30.0  # s from frame to frame
+MAX_EPOCH_TIME: Final = 1e11  # s since 1970
 _WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
 """Periods of counters of milliseconds and microseconds in 32 bits [s]."""
 
@@ -48,9 +48,9 @@ class Place:
 
     Attributes:
         table: name of the table; None for one value.
-        column: of the table; None for all its columns, one per touch.
-        factor: that makes SI units of the numbers.
-        value: of all frames that have a touch, where there is no table.
+        column: column of the table; None for all its columns, one per touch.
+        factor: factor that makes SI units of the numbers.
+        value: value of all frames that have a touch, where there is no table.
     """
 
     table: str | None
@@ -59,7 +59,7 @@ class Place:
     value: float = np.nan
 
     @classmethod
-    def parsed(cls, text: str) -> "Place":
+    def from_text(cls, text: str) -> "Place":
         """Place of NAME, NAME:COLUMN, NAME*FACTOR, or a number; raises ConfigurationError."""
         try:
             return cls(None, value=float(text))
@@ -79,15 +79,15 @@ class Place:
 
 
 def find_labels(
-    source: Source, given: Mapping[str, str], positions: str | None
+    source: Source, options: Mapping[str, str], positions: str | None
 ) -> dict[str, Place]:
     """Places of the labels that a file has, by label.
 
-    Places that are `given` are texts for `Place.parsed`; other labels are taken from tables of
+    Places that are `options` are texts for `Place.from_text`; other labels are taken from tables of
     their names, `positions` from a table with x and y as first columns. Raises ConfigurationError
     for unknown labels, and tables that the file does not have.
     """
-    for label in given:
+    for label in options:
         if label not in _LABELS:
             near = difflib.get_close_matches(label, _LABELS, 1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
@@ -97,7 +97,7 @@ def find_labels(
     places = {name: Place(name) for name in _LABELS if name in source.names}
     if positions:
         places |= {"x": Place(positions, 0), "y": Place(positions, 1)}
-    places |= {label: Place.parsed(text) for label, text in given.items()}
+    places |= {label: Place.from_text(text) for label, text in options.items()}
     for label, place in places.items():
         if place.table is not None:
             source.require(place.table, "positions" if label in "xy" else f"label '{label}'")
@@ -121,29 +121,29 @@ def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dic
     Frames with a position and without a state are touches. Raises DataError for labels that are no
     numbers, and states that are unknown.
     """
-    known: dict[str, Any] = {}
+    labels: dict[str, Any] = {}
     for label, place in places.items():
         if place.table is None or label in NAMES:
             continue
         table = _table(tables, place, label)
         if label == "state":
-            known["state"] = _states(_column(table, place, label))
+            labels["state"] = _states(_column(table, place, label))
         elif label == "t":
-            known["time"] = _times(_column(table, place, label), place.factor)
+            labels["time"] = _times(_column(table, place, label), place.factor)
         elif label == "angle_deg":
             angles = _numbers(_column(table, place, label), label)
-            known["bend_angle_deg"] = angles * place.factor
+            labels["bend_angle_deg"] = angles * place.factor
         else:
             factor = place.factor * (1.0 if label == "force" else unit)
-            known[_TOUCHES[label]] = _touches(_numbers(table, label) * factor, label)
-    if "touch_x" in known:
-        touched = np.isfinite(known["touch_x"])
+            labels[_TOUCHES[label]] = _touches(_numbers(table, label) * factor, label)
+    if "touch_x" in labels:
+        touched = np.isfinite(labels["touch_x"])
         for label, place in places.items():
             if place.table is None:
-                known[_TOUCHES[label]] = np.where(touched, place.value, np.nan)
+                labels[_TOUCHES[label]] = np.where(touched, place.value, np.nan)
         inferred = np.where(touched.any(axis=1), int(State.TOUCH), UNKNOWN_STATE)
-        known.setdefault("state", inferred.astype(np.uint8))
-    return known
+        labels.setdefault("state", inferred.astype(np.uint8))
+    return labels
 
 
 def names_of_origin(tables: Tables, places: Mapping[str, Place], label: str) -> NDArray[np.str_]:
@@ -204,9 +204,9 @@ class Clock:
     """Times of a recording's blocks in seconds on a clock that does not go back.
 
     Attributes:
-        unit: of the times in the file [s]; NaN where it was not said.
-        ends: of each specimen and session the last time in the file, what its wraps add, and the
-            usual step [s].
+        unit: unit of the times in the file [s]; NaN where it was not given.
+        ends: ends of each specimen and session the last time in the file, what its wraps add, and
+            the usual step [s].
     """
 
     unit: float
@@ -219,11 +219,11 @@ class Clock:
 
         A counter of 32 bits that begins again goes on.
         """
-        known = times.dtype.kind == "M" or not np.isnan(self.unit)
+        unit = times.dtype.kind == "M" or not np.isnan(self.unit)
         if times.dtype.kind == "M":
             times = times.astype(np.int64) / 1e9
         else:
-            times = times * (self.unit if known else 1.0)
+            times = times * (self.unit if unit else 1.0)
         origins = np.stack([specimens, sessions], axis=1)
         for origin in np.unique(origins, axis=0):
             rows = np.flatnonzero((origins == origin).all(axis=1))
@@ -231,7 +231,7 @@ class Clock:
             last, later, usual = self.ends.get(key, (times[rows[0]], 0.0, 0.0))
             steps = np.diff(times[rows], prepend=last)
             usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else usual
-            if not known and (usual > SLOWEST or abs(times[rows]).max() > LATEST):
+            if not unit and (usual > MAX_FRAME_PERIOD or abs(times[rows]).max() > MAX_EPOCH_TIME):
                 raise DataError(
                     f"times such as {times[rows[0]]:.15g} and {times[rows[-1]]:.15g}, {usual:g} "
                     "from frame to frame, are hardly seconds; import with --time-unit ms or us, "
@@ -245,7 +245,7 @@ class Clock:
                 now = times[rows[row]]
                 raise DataError(
                     f"'t' runs backwards, from {now - steps[row]:.12g} to {now:.12g} s; name the "
-                    "column that tells sessions with --column session=NAME, import each session "
+                    "column of sessions with --column session=NAME, import each session "
                     "as a file, or rename the column t to leave it out"
                 )
             self.ends[key] = float(times[rows[-1]]), later + float(wraps.sum()), usual
@@ -276,18 +276,18 @@ def _touches(table: NDArray[np.float64], label: str) -> NDArray[np.float64]:
     return np.pad(table, spare, constant_values=np.nan)
 
 
-def _states(given: NDArray[Any]) -> NDArray[np.uint8]:
+def _states(values: NDArray[Any]) -> NDArray[np.uint8]:
     """States from names or numbers, (n,); an empty cell is unknown."""
-    known = {state.name.lower(): int(state) for state in State}
-    known |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
-    cells = [str(cell).strip().lower().removesuffix(".0") for cell in given.tolist()]
-    if wrong := sorted(set(cells) - set(known)):
-        got = ", ".join(quoted(cell) for cell in wrong[:3])
+    numbers_by_name = {state.name.lower(): int(state) for state in State}
+    numbers_by_name |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
+    cells = [str(cell).strip().lower().removesuffix(".0") for cell in values.tolist()]
+    if wrong := sorted(set(cells) - set(numbers_by_name)):
+        got = ", ".join(quote_value(cell) for cell in wrong[:3])
         raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {got}")
-    return np.array([known[cell] for cell in cells], dtype=np.uint8)
+    return np.array([numbers_by_name[cell] for cell in cells], dtype=np.uint8)
 
 
-def origin_on(design: SensorDesign | None, origin: str) -> tuple[float, float]:
+def origin_position(design: SensorDesign | None, origin: str) -> tuple[float, float]:
     """Position of the recording's origin on the design [m].
 
     An origin is "corner" of the bounding box, its "centre", or "X,Y" [m]. Raises ConfigurationError
@@ -311,9 +311,9 @@ def origin_on(design: SensorDesign | None, origin: str) -> tuple[float, float]:
 
 
 def require_plausible(
-    known: Mapping[str, NDArray[Any]], design: SensorDesign | None, origin: tuple[float, float]
+    labels: Mapping[str, NDArray[Any]], design: SensorDesign | None, origin: tuple[float, float]
 ) -> None:
-    """Raise DataError for positions beside the sensor, and sizes and forces of other units.
+    """Raise DataError for positions next to the sensor, and sizes and forces of other units.
 
     Positions are those on the design, on which the recording's own count from `origin` [m].
     """
@@ -321,20 +321,20 @@ def require_plausible(
     if design is not None and not isinstance(design.outline, Surface):
         extent = max(design.outline.length, design.outline.width)
     for name, meaning in (("touch_depth", "depths"), ("touch_radius", "radii of indenters")):
-        sizes = _finite(known, name)
+        sizes = _finite(labels, name)
         if sizes.size and (sizes.min() < 0 or sizes.max() > extent):
             raise DataError(
                 f"{meaning} must be in metres, from 0 to {extent:g} m, got {sizes.min():g} to "
                 f"{sizes.max():g}; import with {_UNIT}"
             )
-    force = _finite(known, "touch_force")
-    if force.size and np.abs(force).max() > LARGEST_FORCE:
+    force = _finite(labels, "touch_force")
+    if force.size and np.abs(force).max() > MAX_FORCE:
         raise DataError(
-            f"forces must be in newtons, up to {LARGEST_FORCE:g} N, got {force.max():g}; import "
+            f"forces must be in newtons, up to {MAX_FORCE:g} N, got {force.max():g}; import "
             "with --column force=NAME*0.00981 where they are in grams"
         )
-    _require_positions(known, design, extent, origin)
-    known_places = [np.isfinite(known[name]) for name in ("touch_x", "touch_y") if name in known]
+    _require_positions(labels, design, extent, origin)
+    known_places = [np.isfinite(labels[name]) for name in ("touch_x", "touch_y") if name in labels]
     if known_places and (wrong := int((known_places[0] != known_places[1]).any(axis=1).sum())):
         raise DataError(
             f"a touch needs both touch_x and touch_y, but {wrong} frames have one of x and y only; "
@@ -343,24 +343,24 @@ def require_plausible(
 
 
 def _require_positions(
-    known: Mapping[str, NDArray[Any]],
+    labels: Mapping[str, NDArray[Any]],
     design: SensorDesign | None,
     extent: float,
     origin: tuple[float, float],
 ) -> None:
     names = ("touch_x", "touch_y")
-    given = np.concatenate([_finite(known, n) - o for n, o in zip(names, origin, strict=True)])
-    if not given.size:
+    positions = np.concatenate([_finite(labels, n) - o for n, o in zip(names, origin, strict=True)])
+    if not positions.size:
         return
-    least, most = given.min(), given.max()
-    if np.abs(given).max() > min(LONGEST, 3 * extent):
+    least, most = positions.min(), positions.max()
+    if np.abs(positions).max() > min(LONGEST, 3 * extent):
         limit = f"up to {LONGEST:g} m" if design is None else f"on a sensor of {extent:g} m"
         raise DataError(
             f"positions must be in metres, {limit}, got {least:g} to {most:g}; import with {_UNIT}"
         )
     if design is None or isinstance(design.outline, Surface):
         return
-    points = np.stack([np.ravel(known[name]) for name in names], axis=-1)
+    points = np.stack([np.ravel(labels[name]) for name in names], axis=-1)
     points = points[np.isfinite(points).all(axis=1)]
     span = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if len(np.unique(points, axis=0)) >= _SCATTERED and span < extent / _LEAST_SPAN:
@@ -375,12 +375,12 @@ def _require_positions(
         raise DataError(
             f"positions must lie on the sensor, x from 0 to {design.outline.length:g} m and y from "
             f"0 to {design.outline.width:g} m, but {int(outside.sum())} of {len(points)} are "
-            f"beside it, the first at ({first[0]:g}, {first[1]:g}) m"
+            f"outside of it, the first at ({first[0]:g}, {first[1]:g}) m"
             f"{centred if least < 0 and origin == (0.0, 0.0) else ''}"
         )
 
 
-def _finite(known: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
+def _finite(labels: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
     """Finite values of a label, or none."""
-    values = np.asarray(known.get(name, ()), dtype=np.float64)
+    values = np.asarray(labels.get(name, ()), dtype=np.float64)
     return values[np.isfinite(values)]

@@ -10,9 +10,9 @@ from eitskin.protocol import Protocol
 
 Order = Literal["", "given", "rotated", "reversed", "sense-first"]
 
-_LEAST: Final = 0.02  # misfit of an order that is doubted
+_MIN_DOUBTED_MISFIT: Final = 0.02  # misfit of an order that is doubted
 _RATIO: Final = 0.1  # of the misfits of another order and of it
-_MOST_FOR_LOOPS: Final = 1200  # readings, of which sums around loops are solved within a second
+_MAX_LOOP_READINGS: Final = 1200  # readings, of which sums around loops are solved within a second
 
 
 def in_order(protocol: Protocol, order: Order) -> Protocol:
@@ -51,7 +51,7 @@ def law_misfit(protocol: Protocol, readings: ArrayLike) -> float:
         [row for row, good in zip(protocol.table, live, strict=True) if good],
     )
     signed = np.imag(values).any() or (np.real(values) < 0).any()
-    if signed and len(protocol) <= _MOST_FOR_LOOPS:
+    if signed and len(protocol) <= _MAX_LOOP_READINGS:
         left, sizes, _ = np.linalg.svd(protocol.forms[live], full_matrices=False)
         left = left[:, sizes > 1e-9 * sizes[0]]
         expected = left @ (left.T @ values)
@@ -77,7 +77,7 @@ def require_order(protocol: Protocol, readings: ArrayLike) -> None:
     misfits = {o: law_misfit(in_order(protocol, o), readings) for o in orders}
     best = min(orders, key=misfits.__getitem__)
     given = misfits["given"]
-    if given > _LEAST and misfits[best] < _RATIO * given:
+    if given > _MIN_DOUBTED_MISFIT and misfits[best] < _RATIO * given:
         raise DataError(
             f"by reciprocity and sums around loops, readings differ by {given:.2%} (median) in the "
             f"order of the protocol, by {misfits[best]:.2%} in the order '{best}': say "

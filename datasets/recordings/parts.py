@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.protocol import MOST_ELECTRODES, Protocol
+from eitskin.protocol import MAX_ELECTRODES, Protocol
 
 PhaseUnit = Literal["", "deg", "rad"]
 
@@ -31,7 +31,7 @@ _UNIT: Final = re.compile(
     r"\s*[\[(][^\[(\d]*[\])]$|[\s_.-]*(?:deg|rad|degrees|radians|°|[kmµu]?(?:ohms?|Ω|Ω)|[mµu]?V)$",
     re.I,
 )
-_PREFIXED: Final = re.compile(r".*[\s_.(\[-]([kmuµM]?)(?:[oO]hms?|Ω|Ω|V)[)\]]?")
+_PREFIXED_UNIT: Final = re.compile(r".*[\s_.(\[-]([kmuµM]?)(?:[oO]hms?|Ω|Ω|V)[)\]]?")
 _FACTORS: Final = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "M": 1e6}
 _READING: Final = re.compile(r"impedance|resistance|reading|value|voltage|magn|ohm|^[zrv]$", re.I)
 _RADIANS, _DEGREES = (re.compile(rf"(?<![a-z])({w})", re.I) for w in ("rad", "deg|°"))
@@ -63,14 +63,14 @@ def is_reading(name: str) -> bool:
 
 def is_phase(name: str) -> bool | None:
     """Whether a name is that of a phase, or else of an imaginary part; None for neither."""
-    found = {part for part, word in _PARTS[:4] if word.search(name)}
-    return "phase" in found if found & {"phase", "imaginary"} else None
+    matching_parts = {part for part, word in _PARTS[:4] if word.search(name)}
+    return "phase" in matching_parts if matching_parts & {"phase", "imaginary"} else None
 
 
-def phase_unit(given: str, names: Sequence[str], phases: NDArray[Any]) -> str:
+def phase_unit(unit_option: str, names: Sequence[str], phases: NDArray[Any]) -> str:
     """Unit of phases as it is given, as names have it, or as it must be; raises DataError."""
-    if given:
-        return given
+    if unit_option:
+        return unit_option
     for unit, pattern in (("rad", _RADIANS), ("deg", _DEGREES)):
         if any(map(pattern.search, names)):
             return unit
@@ -82,7 +82,7 @@ def phase_unit(given: str, names: Sequence[str], phases: NDArray[Any]) -> str:
     return "deg"
 
 
-def joined(first: NDArray[Any], second: NDArray[Any], unit: str) -> NDArray[Any]:
+def complex_values(first: NDArray[Any], second: NDArray[Any], unit: str) -> NDArray[Any]:
     """Complex values of magnitudes and phases in a unit, or of real and imaginary parts."""
     if first.shape != second.shape:
         raise DataError(
@@ -97,7 +97,7 @@ def joined(first: NDArray[Any], second: NDArray[Any], unit: str) -> NDArray[Any]
 
 def unit_factor(names: Sequence[str]) -> float:
     """Factor that makes ohm or volt of values whose names all end in one unit, as Z0_kohm; or 1."""
-    prefixes = {unit[1] if unit else "" for unit in map(_PREFIXED.fullmatch, names)}
+    prefixes = {unit[1] if unit else "" for unit in map(_PREFIXED_UNIT.fullmatch, names)}
     return _FACTORS[prefixes.pop()] if len(prefixes) == 1 else 1.0
 
 
@@ -124,7 +124,7 @@ def protocol_of_names(names: Sequence[str]) -> Protocol | None:
         return None  # other numbers, such as those of a sensor and its channel
     try:
         shifted = ([electrode - base for electrode in row * (4 // len(row))] for row in rows)
-        return Protocol.from_rows(shifted, count) if count <= MOST_ELECTRODES else None
+        return Protocol.from_rows(shifted, count) if count <= MAX_ELECTRODES else None
     except ConfigurationError:
         return None
 

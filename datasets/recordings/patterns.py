@@ -18,8 +18,8 @@ def protocol_of_patterns(
     (electrodes, patterns). Currents (drives * senses,) are in the unit of `drive`. Raises DataError
     for patterns that do not use exactly one electrode of each sign.
     """
-    pairs, currents = pairs_of(drive, "drive")
-    senses, weights = pairs_of(sense, "sense")
+    pairs, currents = electrode_pairs(drive, "drive")
+    senses, weights = electrode_pairs(sense, "sense")
     electrodes = np.shape(drive)[0]
     if np.shape(sense)[0] != electrodes:
         raise DataError(
@@ -30,7 +30,9 @@ def protocol_of_patterns(
     return Protocol.from_rows(rows, electrodes), np.outer(currents, weights).ravel()
 
 
-def pairs_of(patterns: ArrayLike, kind: str) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+def electrode_pairs(
+    patterns: ArrayLike, kind: str
+) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
     """Positive and negative electrode of each column, and the size of its entries."""
     table = np.asarray(patterns, dtype=np.float64)
     if table.ndim != 2 or ((table > 0).sum(axis=0) != 1).any() or (table < 0).sum(axis=0).max() > 1:
@@ -47,7 +49,9 @@ def pairs_of(patterns: ArrayLike, kind: str) -> tuple[list[tuple[int, int]], NDA
     return list(zip(plus.tolist(), minus.tolist(), strict=True)), sizes
 
 
-def stimulated(parts: Iterable[tuple[ArrayLike, ArrayLike]]) -> tuple[list[Row], list[float], int]:
+def measurement_rows(
+    parts: Iterable[tuple[ArrayLike, ArrayLike]],
+) -> tuple[list[Row], list[float], int]:
     """Measurements, their currents, and number of electrodes, of EIDORS's stimulations.
 
     Each has currents into the electrodes, (electrodes, 1), and weights of their voltages,
@@ -58,8 +62,8 @@ def stimulated(parts: Iterable[tuple[ArrayLike, ArrayLike]]) -> tuple[list[Row],
     count = 0
     for stimulation, measurement in parts:
         count = np.size(stimulation)
-        ((a, b),), (current,) = pairs_of(np.reshape(stimulation, (-1, 1)), "drive")
-        senses, weights = pairs_of(np.atleast_2d(measurement).T, "sense")
+        ((a, b),), (current,) = electrode_pairs(np.reshape(stimulation, (-1, 1)), "drive")
+        senses, weights = electrode_pairs(np.atleast_2d(measurement).T, "sense")
         rows += [(a, b, c, d) for c, d in senses]
         sizes += (current * weights).tolist()
     return rows, sizes, count

@@ -18,7 +18,7 @@ BLOCK_ROWS: Final = 8192
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ReadRequest:
     """Tables to read from a file.
 
     Attributes:
@@ -48,11 +48,12 @@ class Contents:
         unread: tables that cannot be read, each with its kind.
         header: names of the columns in a file of columns.
         usual_values: name of the measurements in such files; None where there is none.
-        remark: on the names, for messages.
+        remark: remark on the names, for messages.
         measured: drive+, drive-, sense+ and sense- of each measurement, where the file says so.
-        currents: of the measurements [A], where the values are voltages and the file says so.
+        currents: currents of the measurements [A], where the values are voltages and the file says
+            so.
         electrodes: number of them.
-        order: of the readings, as `RecordingForm` has it.
+        order: order of the readings, as `RecordingForm` has it.
         driven: whether readings of driven electrodes are among them, to be left out.
     """
 
@@ -78,7 +79,7 @@ class Reader(ABC):
         self.path = path
 
     @abstractmethod
-    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
+    def blocks(self, wanted: ReadRequest) -> Iterator[Tables]:
         """Tables of consecutive rows, `wanted.block_rows` in all but the last; raises DataError."""
 
 

@@ -15,7 +15,7 @@ from eitskin.datasets.recordings.labels import (
     Clock,
     find_labels,
     names_of_origin,
-    origin_on,
+    origin_position,
     read_labels,
     require_plausible,
 )
@@ -28,7 +28,7 @@ from eitskin.datasets.recordings.parts import (
     unit_factor,
 )
 from eitskin.datasets.recordings.patterns import protocol_of_patterns
-from eitskin.datasets.recordings.reader import BLOCK_ROWS, Tables, Wanted
+from eitskin.datasets.recordings.reader import BLOCK_ROWS, ReadRequest, Tables
 from eitskin.datasets.recordings.source import Source
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign
@@ -61,7 +61,7 @@ class RecordingNames:
         columns: place of a label that stands under another name, by label: NAME, NAME:COLUMN of a
             matrix counted from 0, NAME*FACTOR for another unit, or a number for all touches.
         patterns: drive and sense patterns, electrodes by patterns, instead of a protocol.
-        sheet: of an Excel file; the first one when omitted.
+        sheet: sheet of an Excel file; the first one when omitted.
         header_row: row with the names of the columns, from 1; found where omitted.
 
     Example:
@@ -88,19 +88,20 @@ class RecordingForm:
             alternate.
         keep_before: readings before a press are frames of the untouched sensor, too.
         transpose: the values have frames along their second axis.
-        length_unit: of positions, depths and radii.
-        origin: of the positions on the design: "corner", "centre" or "X,Y" [m].
+        length_unit: length unit of positions, depths and radii.
+        origin: origin of the positions on the design: "corner", "centre" or "X,Y" [m].
         quantity: kind of the values; empty where unknown.
         scale: factor that makes ohm, or volt, of the values.
         bad_values: values that are empty or not finite are refused, marked in the frame's status,
             or their frames are dropped.
-        phase_unit: of phases in columns of their own; as names or values have it where empty.
-        time_unit: of t where it is a number; seconds that can be none are refused where empty.
+        phase_unit: unit of phases in columns of their own; as names or values have it where empty.
+        time_unit: time unit of t where it is a number; seconds that can be none are refused where
+            empty.
         driven: readings with a driven electrode, which the protocol has as well, are left out.
         differences: the values are differences from the touch reference, which is added.
-        order: of the readings: "given" by the protocol, sense pairs from behind each drive pair on
-            ("rotated"), "reversed", or sense pairs one by one at all drives ("sense-first"); tested
-            by reciprocity and sums around loops where empty.
+        order: order of the readings: "given" by the protocol, sense pairs from behind each drive
+            pair on ("rotated"), "reversed", or sense pairs one by one at all drives
+            ("sense-first"); tested by reciprocity and sums around loops where empty.
 
     Example:
         >>> from eitskin.datasets import RecordingForm
@@ -147,7 +148,7 @@ class RecordedFile:
     """File of a recording, from which frames are read in blocks.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         protocol: drive and sense pairs of the channels; None where unknown.
         unused: tables of the file that are not read.
         counts_from_one: whether names of columns count electrodes from 1.
@@ -170,7 +171,7 @@ class RecordedFile:
         self._names, self._form, self._design = names, form, design
         self._scale: NDArray[np.float64] | float = form.scale
         self._session, self._untested = session, True
-        self._origin = origin_on(design, form.origin)
+        self._origin = origin_position(design, form.origin)
         with self.named_errors():
             self._open()
 
@@ -178,13 +179,13 @@ class RecordedFile:
         """Frames of the file, block by block, checked; raises DataError that names the file."""
         first = 0
         place = self._places.get("t")
-        said = TIMES.get(
+        time_factor = TIMES.get(
             self._form.time_unit, np.nan if place is None or place.factor == 1 else 1.0
         )
-        clock = Clock(said)
+        clock = Clock(time_factor)
         with self.named_errors():
             for tables in self._source.blocks(self._wanted, self._form.phase_unit):
-                block = self._block(framed := self._framed(tables), first, clock)
+                block = self._block(framed := self._frame_tables(tables), first, clock)
                 first += len(next(iter(framed.values())))
                 if len(block.values):
                     yield block
@@ -233,8 +234,8 @@ class RecordedFile:
         self._whole = self.protocol
         if self.protocol is not None and form.driven:
             rows = zip(self.protocol.table, self.protocol.shares, strict=True)
-            kept = [row for row, shared in rows if not shared]
-            self.protocol = Protocol.from_rows(kept, self.protocol.n_electrodes)
+            rows_kept = [row for row, shared in rows if not shared]
+            self.protocol = Protocol.from_rows(rows_kept, self.protocol.n_electrodes)
         if names.touch_reference:
             values.append(source.require(names.touch_reference, "touch reference"))
         if form.rows != "frames" and names.touch_reference:
@@ -253,7 +254,7 @@ class RecordedFile:
             )
         self._places = find_labels(source, names.columns, names.positions)
         labels = {place.table for place in self._places.values() if place.table}
-        self._wanted = Wanted(
+        self._wanted = ReadRequest(
             tuple(values),
             tuple(sorted(labels)),
             transposed=form.transpose,
@@ -262,7 +263,7 @@ class RecordedFile:
         )
         parts = (part.strip() for name in values for part in name.split(","))
         used = {*values, *parts, *labels, *(names.patterns or ())}
-        self.unused = source.unused(used)
+        self.unused = source.unused_tables(used)
         if names.patterns:
             self._read_patterns(*names.patterns)
 
@@ -271,8 +272,8 @@ class RecordedFile:
             raise ConfigurationError("give either a protocol or patterns of the file, got both")
         matrices = []
         for name in (drive, sense):
-            wanted = Wanted((self._source.require(name, "patterns"),))
-            matrices.append(np.concatenate([t[name] for t in self._source.blocks(wanted)]))
+            request = ReadRequest((self._source.require(name, "patterns"),))
+            matrices.append(np.concatenate([t[name] for t in self._source.blocks(request)]))
         self.protocol, currents = protocol_of_patterns(*matrices)
         self._whole = self.protocol
         self._scale = self._form.scale / currents
@@ -280,30 +281,30 @@ class RecordedFile:
     @property
     def labels(self) -> dict[str, str]:
         """Place of each label, as options say it."""
-        found = {}
+        labels = {}
         for label, place in self._places.items():
             column = "" if place.column is None else f":{place.column}"
             factor = "" if place.factor == 1.0 else f"*{place.factor:g}"
             where = f"{place.value:g}" if place.table is None else f"{place.table}{column}{factor}"
-            found[label] = where
-        return found
+            labels[label] = where
+        return labels
 
     @property
-    def understood(self) -> dict[str, str]:
+    def detected_options(self) -> dict[str, str]:
         """Options that say what was understood of the values."""
-        found = {"--values": self._wanted.values[0]}
-        if self._whole is not None and (name := self._whole.abbreviated()):
-            found["--protocol"] = name
+        options = {"--values": self._wanted.values[0]}
+        if self._whole is not None and (name := self._whole.short_name()):
+            options["--protocol"] = name
         if self._form.scale != 1.0:
-            found["--scale"] = f"{self._form.scale:g}"
-        return found
+            options["--scale"] = f"{self._form.scale:g}"
+        return options
 
     @property
     def _whole_rows(self) -> int:
         """Rows of which a block has a multiple, so that frames and pairs of them are whole."""
         return 2 * len(self._whole or (0,))
 
-    def _framed(self, tables: Tables) -> Tables:
+    def _frame_tables(self, tables: Tables) -> Tables:
         """Tables with one row for each frame, where a row has one drive pair's readings, or one."""
         rows, width = tables[self._wanted.values[0]].shape
         drives = len({row[:2] for row in self._whole.table}) if self._whole else 1
@@ -320,7 +321,7 @@ class RecordedFile:
     def _block(self, tables: Tables, first: int, clock: Clock) -> Block:
         """Frames of one block of tables, whose first row is row `first` of the file."""
         form = self._form
-        values, *before = (self._measured(tables, name) for name in self._wanted.values)
+        values, *before = (self._read_values(tables, name) for name in self._wanted.values)
         if before and before[0].shape != values.shape:
             raise DataError(
                 f"'{self._wanted.values[1]}' must have the shape of the values, "
@@ -351,7 +352,7 @@ class RecordedFile:
         require_plausible(labels, self._design, self._origin)
         return without_bad_values(replace(block, labels=labels), form.bad_values, first)
 
-    def _measured(self, tables: Tables, name: str) -> Complex:
+    def _read_values(self, tables: Tables, name: str) -> Complex:
         """Values or readings before a touch, scaled, (rows, C); raises DataError."""
         table = tables[name]
         if not np.issubdtype(table.dtype, np.number):
@@ -362,8 +363,8 @@ class RecordedFile:
         if whole is not None and len(whole) != table.shape[1]:
             raise DataError(self._wrong_count(table.shape))
         if whole is not None and not self._form.order and self._untested:
-            known = np.where(np.isfinite(table), table, 0)
-            require_order(whole, known.sum(axis=0) / np.maximum(np.isfinite(table).sum(axis=0), 1))
+            values = np.where(np.isfinite(table), table, 0)
+            require_order(whole, values.sum(axis=0) / np.maximum(np.isfinite(table).sum(axis=0), 1))
             self._untested = False
         with np.errstate(over="ignore", invalid="ignore"):
             scaled: Complex = (table * self._scale).astype(np.complex64)
@@ -399,11 +400,11 @@ class RecordedFile:
 
 def fitting_protocols(n_electrodes: int, channels: int) -> list[str]:
     """Names of protocols with as many measurements; the usual numbers of electrodes for 0."""
-    found = []
+    protocols = []
     for n in [n_electrodes] if n_electrodes else (4, 6, 8, 10, 12, 16, 20, 24, 32, 64):
         for name in ("pairwise", "adjacent", "opposite", "skip:1", "skip:2", "skip:3"):
             for text in (f"{name}:{n}", f"{name}:{n}+driven"):
                 with suppress(ConfigurationError):
-                    if len(Protocol.named(text)) == channels:
-                        found.append(text)
-    return found
+                    if len(Protocol.from_name(text)) == channels:
+                        protocols.append(text)
+    return protocols

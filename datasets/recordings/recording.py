@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin.bounds import require_positive
-from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, with_before
+from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, add_previous_readings
 from eitskin.datasets.recordings.orders import law_misfit
 from eitskin.datasets.recordings.recorded_file import (
     RecordedFile,
@@ -20,10 +20,11 @@ from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.datasets.store.summary import DatasetSummary
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import old_names
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
-_MOST_EPISODES: Final = 1 << 32
+_MAX_EPISODES: Final = 1 << 32
 
 
 def read_recording(
@@ -49,6 +50,7 @@ def read_recording(
     return Dataset.collect(recording.parts(), recording.frames)
 
 
+@old_names(understood="describe_format")
 class Recording:
     r"""Recording in one or several files, read twice: for its references, then for its frames.
 
@@ -83,13 +85,13 @@ class Recording:
         """Read the files once, and check all of them.
 
         Args:
-            path: of the file, or of several of one form in the order of time: .csv, .tsv, .dat or
-                .txt with columns, .xlsx, .parquet, .mat, .npz without pickled objects, .h5, or .txt
-                with OpenEIT's "magnitudes : a , b , ..." lines.
-            names: of the tables in the files.
+            path: path of the file, or of several of one form in the order of time: .csv, .tsv, .dat
+                or .txt with columns, .xlsx, .parquet, .mat, .npz without pickled objects, .h5, or
+                .txt with OpenEIT's "magnitudes : a , b , ..." lines.
+            names: names of the tables in the files.
             protocol: drive and sense pairs of the channels; None where unknown.
-            frequency: of the excitation [Hz].
-            design: of the sensor; None where unknown.
+            frequency: frequency of the excitation [Hz].
+            design: design of the sensor; None where unknown.
             form: arrangement of the rows, and units.
 
         Raises:
@@ -102,14 +104,14 @@ class Recording:
         self._form = form or RecordingForm()
         self._files = [
             RecordedFile(
-                Path(each),
+                Path(path),
                 names or RecordingNames(),
                 protocol,
                 design,
                 self._form,
-                session=str(each) if len(paths) > 1 else "",
+                session=str(path) if len(paths) > 1 else "",
             )
-            for each in paths
+            for path in paths
         ]
         if not self._files:
             raise ConfigurationError("expected at least one file of a recording, got none")
@@ -132,7 +134,7 @@ class Recording:
         first, last = 0, None
         for file, block in self._blocks():
             if self._form.keep_before:
-                last, block = block, with_before(block, last)  # noqa: PLW2901
+                last, block = block, add_previous_readings(block, last)  # noqa: PLW2901
             rows = [self.specimens[name] for name in block.specimens.tolist()]
             labels = dict(block.labels)
             if block.before is not None:
@@ -152,10 +154,10 @@ class Recording:
             yield part
             first += len(rows)
 
-    def understood(self) -> tuple[dict[str, str], dict[str, str]]:
+    def describe_format(self) -> tuple[dict[str, str], dict[str, str]]:
         """Reading of the first file, in words; and the options that say the same."""
         file, summary = self._files[0], DatasetSummary()
-        parts = summary.watched(self.parts())
+        parts = summary.add_parts(self.parts())
         part = next(parts)
         for _ in parts:
             pass
@@ -171,10 +173,10 @@ class Recording:
             protocol = f"{self.protocol}, electrodes counted from 0{named}"
             order = f"reciprocity and sums around loops hold to {misfit:.2%} (median)"
             order = order if np.isfinite(misfit) else "no readings that test it"
-        scale = file.understood.get("--scale", 1)
-        said = {
+        scale = file.detected_options.get("--scale", 1)
+        description = {
             "frames": str(self.frames),
-            "values": f"{channels} channels of {file.understood['--values']}: {first} ...",
+            "values": f"{channels} channels of {file.detected_options['--values']}: {first} ...",
             "protocol": protocol,
             "order": order,
             "ranges": summary.ranges,
@@ -182,7 +184,7 @@ class Recording:
             "units": f"lengths in {self._form.length_unit}, values times {scale}",
             "not read": ", ".join(self.unused) or "nothing",
         }
-        return {name: text for name, text in said.items() if text}, file.understood
+        return {name: text for name, text in description.items() if text}, file.detected_options
 
     def _blocks(self) -> Iterator[tuple[RecordedFile, Block]]:
         """Blocks of all files, one file after the other."""
@@ -198,7 +200,7 @@ class Recording:
             if block.values.shape[1] != channels or file.protocol != self.protocol:
                 raise DataError(
                     f"{file.path}: expected {channels} channels of one protocol as in "
-                    f"{self._files[0].path}, got {block.values.shape[1]}; import it by itself"
+                    f"{self._files[0].path}, got {block.values.shape[1]}; import it on its own"
                 )
             self.frames += len(block.values)
             sessions |= dict.fromkeys(block.sessions.tolist())
@@ -206,15 +208,15 @@ class Recording:
         if not self.frames:
             raise DataError(f"{self._files[0].path}: expected at least one frame, got none")
         self.frames *= 2 if self._form.keep_before else 1
-        self.specimens = _numbered(self._references.names, LIMITS["specimen"])
-        self.sessions = _numbered(sessions, _MOST_EPISODES)
-        self._shared["names"] = Names.of(self.specimens, self.sessions)
+        self.specimens = _number_names(self._references.names, LIMITS["specimen"])
+        self.sessions = _number_names(sessions, _MAX_EPISODES)
+        self._shared["names"] = Names.from_numbers(self.specimens, self.sessions)
 
 
-def _numbered(names: Iterable[str], limit: int) -> Mapping[str, int]:
+def _number_names(names: Iterable[str], limit: int) -> Mapping[str, int]:
     """Number of each name: the name itself where all are numbers below `limit`, else by order."""
-    given = list(dict.fromkeys(names))
-    numbers = [int(name) for name in given if name.isascii() and name.isdigit()]
-    if len(set(numbers)) < len(given) or max(numbers, default=0) >= limit:
-        numbers = list(range(len(given)))
-    return dict(zip(given, numbers, strict=True))
+    distinct = list(dict.fromkeys(names))
+    numbers = [int(name) for name in distinct if name.isascii() and name.isdigit()]
+    if len(set(numbers)) < len(distinct) or max(numbers, default=0) >= limit:
+        numbers = list(range(len(distinct)))
+    return dict(zip(distinct, numbers, strict=True))

@@ -12,19 +12,18 @@ from typing import Any, Final
 import msgspec
 from numpy.typing import NDArray
 
-from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.recordings.arrays import Hdf5Reader, NumpyReader, open_mat
 from eitskin.datasets.recordings.field_files import FIELD, FieldReader, field_reader
 from eitskin.datasets.recordings.parts import (
+    complex_values,
     electrodes_of_name,
     is_phase,
     is_reading,
-    joined,
     pair_columns,
     phase_unit,
     protocol_of_names,
 )
-from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted
+from eitskin.datasets.recordings.reader import Contents, Reader, ReadRequest, Tables
 from eitskin.datasets.recordings.tables import (
     JsonReader,
     ParquetReader,
@@ -34,11 +33,12 @@ from eitskin.datasets.recordings.tables import (
 )
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import require_regular
+from eitskin.reader_process import Answer, Limits, read_in_subprocess
 
-MOST_BYTES: Final = 1 << 36
+MAX_BYTES: Final = 1 << 36
 """Largest size of a file of a recording [bytes]."""
 
-MOST_NAMES: Final = 20
+MAX_NAMES: Final = 20
 """Number of names in a message."""
 
 SECONDS: Final = 30
@@ -46,7 +46,7 @@ SECONDS: Final = 30
 
 _BYTES_PER_SECOND: Final = 100_000  # of a spreadsheet, the slowest to read
 _MEMORY, _MEMORY_PER_BYTE = 400 << 20, 40  # [bytes]
-_NUMBERED: Final = re.compile(r"(.*\D)(\d{1,9})(?:\s*[\[(][^\d\])]*[\])])?")
+_NUMBERED_NAME: Final = re.compile(r"(.*\D)(\d{1,9})(?:\s*[\[(][^\d\])]*[\])])?")
 """Name of a numbered column, perhaps with a unit; longer numbers are names."""
 
 _READERS: Final[Mapping[str, Callable[..., Reader]]] = {
@@ -69,8 +69,8 @@ class Source:
     FIRST,SECOND are two tables with the parts of complex values.
 
     Attributes:
-        path: of the file.
-        contents: of the file, as its reader says.
+        path: path of the file.
+        contents: contents of the file, as its reader says.
         names: tables in the file that can be read.
         usual_values: name of the measurements in files of this kind; None where there is none.
     """
@@ -87,7 +87,7 @@ class Source:
         self.path, self._size = path, sum(file.stat().st_size for file in files)
         self._options = {"sheet": sheet, "header_row": header_row}
         for file in files:
-            require_regular(file, MOST_BYTES, DataError)
+            require_regular(file, MAX_BYTES, DataError)
         (head,) = self._answers(None)
         self.contents = msgspec.convert(head.data, Contents)
         self._columns: dict[str, list[int]] = {}
@@ -122,29 +122,29 @@ class Source:
         many = [n for n, columns in self._columns.items() if 2 * len(columns) > len(header) > 4]
         return (fitting if len(fitting) == 1 else [*many, usual])[0]
 
-    def blocks(self, wanted: Wanted, unit: str = "") -> Iterator[Tables]:
+    def blocks(self, request: ReadRequest, unit: str = "") -> Iterator[Tables]:
         """Tables of consecutive rows, as `Reader.blocks` gives them; `unit` of phases."""
-        values = tuple(part for name in wanted.values for part in self._joined.get(name, (name,)))
-        wanted = dataclasses.replace(wanted, values=values)
+        values = tuple(part for name in request.values for part in self._joined.get(name, (name,)))
+        request = dataclasses.replace(request, values=values)
         if self._columns:
-            if wanted.transposed:
+            if request.transposed:
                 raise ConfigurationError(
                     f"{self.path.name} has frames as rows, which cannot be transposed; leave "
                     "--transpose out"
                 )
-            columns = {name: self._columns[name] for name in (*values, *wanted.labels)}
-            wanted = dataclasses.replace(wanted, columns=columns)
-        return self._with_parts(wanted, unit)
+            columns = {name: self._columns[name] for name in (*values, *request.labels)}
+            request = dataclasses.replace(request, columns=columns)
+        return self._with_parts(request, unit)
 
-    def _with_parts(self, wanted: Wanted, unit: str) -> Iterator[Tables]:
+    def _with_parts(self, request: ReadRequest, unit: str) -> Iterator[Tables]:
         """Blocks of the tables that are wanted, and complex ones of tables in two parts."""
-        for answer in self._answers(wanted):
+        for answer in self._answers(request):
             tables: dict[str, NDArray[Any]] = dict(answer.arrays)
             for name, (first, second) in self._joined.items():
                 polar = is_phase(second)
                 if polar:
                     unit = phase_unit(unit, (second, *self.titles(second)), tables[second])
-                tables[name] = joined(tables[first], tables[second], unit if polar else "")
+                tables[name] = complex_values(tables[first], tables[second], unit if polar else "")
             yield tables
 
     def titles(self, name: str) -> list[str]:
@@ -152,7 +152,7 @@ class Source:
         columns = self._columns.get(self._joined.get(name, (name, name))[1], ())
         return [self.contents.header[column] for column in columns]
 
-    def unused(self, used: Collection[str]) -> tuple[str, ...]:
+    def unused_tables(self, used: Collection[str]) -> tuple[str, ...]:
         """Tables that are not among the used ones, nor share a column with them."""
         columns = {column for name in used for column in self._columns.get(name, ())}
         return tuple(
@@ -199,31 +199,31 @@ class Source:
 
     def holds(self) -> str:
         """Content of the file in words."""
-        more = f" and {len(self.names) - MOST_NAMES} more" if len(self.names) > MOST_NAMES else ""
-        tables = ", ".join(self.names[:MOST_NAMES]) + more or "no table that can be read"
+        more = f" and {len(self.names) - MAX_NAMES} more" if len(self.names) > MAX_NAMES else ""
+        tables = ", ".join(self.names[:MAX_NAMES]) + more or "no table that can be read"
         return f"the file holds {tables}{self.contents.remark}"
 
-    def _answers(self, wanted: Wanted | None) -> Iterator[Answer]:
+    def _answers(self, request: ReadRequest | None) -> Iterator[Answer]:
         """Contents of the file, or blocks of the tables that are wanted."""
         argument = {
             "path": str(self.path.absolute()),
             "options": self._options,
-            "wanted": wanted and dataclasses.asdict(wanted),
+            "wanted": request and dataclasses.asdict(request),
         }
         limits = Limits(
             SECONDS + self._size // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * self._size
         )
-        return contained(f"{__name__}:read_source", argument, b"", limits)
+        return read_in_subprocess(f"{__name__}:read_source", argument, b"", limits)
 
 
 def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
-    """Read the contents of a file, or blocks of its tables, as a reader for `contained`."""
+    """Read the contents of a file, or blocks of its tables, for `read_in_subprocess`."""
     try:
         reader = open_reader(Path(argument["path"]), **argument["options"])
         if argument["wanted"] is None:
             yield Answer(msgspec.to_builtins(reader.contents))
             return
-        for block in reader.blocks(Wanted(**argument["wanted"])):
+        for block in reader.blocks(ReadRequest(**argument["wanted"])):
             yield Answer(0, block)
     except (OSError, UnicodeError, csv.Error) as error:
         raise DataError(f"cannot read it: {error}") from error
@@ -254,7 +254,7 @@ def _known_ending(path: Path) -> str:
     ending = ".eit" if path.is_dir() else path.suffix.lower()
     if ending not in (*_READERS, *FIELD):
         raise ConfigurationError(
-            f"cannot tell the format of {path.name} from its ending; expected "
+            f"cannot recognise the format of {path.name} from its ending; expected "
             f"{', '.join((*_READERS, *FIELD))}, or a folder of .eit"
         )
     return ending
@@ -278,7 +278,7 @@ def _group_columns(header: Sequence[str]) -> dict[str, list[int]]:
     """Numbers of the columns of each table, by its name."""
     numbered: dict[str, dict[int, int]] = {}
     for column, name in enumerate(header):
-        if match := _NUMBERED.fullmatch(name):
+        if match := _NUMBERED_NAME.fullmatch(name):
             numbered.setdefault(match[1], {})[int(match[2])] = column
     tables: dict[str, list[int]] = {}
     for prefix, columns in numbered.items():
@@ -287,15 +287,17 @@ def _group_columns(header: Sequence[str]) -> dict[str, list[int]]:
         if first == 0 or (first == 1 and len(run) > 1):
             tables[prefix] = [columns[number] for number in run]
     tables = pair_columns(header) | tables
-    taken = {column for columns in tables.values() for column in columns}
-    single = ((name, column) for column, name in enumerate(header) if column not in taken)
+    grouped = {column for columns in tables.values() for column in columns}
+    single = ((name, column) for column, name in enumerate(header) if column not in grouped)
     tables |= {name: [column] for name, column in single if name}
     return tables
 
 
 def _require_no_gap(header: Sequence[str], tables: Mapping[str, list[int]], name: str) -> None:
     """Raise DataError where numbered columns of a table are missing between others."""
-    beyond = [h for h in header if (m := _NUMBERED.fullmatch(h)) and m[1] == name and h in tables]
+    beyond = [
+        h for h in header if (m := _NUMBERED_NAME.fullmatch(h)) and m[1] == name and h in tables
+    ]
     if name in tables and beyond:
         last = header[tables[name][-1]]
         raise DataError(

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.reader import Contents, Reader, Tables, Wanted, as_data_errors
+from eitskin.datasets.recordings.reader import Contents, Reader, ReadRequest, Tables, as_data_errors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
-from eitskin.files import shortened
+from eitskin.files import shorten_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,14 +38,14 @@ class TableReader(Reader):
     """Reader of a file with one row of cells for each frame, below names of columns."""
 
     @abstractmethod
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
         """Consecutive rows: their numbers in the file, and cells in columns by number."""
 
-    def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        for rows, frame in self.frames(wanted):
+    def blocks(self, request: ReadRequest) -> Iterator[Tables]:
+        for rows, frame in self.frames(request):
             yield {
-                name: self._table(frame[wanted.columns[name]], rows, name in wanted.values)
-                for name in (*wanted.values, *wanted.labels)
+                name: self._table(frame[request.columns[name]], rows, name in request.values)
+                for name in (*request.values, *request.labels)
             }
 
     def _table(self, cells: "pd.DataFrame", rows: Sequence[int], numeric: bool) -> NDArray[Any]:
@@ -105,19 +105,19 @@ class TextReader(TableReader):
         usual = OPENEIT if self._openeit else "v"
         self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
 
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
         import pandas as pd
 
         width = len(self.contents.header)
-        values = {number for name in wanted.values for number in wanted.columns[name]}
-        labels = {number for name in wanted.labels for number in wanted.columns[name]} - values
+        values = {number for name in request.values for number in request.columns[name]}
+        labels = {number for name in request.labels for number in request.columns[name]} - values
         lines = ((n, self._cut(line, width)) for n, line in self._lines() if n >= self._first)
-        while block := list(itertools.islice(lines, wanted.block_rows)):
+        while block := list(itertools.islice(lines, request.block_rows)):
             for number, line in block:
                 if (count := self._count(line)) != width:
                     raise DataError(
                         f"row {number}: expected {width} cells, got {count}: "
-                        f"'{shortened(line)}'; --header-row names the row of the columns' names"
+                        f"'{shorten_text(line)}'; --header-row names the row of the columns' names"
                     )
             frame = pd.read_csv(
                 io.StringIO("\n".join(line for _, line in block)),
@@ -190,9 +190,9 @@ class HeldReader(TableReader):
 
     _rows: "pd.DataFrame"
 
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        for start in range(0, len(self._rows), wanted.block_rows):
-            block = self._rows.iloc[start : start + wanted.block_rows]
+    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        for start in range(0, len(self._rows), request.block_rows):
+            block = self._rows.iloc[start : start + request.block_rows]
             numbers = [int(row) + 1 for row in block.index]
             yield numbers, block.set_axis(range(block.shape[1]), axis=1)
 
@@ -215,10 +215,10 @@ class SpreadsheetReader(HeldReader):
                     raise ConfigurationError(
                         f"there is no sheet '{each}'; the file has {', '.join(book.sheet_names)}"
                     )
-            pages = [book.parse(each, header=None, dtype=str, na_filter=False) for each in sheets]
+            pages = [book.parse(sheet, header=None, dtype=str, na_filter=False) for sheet in sheets]
         if len({len(page) for page in pages}) > 1:
             raise DataError(
-                "expected sheets of equally many rows beside each other, got "
+                "expected sheets with equal numbers of rows, got "
                 f"{', '.join(f'{len(p)} in {n}' for p, n in zip(pages, sheets, strict=True))}"
             )
         cells = pd.concat(pages, axis=1, ignore_index=True).map(str.strip)
@@ -263,28 +263,28 @@ class ParquetReader(TableReader):
         if not self._file.metadata.num_rows:
             raise DataError("expected at least one row, got none")
 
-    def frames(self, wanted: Wanted) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        chosen = sorted({number for numbers in wanted.columns.values() for number in numbers})
+    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+        chosen = sorted({number for numbers in request.columns.values() for number in numbers})
         names, first = [self.contents.header[number] for number in chosen], 0
-        for batch in self._file.iter_batches(wanted.block_rows, columns=names):
+        for batch in self._file.iter_batches(request.block_rows, columns=names):
             frame = batch.to_pandas().set_axis(chosen, axis=1)
             yield range(first, first + len(frame)), frame
             first += len(frame)
 
 
-def find_header(rows: list[list[str]], numbers: Sequence[int], given: int | None = None) -> int:
+def find_header(rows: list[list[str]], numbers: Sequence[int], row: int | None = None) -> int:
     """Place of the row with the names of the columns, or of the first one of a file without.
 
-    Rows of a preamble have at most half as many cells as the widest row. `given` is the row's
+    Rows of a preamble have at most half as many cells as the widest row. `row` is the row's
     number in the file, of `numbers`; raises DataError where it holds no cells.
     """
-    if given is not None and given not in numbers:
+    if row is not None and row not in numbers:
         raise DataError(
-            f"there are no names of columns in row {given}; the first rows with cells are "
+            f"there are no names of columns in row {row}; the first rows with cells are "
             f"{', '.join(map(str, numbers[:3]))}: correct --header-row"
         )
-    if given is not None:
-        return numbers.index(given)
+    if row is not None:
+        return numbers.index(row)
     filled = [sum(map(bool, row)) for row in rows]
     return next((place for place, n in enumerate(filled) if 2 * n > max(filled)), 0)
 
@@ -366,13 +366,13 @@ def _array(cells: "pd.Series[Any]", rows: Sequence[int], title: str) -> NDArray[
 
 def _numbers(cells: NDArray[Any], rows: Sequence[int], title: str) -> NDArray[Any]:
     """Text as real or complex numbers, NaN where empty; raises DataError."""
-    found = np.empty(cells.shape, dtype=np.complex128)
+    numbers = np.empty(cells.shape, dtype=np.complex128)
     for place, cell in np.ndenumerate(cells):
         try:
-            found[place] = complex(re.sub("i$", "j", str(cell).replace(" ", "")) or "nan")
+            numbers[place] = complex(re.sub("i$", "j", str(cell).replace(" ", "")) or "nan")
         except ValueError:
             raise DataError(
                 f"row {rows[place[0]]}, column {title}: expected a number such as 530.1 or "
-                f"530.1-2j, got '{shortened(str(cell))}'"
+                f"530.1-2j, got '{shorten_text(str(cell))}'"
             ) from None
-    return found if found.imag.any() else found.real
+    return numbers if numbers.imag.any() else numbers.real

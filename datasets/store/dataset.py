@@ -17,14 +17,15 @@ from eitskin.datasets.store.schema import (
     FIELDS,
     FRAME_FIELDS,
     LIMITS,
+    MAX_REFERENCE_FRAMES,
     MAX_TOUCHES,
-    MOST_REFERENCE_FRAMES,
     QUANTITIES,
     check_values,
 )
 from eitskin.datasets.store.tensors import NAMES, FrameTensors
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import quoted
+from eitskin.extras import old_names
+from eitskin.files import quote_value
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -32,10 +33,11 @@ from eitskin.protocol import Protocol
 # Attributes that all parts of a dataset share.
 ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
 
-_OMITTED: Any = ()
+_NO_VALUE: Any = ()
 """Default of the arrays: unknown values, and numbers that count."""
 
 
+@old_names(untouched="values_before_touch")
 @dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
     """Frames of one or several specimens; n frames, C channels, S specimens.
@@ -51,7 +53,7 @@ class Dataset:
         bend_angle_deg: (n,) float32; NaN where unknown.
         touch_x, touch_y: position on the flat sensor, (n, 4) float32 [m]; NaN where absent.
         touch_force: (n, 4) float32 [N]; NaN where absent or unknown.
-        touch_radius: of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
+        touch_radius: touch radius of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
         touch_depth: travel of the indenter from first contact, (n, 4) float32 [m]; NaN where absent
             or unknown, and everywhere when omitted.
         clamp_span, clamp_offset: free length of the clamp that bends the sensor, and its axis below
@@ -61,9 +63,9 @@ class Dataset:
         time: since the episode's start, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
         episode: number of the episode, whose frames follow each other in time, (n,) uint32.
-        number: of each frame as counted by the board, (n,) uint32; a gap means lost frames.
+        number: number of each frame as counted by the board, (n,) uint32; a gap means lost frames.
         protocol: drive and sense pairs of the channels; None where unknown.
-        frequency: of the excitation [Hz].
+        frequency: frequency of the excitation [Hz].
         source: "simulated" or "measured".
         recipe: TOML text of the recipe; empty for recordings.
         seed: of everything random in the frames.
@@ -72,7 +74,7 @@ class Dataset:
             part of a dataset may hold few of its specimens. 0 to S - 1 when omitted.
         quantity: kind of the values: "impedance" [ohm] with sign and phase, "magnitude" of
             impedances [ohm], "voltage" [V]; empty where the recording does not say.
-        names: of specimens and sessions, as a recording gave them.
+        names: names of specimens and sessions, as a recording gave them.
 
     Example:
         >>> import numpy as np
@@ -84,24 +86,24 @@ class Dataset:
 
     impedance: NDArray[np.complex64]
     reference: NDArray[np.complex64]
-    touch_reference: NDArray[np.complex64] = _OMITTED
-    specimen: NDArray[np.uint32] = _OMITTED
-    state: NDArray[np.uint8] = _OMITTED
-    bend_angle_deg: NDArray[np.float32] = _OMITTED
-    touch_x: NDArray[np.float32] = _OMITTED
-    touch_y: NDArray[np.float32] = _OMITTED
-    touch_force: NDArray[np.float32] = _OMITTED
-    touch_radius: NDArray[np.float32] = _OMITTED
-    touch_depth: NDArray[np.float32] = _OMITTED
-    clamp_span: NDArray[np.float32] = _OMITTED
-    clamp_offset: NDArray[np.float32] = _OMITTED
-    clamp_faces: NDArray[np.float32] = _OMITTED
-    clamp_stiffness: NDArray[np.float32] = _OMITTED
-    time: NDArray[np.float64] = _OMITTED
-    status: NDArray[np.uint8] = _OMITTED
-    episode: NDArray[np.uint32] = _OMITTED
-    number: NDArray[np.uint32] = _OMITTED
-    specimen_number: NDArray[np.uint32] = _OMITTED
+    touch_reference: NDArray[np.complex64] = _NO_VALUE
+    specimen: NDArray[np.uint32] = _NO_VALUE
+    state: NDArray[np.uint8] = _NO_VALUE
+    bend_angle_deg: NDArray[np.float32] = _NO_VALUE
+    touch_x: NDArray[np.float32] = _NO_VALUE
+    touch_y: NDArray[np.float32] = _NO_VALUE
+    touch_force: NDArray[np.float32] = _NO_VALUE
+    touch_radius: NDArray[np.float32] = _NO_VALUE
+    touch_depth: NDArray[np.float32] = _NO_VALUE
+    clamp_span: NDArray[np.float32] = _NO_VALUE
+    clamp_offset: NDArray[np.float32] = _NO_VALUE
+    clamp_faces: NDArray[np.float32] = _NO_VALUE
+    clamp_stiffness: NDArray[np.float32] = _NO_VALUE
+    time: NDArray[np.float64] = _NO_VALUE
+    status: NDArray[np.uint8] = _NO_VALUE
+    episode: NDArray[np.uint32] = _NO_VALUE
+    number: NDArray[np.uint32] = _NO_VALUE
+    specimen_number: NDArray[np.uint32] = _NO_VALUE
     protocol: Protocol | None = None
     frequency: float = 40e3
     source: str = "measured"
@@ -195,10 +197,10 @@ class Dataset:
     def reference_frames(self) -> int:
         """Number of frames averaged for each `touch_reference`, from the recipe."""
         stated = toml_table(self.recipe, "the recipe of the dataset").get("reference_frames", 1)
-        if not (isinstance(stated, int) and 1 <= stated <= MOST_REFERENCE_FRAMES):
+        if not (isinstance(stated, int) and 1 <= stated <= MAX_REFERENCE_FRAMES):
             raise DataError(
                 "the recipe of the dataset: reference_frames must be from 1 to "
-                f"{MOST_REFERENCE_FRAMES}, got {quoted(stated)}; generate the dataset again"
+                f"{MAX_REFERENCE_FRAMES}, got {quote_value(stated)}; generate the dataset again"
             )
         return stated
 
@@ -214,10 +216,10 @@ class Dataset:
         return np.asarray(np.isfinite(self.touch_reference).all(axis=1))
 
     @property
-    def untouched(self) -> NDArray[np.complex64]:
+    def values_before_touch(self) -> NDArray[np.complex64]:
         """Values before the touches of each frame, or else of the flat sensor, (n, C) [ohm]."""
-        known, flat = self.has_touch_reference[:, None], self.reference[self.specimen]
-        return np.where(known, self.touch_reference, flat)
+        has_reference, flat = self.has_touch_reference[:, None], self.reference[self.specimen]
+        return np.where(has_reference, self.touch_reference, flat)
 
     @property
     def specimen_names(self) -> tuple[str, ...]:
@@ -275,7 +277,7 @@ class Dataset:
         holds sensors unseen in training; otherwise single frames.
 
         Args:
-            fractions: of the parts, in (0, 1], with sum one.
+            fractions: fractions of the parts, in (0, 1], with sum one.
             seed: of the random order.
         """
         shares = np.asarray(fractions, dtype=float)
@@ -315,18 +317,18 @@ class Dataset:
         Takes the memory of the result and of one part.
 
         Args:
-            parts: of one dataset, at least one.
+            parts: parts of one dataset, at least one.
             frames: number of frames of all parts together.
 
         Raises DataError for parts of different datasets, or another number of frames.
         """
-        rest = iter(parts)
-        first = next(rest, None)
+        remaining_parts = iter(parts)
+        first = next(remaining_parts, None)
         if first is None:
             raise DataError("expected at least one part of a dataset, got none")
         collected = ColumnCollector(first, frames, {field.name for field in FIELDS})
         end = 0
-        for part in itertools.chain((first,), rest):
+        for part in itertools.chain((first,), remaining_parts):
             require_same_origin(first, part)
             start, end = end, end + len(part)
             if end > frames:
@@ -360,7 +362,7 @@ class SpecimenReferences:
                     f"specimen {number} differs; these were not made together"
                 )
 
-    def collected(self) -> tuple[NDArray[np.uint32], NDArray[Any]]:
+    def to_arrays(self) -> tuple[NDArray[np.uint32], NDArray[Any]]:
         """Numbers of all specimens, rising, (S,), and their references (S, C)."""
         numbers = sorted(self._rows)
         return np.array(numbers, dtype=np.uint32), np.array([self._rows[n] for n in numbers])
@@ -390,7 +392,7 @@ class ColumnCollector:
         """All columns by name, (n, ...), with those of the specimens of all parts, (S, ...)."""
         if "specimen" not in self._columns:
             return self._columns
-        numbers, reference = self.references.collected()
+        numbers, reference = self.references.to_arrays()
         rows = np.searchsorted(numbers, self._columns["specimen"]).astype(np.uint32)
         return self._columns | {
             "specimen": rows,
@@ -399,17 +401,17 @@ class ColumnCollector:
         }
 
 
-def require_same_origin(one: Dataset, other: Dataset) -> None:
+def require_same_origin(first: Dataset, second: Dataset) -> None:
     """Raise DataError where two datasets cannot be parts of one."""
-    if one.protocol is not None and other.protocol is not None:
-        one.protocol.require_same(
-            other.protocol,
+    if first.protocol is not None and second.protocol is not None:
+        first.protocol.require_same(
+            second.protocol,
             "one part of the dataset has",
             "another has",
             "join only parts of one protocol",
         )
     names = ("channels", *ORIGIN)
-    different = [name for name in names if getattr(one, name) != getattr(other, name)]
+    different = [name for name in names if getattr(first, name) != getattr(second, name)]
     if different:
         raise DataError(
             f"the parts of a dataset must share its {', '.join(different)}; these were not made "

@@ -30,8 +30,9 @@ from eitskin.datasets.store.manifest import (
 )
 from eitskin.datasets.store.schema import FIELDS, LIMITS
 from eitskin.datasets.store.shard import write_entry
-from eitskin.datasets.store.shard_reader import read_shard, shard_of
+from eitskin.datasets.store.shard_reader import parse_shard, read_shard
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import old_names
 from eitskin.frame import Frame
 
 READ_AT_ONCE = 64_000_000
@@ -79,7 +80,7 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     parts = _shards(path, manifest, progress)
     first = dataclasses.replace(next(parts), names=manifest.names)
     if size > READ_AT_ONCE:
-        return StoredDataset.of_folder(path, manifest, first.select([]), progress)
+        return StoredDataset.from_folder(path, manifest, first.select([]), progress)
     require_memory(path, manifest.frames * first.bytes_per_frame)
     data = Dataset.collect(itertools.chain((first,), parts), manifest.frames)
     note_known(manifest)
@@ -117,8 +118,8 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
     """Write `data` into a new or empty folder; returns the manifest.
 
     Args:
-        data: at least one frame.
-        folder: of the new dataset.
+        data: data at least one frame.
+        folder: folder of the new dataset.
         frames_per_shard: number of frames in a file.
 
     Raises DataError without frames, ConfigurationError where the folder holds something, and
@@ -140,7 +141,7 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
 def save_parts(
     parts: Iterable[Dataset], folder: str | Path, progress: Callable[[int], None] | None = None
 ) -> Manifest:
-    """Write the parts of one dataset into a new or empty folder, a shard for each, as they come.
+    """Write the parts of one dataset into a new or empty folder, a shard for each, in their order.
 
     There is at least one part. `progress` is called with the number of written shards. Raises
     ConfigurationError where the folder holds something, and PartialError where a file cannot be
@@ -150,12 +151,12 @@ def save_parts(
     entries: list[ShardEntry] = []
     first, names = 0, Names()
     for part in parts:
-        names = names.joined(part.names)
+        names = names.merge(part.names)
         entries.append(write_entry(folder, len(entries), part, first))
         first += len(part)
         if progress:
             progress(len(entries))
-    manifest = Manifest.of_shards(part.source, entries, part.recipe, part.seed, names)
+    manifest = Manifest.from_shards(part.source, entries, part.recipe, part.seed, names)
     write_manifest(folder, manifest)
     return manifest
 
@@ -187,12 +188,13 @@ def make_folder(folder: Path) -> frozenset[str]:
 def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
     """Dataset of a shard that the manifest names; raises DataError for any damage."""
     content = shard_content(folder, entry)
-    data = shard_of(content, folder / entry.name, entry.first_index, entry.known)
+    data = parse_shard(content, folder / entry.name, entry.first_index, entry.known)
     if len(data) != entry.count:
         raise DataError(f"{folder / entry.name} must hold {entry.count} frames, got {len(data)}")
     return data
 
 
+@old_names(of_folder="from_folder")
 class StoredDataset(Dataset):
     """Dataset of a folder, whose columns are read into memory when they are first used.
 
@@ -214,24 +216,24 @@ class StoredDataset(Dataset):
     _held: set[str]  # names of the columns in memory
 
     def __new__(cls, *values: Any, **known: Any) -> Any:
-        """Dataset in memory, as `dataclasses.replace` asks for; `of_folder` makes the others."""
+        """Dataset in memory, as `dataclasses.replace` asks for; `from_folder` makes the others."""
         return Dataset(*values, **known)
 
     @classmethod
-    def of_folder(
+    def from_folder(
         cls, folder: Path, manifest: Manifest, head: Dataset, progress: Progress | None = None
     ) -> "StoredDataset":
         """Dataset without any column in memory; `head` is one of its shards without frames."""
-        made: StoredDataset = object.__new__(cls)
+        dataset: StoredDataset = object.__new__(cls)
         known: dict[str, Any] = {name: getattr(head, name) for name in (*ORIGIN, "names")}
         known |= {"_folder": folder, "_manifest": manifest, "_head": head, "_progress": progress}
         for name, value in (known | {"_held": set()}).items():
-            object.__setattr__(made, name, value)
-        return made
+            object.__setattr__(dataset, name, value)
+        return dataset
 
     def __reduce__(self) -> Any:
         """Folder, without frames: another process reads its own."""
-        return StoredDataset.of_folder, (self._folder, self._manifest, self._head)
+        return StoredDataset.from_folder, (self._folder, self._manifest, self._head)
 
     def __repr__(self) -> str:
         """Folder and number of frames."""
@@ -285,8 +287,8 @@ class StoredDataset(Dataset):
                 part = read_entry(self._folder, entry)
                 require_same_origin(self._head, part)
                 columns.put(places, part.select(rows[places] - entry.first_index).columns)
-        known: dict[str, Any] = {name: getattr(self, name) for name in ORIGIN}
-        return Dataset(**known, **columns.whole(), names=self.names)
+        attributes: dict[str, Any] = {name: getattr(self, name) for name in ORIGIN}
+        return Dataset(**attributes, **columns.whole(), names=self.names)
 
 
 def require_memory(path: Path, needed: int) -> None:

@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import msgspec
 
-from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
+from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MAX_SHARD_BYTES
 from eitskin.errors import DataError
-from eitskin.files import parse_json, quoted, read_bytes, write_file
+from eitskin.files import parse_json, quote_value, read_bytes, write_file
 from eitskin.simulator.deformation.solution_store import cache_folder
 
 MANIFEST = "manifest.json"
-MOST_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
+MAX_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Names:
     """Names of specimens and sessions by their numbers; those without a name are left out.
 
     Attributes:
-        specimens: name of a specimen, with that of its sensor where a recording tells both, by
+        specimens: name of a specimen, with that of its sensor where a recording shows both, by
             `Dataset.specimen_number`.
         sessions: name of a session, by the number of its episode.
     """
@@ -32,7 +32,7 @@ class Names:
     sessions: dict[int, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, specimens: Mapping[str, int], sessions: Mapping[str, int]) -> "Names":
+    def from_numbers(cls, specimens: Mapping[str, int], sessions: Mapping[str, int]) -> "Names":
         """Names that say more than the numbers they stand for; both are numbers by name."""
         return cls(_telling(specimens), _telling(sessions))
 
@@ -40,14 +40,14 @@ class Names:
         """Whether there is any name."""
         return bool(self.specimens or self.sessions)
 
-    def shifted(self, specimens: int, episodes: int) -> "Names":
+    def shift_numbers(self, specimens: int, episodes: int) -> "Names":
         """The same names of specimens and episodes that are counted from other numbers."""
         return Names(
             {number + specimens: name for number, name in self.specimens.items()},
             {number + episodes: name for number, name in self.sessions.items()},
         )
 
-    def joined(self, other: "Names") -> "Names":
+    def merge(self, other: "Names") -> "Names":
         """Names of both; where both name a number, those of this one."""
         return Names(other.specimens | self.specimens, other.sessions | self.sessions)
 
@@ -96,7 +96,7 @@ class Manifest:
     names: Names = field(default_factory=Names)
 
     @classmethod
-    def of_shards(
+    def from_shards(
         cls,
         source: str,
         shards: Iterable[ShardEntry],
@@ -115,17 +115,17 @@ def read_manifest(folder: Path) -> Manifest:
     """Manifest of a dataset's folder, checked; raises DataError."""
     path = folder / MANIFEST
     if not path.is_file():
-        found = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
+        count = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
         remedy = (
-            f"{found} finished shards lie there, so it was interrupted; generate it again with "
+            f"{count} finished shards lie there, so it was interrupted; generate it again with "
             "--resume, or open a single shard"
-            if found
+            if count
             else "give the folder that eitskin generate or eitskin import wrote"
         )
         if not folder.exists():
             raise DataError(f"there is no folder {folder}; {remedy}")
         raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
-    content = read_bytes(path, MOST_BYTES, DataError)
+    content = read_bytes(path, MAX_BYTES, DataError)
     try:
         _require_format(path, parse_json(content))  # a newer manifest may have unknown keys
         manifest: Manifest = parse_json(content, Manifest)
@@ -135,7 +135,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
     _check_shards(path, manifest)
     with suppress(OSError):
-        return _marked(manifest, _note_path(manifest).is_file())
+        return _mark_entries(manifest, _note_path(manifest).is_file())
     return manifest
 
 
@@ -148,7 +148,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 def note_known(manifest: Manifest) -> Manifest:
     """Note that the shards of a manifest do no harm to HDF5, since they were made or read here.
 
-    A hash in a manifest tells damage and not intent: a folder from elsewhere brings both. Datasets
+    A hash in a manifest shows damage and not intent: a folder from elsewhere brings both. Datasets
     that were made here, or whose shards were all read in a child, are noted in the user's folder
     for caches, so that their shards are read in this process from then on. Without a folder to
     write to, nothing is noted.
@@ -160,7 +160,7 @@ def note_known(manifest: Manifest) -> Manifest:
             path = _note_path(manifest)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch()
-    return _marked(manifest, True)
+    return _mark_entries(manifest, True)
 
 
 def _note_path(manifest: Manifest) -> Path:
@@ -168,8 +168,8 @@ def _note_path(manifest: Manifest) -> Path:
     return cache_folder() / "known-datasets" / hashlib.sha256(text).hexdigest()
 
 
-def _marked(manifest: Manifest, known: bool) -> Manifest:
-    shards = tuple(replace(entry, known=known) for entry in manifest.shards)
+def _mark_entries(manifest: Manifest, is_trusted: bool) -> Manifest:
+    shards = tuple(replace(entry, known=is_trusted) for entry in manifest.shards)
     return replace(manifest, shards=shards)
 
 
@@ -189,12 +189,12 @@ def shard_content(folder: Path, entry: ShardEntry) -> bytes:
     Damage can crash the HDF5 library, which is to be given this content only.
     """
     path = folder / entry.name
-    content = read_bytes(path, MOST_SHARD_BYTES, DataError)
-    found = hashlib.sha256(content).hexdigest()
-    if found != entry.sha256:
+    content = read_bytes(path, MAX_SHARD_BYTES, DataError)
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != entry.sha256:
         raise DataError(
             f"{path} is not the file that the manifest names: expected SHA-256 {entry.sha256}, "
-            f"got {found}; copy it again, or delete it and generate with --resume"
+            f"got {digest}; copy it again, or delete it and generate with --resume"
         )
     return content
 
@@ -205,9 +205,11 @@ def _require_format(path: Path, head: Any) -> None:
         raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
     name, version = head.get("format"), head.get("format_version")
     if name != FORMAT:
-        raise DataError(f"{path}: expected format '{FORMAT}', got {quoted(name)}")
+        raise DataError(f"{path}: expected format '{FORMAT}', got {quote_value(name)}")
     if not isinstance(version, int) or version < 1:
-        raise DataError(f"{path}: expected a format version of 1 or more, got {quoted(version)}")
+        raise DataError(
+            f"{path}: expected a format version of 1 or more, got {quote_value(version)}"
+        )
     if version > FORMAT_VERSION:
         raise DataError(
             f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
@@ -219,9 +221,9 @@ def _check_shards(path: Path, manifest: Manifest) -> None:
     """Raise DataError for shards outside the folder, gaps and overlaps."""
     following = 0
     for entry in manifest.shards:
-        name = quoted(entry.name)
+        name = quote_value(entry.name)
         if Path(entry.name).name != entry.name or entry.name.startswith(".") or "\0" in entry.name:
-            raise DataError(f"{path}: a shard must lie beside the manifest, got {name}")
+            raise DataError(f"{path}: a shard must lie next to the manifest, got {name}")
         if entry.first_index != following:
             raise DataError(
                 f"{path}: {name} must start at frame {following}, got {entry.first_index}"

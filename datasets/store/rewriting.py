@@ -1,4 +1,4 @@
-"""Datasets written anew: combined, in other shards, in the newest version of the format."""
+"""Datasets written again: combined, in other shards, in the newest version of the format."""
 
 import dataclasses
 from bisect import bisect_right
@@ -29,7 +29,7 @@ from eitskin.files import atomic_folder
 
 FRAMES_PER_SHARD = 65536
 _REMEDY = "make room or give write permission, then compact again; nothing was left behind"
-_LARGEST_RATIO = 5.0  # of the values of two sensors of one design, beyond which units differ
+_MAX_RATIO = 5.0  # of the values of two sensors of one design, beyond which units differ
 
 
 def combine(
@@ -40,13 +40,14 @@ def combine(
 ) -> Manifest:
     """Write the frames of different datasets into a new folder; returns the manifest.
 
-    Specimens and episodes are numbered anew, those of the first dataset first, and keep names;
+    Specimens and episodes are numbered again, those of the first dataset first, and keep names;
     a measured specimen without a name has that of its folder from now on. The result counts as
     measured where one of the datasets was, and keeps a recipe only where all datasets share one.
     Takes the memory of one shard.
 
     Args:
-        folders: of at least two datasets with the same protocol, design, frequency and quantity.
+        folders: folders of at least two datasets with the same protocol, design, frequency and
+            quantity.
         out: folder of the new dataset, new or empty.
         magnitudes: combine the magnitudes of the values, where some recordings have no sign.
         progress: called with the number of written shards and of all shards.
@@ -76,9 +77,9 @@ def combine(
     for path, head in zip(paths[1:], heads[1:], strict=True):
         if different := "; ".join(_differences(heads[0], head)):
             raise DataError(f"{path} cannot be combined with {paths[0]}: {different}")
-    shared = _shared(heads)
+    shared = _shared_attributes(heads)
     total = sum(len(manifest.shards) for manifest in manifests)
-    parts = _renumbered(paths, manifests, magnitudes)
+    parts = _renumber_shards(paths, manifests, magnitudes)
     return save_parts(
         (dataclasses.replace(part, **shared) for part in parts),
         out,
@@ -86,7 +87,7 @@ def combine(
     )
 
 
-def _renumbered(
+def _renumber_shards(
     paths: Sequence[Path], manifests: Sequence[Manifest], magnitudes: bool
 ) -> Iterator[Dataset]:
     """Shards of all datasets in turn, with specimens and episodes that follow each other."""
@@ -108,7 +109,7 @@ def _renumbered(
                 part,
                 specimen_number=numbers.astype(np.uint32),
                 episode=episode.astype(np.uint32),
-                names=_names(path, manifest, part).shifted(specimens, episodes),
+                names=_names(path, manifest, part).shift_numbers(specimens, episodes),
             )
         specimens, episodes = next_specimen, next_episode
 
@@ -118,7 +119,7 @@ def _names(path: Path, manifest: Manifest, part: Dataset) -> Names:
     if part.source != "measured":
         return manifest.names
     by_folder = {n: f"{path.resolve().name} {n}" for n in part.specimen_number.tolist()}
-    return manifest.names.joined(Names(by_folder))
+    return manifest.names.merge(Names(by_folder))
 
 
 def _head(data: Dataset, magnitudes: bool) -> Dataset:
@@ -131,7 +132,7 @@ def _head(data: Dataset, magnitudes: bool) -> Dataset:
     )
 
 
-def _shared(heads: Sequence[Dataset]) -> dict[str, Any]:
+def _shared_attributes(heads: Sequence[Dataset]) -> dict[str, Any]:
     """Attributes of the combined dataset that belong to none of its frames."""
     first = heads[0]
     same = all((head.recipe, head.seed) == (first.recipe, first.seed) for head in heads)
@@ -146,27 +147,26 @@ def _shared(heads: Sequence[Dataset]) -> dict[str, Any]:
 
 def _require_distinct(paths: Sequence[Path], manifests: Sequence[Manifest]) -> None:
     """Raise DataError where two datasets hold the same frames, which would train and test alike."""
-    seen: dict[str, Path] = {}
+    digest: dict[str, Path] = {}
     for path, manifest in zip(paths, manifests, strict=True):
         for entry in manifest.shards:
-            if entry.sha256 in seen:
+            if entry.sha256 in digest:
                 raise DataError(
-                    f"{path} and {seen[entry.sha256]} hold the same frames ({entry.name}); give "
+                    f"{path} and {digest[entry.sha256]} hold the same frames ({entry.name}); give "
                     "each dataset once"
                 )
-        seen |= {entry.sha256: path for entry in manifest.shards}
+        digest |= {entry.sha256: path for entry in manifest.shards}
 
 
 def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     """Differences that keep two datasets from being combined, each with its remedy."""
     if one.protocol != other.protocol or one.impedance.shape[1] != other.impedance.shape[1]:
         yield (
-            f"its frames are of {_measured(other)}, expected {_measured(one)} (measure with that "
+            f"its frames are of {_describe_channels(other)}, expected {_describe_channels(one)} "
+            f"(measure with that "
             "protocol, or say it with --protocol when importing)"
         )
-    elif (ratio := _ratio(one, other)) is not None and not 1 / _LARGEST_RATIO < ratio < (
-        _LARGEST_RATIO
-    ):
+    elif (ratio := _ratio(one, other)) is not None and not 1 / _MAX_RATIO < ratio < (_MAX_RATIO):
         yield (
             f"its values are {ratio:.3g} times the expected ones (expected 0.2 to 5: import with "
             "the --scale that makes them ohm)"
@@ -176,7 +176,7 @@ def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     if one.frequency != other.frequency:
         yield (
             f"its frequency is {other.frequency:g} Hz, expected {one.frequency:g} Hz (import with "
-            f"--frequency {one.frequency:g} where the gel does not tell the two apart)"
+            f"--frequency {one.frequency:g} where the gel cannot distinguish the two)"
         )
     if one.quantity and other.quantity and one.quantity != other.quantity:
         remedy = (
@@ -187,14 +187,14 @@ def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
         yield f"its values are of kind {other.quantity}, expected {one.quantity} ({remedy})"
 
 
-def _measured(data: Dataset) -> str:
-    known = data.protocol
-    return str(known) if known else f"{data.impedance.shape[1]} channels of no known protocol"
+def _describe_channels(data: Dataset) -> str:
+    protocol = data.protocol
+    return str(protocol) if protocol else f"{data.impedance.shape[1]} channels of no known protocol"
 
 
-def _ratio(one: Dataset, other: Dataset) -> float | None:
+def _ratio(first: Dataset, second: Dataset) -> float | None:
     """Median ratio of the channels' magnitudes; None where too many are zero."""
-    sizes = [np.median(np.abs(data.reference), axis=0) for data in (one, other)]
+    sizes = [np.median(np.abs(data.reference), axis=0) for data in (first, second)]
     usable = (sizes[0] > 0) & (sizes[1] > 0)
     return float(np.median(sizes[1][usable] / sizes[0][usable])) if usable.any() else None
 
@@ -221,7 +221,7 @@ def compact(
     folder appears when it is complete: after an error or Ctrl-C nothing is left.
 
     Args:
-        folder: of the dataset.
+        folder: folder of the dataset.
         out: folder of the new dataset, new or empty.
         frames_per_shard: number of frames in a file; None keeps the shards as they are.
         progress: called with the number of written shards and of all shards.
@@ -259,10 +259,10 @@ def compact(
             if progress:
                 progress(len(entries), len(pieces))
         shards = tuple(sorted(entries, key=lambda entry: entry.first_index))
-        made = dataclasses.replace(manifest, shards=shards, format_version=FORMAT_VERSION)
-        (temporary / MANIFEST).write_bytes(manifest_bytes(made))
-    note_known(made)
-    return made
+        new_manifest = dataclasses.replace(manifest, shards=shards, format_version=FORMAT_VERSION)
+        (temporary / MANIFEST).write_bytes(manifest_bytes(new_manifest))
+    note_known(new_manifest)
+    return new_manifest
 
 
 _Piece = tuple[int, range, tuple[ShardEntry, ...]]

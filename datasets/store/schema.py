@@ -15,12 +15,12 @@ FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 2
 ENGINE: Final = 2  # number of the simulation, raised where frames change beyond rounding
 MAX_TOUCHES: Final = 4
-MOST_REFERENCE_FRAMES: Final = 1000
+MAX_REFERENCE_FRAMES: Final = 1000
 
 # Larger sizes are refused before memory is allocated: a foreign shard may claim any size.
 LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}
 MAX_VALUES: Final = 1 << 26
-MOST_SHARD_BYTES: Final = 1 << 31
+MAX_SHARD_BYTES: Final = 1 << 31
 
 UNKNOWN_STATE: Final = 255
 """Value for an unknown state in arrays; no class, and so no member of `State`."""
@@ -46,8 +46,8 @@ class Field:
 
     Attributes:
         name: attribute of `Dataset`.
-        path: of the HDF5 dataset.
-        dtype: in memory and in the file.
+        path: path of the HDF5 dataset.
+        dtype: dtype in memory and in the file.
         axes: names of the axes, of "frame", "channel", "touch" and "specimen".
         units: SI, or "1".
         description: one line, written into the file.
@@ -86,7 +86,7 @@ def _field(
 
 QUANTITIES: Final = ("impedance", "magnitude", "voltage")
 
-_SAME_BEND: Final = (
+_BEND_COLUMNS: Final = (
     "untouched sensor at the same bend, measured with its own noise; NaN where unknown"
 )
 _FLAT: Final = "flat untouched sensor, free of noise where simulated"
@@ -101,7 +101,7 @@ _DEPTH: Final = "depth of a touch; NaN where absent or unknown"
 
 FIELDS: Final = (
     _field("impedance", "<c8", "frame channel", "ohm", "measured transfer impedance"),
-    _field("touch_reference", "<c8", "frame channel", "ohm", _SAME_BEND),
+    _field("touch_reference", "<c8", "frame channel", "ohm", _BEND_COLUMNS),
     _field("reference", "<c8", "specimen channel", "ohm", _FLAT),
     _field("specimen_number", "<u4", "specimen", "1", _NUMBER, since=2),
     _field("specimen", "<u4", "frame", "1", "which sensor, a row of reference"),
@@ -173,16 +173,16 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
         specimens, most = len(columns["reference"]), columns["specimen"].max(initial=0)
         if most >= specimens:
             raise DataError(f"specimen {most} has no reference; there are {specimens}")
-    for name, (possible, wanted) in _POSSIBLE_CLAMPS.items():
+    for name, (possible, expected) in _POSSIBLE_CLAMPS.items():
         values = columns.get(name, np.zeros(0))
         wrong = values[~(np.isnan(values) | possible(values))]
         if len(wrong):
-            raise DataError(f"{name} must be {wanted}, or NaN where unknown, got {wrong[0]:g}")
+            raise DataError(f"{name} must be {expected}, or NaN where unknown, got {wrong[0]:g}")
     if "state" in columns:
         _check_states(columns["state"])
     if "touch_x" in columns and "touch_y" in columns:
-        found = (np.isfinite(columns[name]) for name in ("touch_x", "touch_y"))
-        if not np.array_equal(*found):
+        finite_coordinates = (np.isfinite(columns[name]) for name in ("touch_x", "touch_y"))
+        if not np.array_equal(*finite_coordinates):
             raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")
 
 
@@ -195,8 +195,8 @@ def _check_specimen_numbers(numbers: NDArray[np.int64]) -> None:
 
 
 def _check_states(states: NDArray[np.uint8]) -> None:
-    found = np.flatnonzero(np.bincount(states, minlength=UNKNOWN_STATE + 1))
-    wrong = set(found.tolist()) - {*State, UNKNOWN_STATE}
+    present_states = np.flatnonzero(np.bincount(states, minlength=UNKNOWN_STATE + 1))
+    wrong = set(present_states.tolist()) - {*State, UNKNOWN_STATE}
     if wrong:
         known = ", ".join(f"{state.value} {state.name.lower()}" for state in State)
         raise DataError(f"states must be {known} or {UNKNOWN_STATE} unknown, got {sorted(wrong)}")

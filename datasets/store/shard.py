@@ -59,7 +59,7 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
     Only specimens that occur in the frames are written.
 
     Args:
-        path: of the file; an existing one is replaced atomically.
+        path: path of the file; an existing one is replaced atomically.
         data: frames of the shard.
         first_index: number of its first frame within the whole dataset.
 
@@ -109,7 +109,7 @@ def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
         _attach_time(file)
         file.flush()
         image: bytes = file.id.get_file_image()
-    return sealed(image)
+    return append_checksum(image)
 
 
 def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
@@ -161,12 +161,12 @@ def _attach_time(file: h5py.File) -> None:
             file[field.path].dims[0].attach_scale(file["time"])
 
 
-def sealed(image: bytes) -> bytes:
+def append_checksum(image: bytes) -> bytes:
     """Content of a file: an HDF5 file and its seal."""
     return image + b"\neitskin seal 1 sha256 " + hashlib.sha256(image).hexdigest().encode() + b"\n"
 
 
-def unsealed(content: bytes) -> tuple[bytes, bool]:
+def verify_checksum(content: bytes) -> tuple[bytes, bool]:
     """HDF5 file of a content, and whether it was sealed; raises DataError for a broken seal."""
     image, tail = content[:-_LENGTH], content[-_LENGTH:]
     if match := _SEAL.fullmatch(tail):

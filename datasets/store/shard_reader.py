@@ -18,23 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
-from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
     FORMAT_VERSION,
     LIMITS,
+    MAX_SHARD_BYTES,
     MAX_TOUCHES,
     MAX_VALUES,
-    MOST_SHARD_BYTES,
     Field,
 )
-from eitskin.datasets.store.shard import unsealed
+from eitskin.datasets.store.shard import verify_checksum
 from eitskin.errors import DataError
-from eitskin.files import MOST_TEXT, quoted, read_bytes
+from eitskin.files import MAX_TEXT, quote_value, read_bytes
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.reader_process import Answer, Limits, read_in_subprocess
 
 SECONDS = 5
 """Processor time for the smallest of shards of unknown origin [s]."""
@@ -57,16 +57,16 @@ def read_shard(path: str | Path) -> Dataset:
         4
     """
     path = Path(path)
-    return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path)
+    return parse_shard(read_bytes(path, MAX_SHARD_BYTES, DataError), path)
 
 
-def engine_of(path: Path) -> int:
+def read_engine(path: Path) -> int:
     """Number of the simulation that made a sound shard; 1 where none is stored."""
     with h5py.File(path) as file:
         return int(file.attrs.get("engine", 1))
 
 
-def shard_of(
+def parse_shard(
     content: bytes, path: Path, first_index: int | None = None, known: bool = False
 ) -> Dataset:
     """Dataset of the shard at `path` whose file has this content.
@@ -77,18 +77,18 @@ def shard_of(
     format.
     """
     with _as_data_errors(path):
-        image, _ = unsealed(content)
+        image, _ = verify_checksum(content)
         if not known:
             limits = Limits(  # ten times of what most take
                 SECONDS + len(image) // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * len(image)
             )
-            for _ in contained(f"{__name__}:try_shard", None, image, limits):
+            for _ in read_in_subprocess(f"{__name__}:try_shard", None, image, limits):
                 pass
         return _read(image, first_index)
 
 
 def try_shard(argument: None, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
-    """Read every array of a shard, as a reader for `contained`; raises what that raises."""
+    """Read every array of a shard, for `read_in_subprocess`, whose errors it raises."""
     with _as_data_errors():
         _read(content)
     return iter(())
@@ -138,15 +138,15 @@ def _read_origin(file: h5py.h5f.FileID, protocol: h5py.h5d.DatasetID | None) -> 
 
 
 def _read_columns(
-    stored: Mapping[str, Any], version: int, first: int, count: int
+    group: Mapping[str, Any], version: int, first: int, count: int
 ) -> dict[str, NDArray[Any]]:
     """Columns by name; those that a file of this version need not hold only where it does."""
-    sizes = {"frame": count, "touch": MAX_TOUCHES, "channel": stored["impedance"].shape[-1]}
-    sizes["specimen"] = stored["reference"].shape[0]
+    sizes = {"frame": count, "touch": MAX_TOUCHES, "channel": group["impedance"].shape[-1]}
+    sizes["specimen"] = group["reference"].shape[0]
     columns = {
-        field.name: _values(stored[field.path], field, sizes)
+        field.name: _values(group[field.path], field, sizes)
         for field in FIELDS
-        if field.path in stored or (field.since is not None and field.since <= version)
+        if field.path in group or (field.since is not None and field.since <= version)
     }
     # Older files have no numbers of frames: counts within the dataset take their place.
     columns.setdefault("number", np.arange(first, first + count))
@@ -180,7 +180,7 @@ def _checked_version(file: h5py.h5f.FileID) -> int:
     found = _attribute(file, "format", "") or None
     if found != FORMAT:
         raise DataError(
-            f"expected format '{FORMAT}', got {quoted(found)}; this is another kind of file"
+            f"expected format '{FORMAT}', got {quote_value(found)}; this is another kind of file"
         )
     version = int(_attribute(file, "format_version"))
     if version > FORMAT_VERSION:
@@ -201,7 +201,7 @@ def _attribute(place: Any, name: str, default: Any = None) -> Any:
     if default is not None and not h5py.h5a.exists(place, name.encode()):
         return default
     stored = h5py.h5a.open(place, name.encode())
-    if math.prod(stored.shape) != 1 or stored.dtype.itemsize > MOST_TEXT:
+    if math.prod(stored.shape) != 1 or stored.dtype.itemsize > MAX_TEXT:
         raise DataError(f"attribute '{name}' must be one number or text; it is damaged")
     values = np.empty(stored.shape, stored.dtype)
     stored.read(values)
@@ -209,12 +209,12 @@ def _attribute(place: Any, name: str, default: Any = None) -> Any:
     return value.decode() if isinstance(value, bytes) else value
 
 
-def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
+def _values(dataset_id: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
     """One array, read after checks of the shape and type that the file states."""
     expected = tuple(sizes[axis] for axis in field.axes)
-    if stored.shape != expected:
-        raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
-    kind = stored.get_type()
+    if dataset_id.shape != expected:
+        raise DataError(f"'{field.path}' must have shape {expected}, got {dataset_id.shape}")
+    kind = dataset_id.get_type()
     enumerated = isinstance(kind, h5py.h5t.TypeEnumID)
     # Not by numpy's type alone, which leaves out how the bits of a number are laid out.
     if (kind.get_super() if enumerated else kind) != _TYPES[field.name]:
@@ -224,7 +224,7 @@ def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) 
         raise DataError(f"'{field.path}' claims {expected} values, above the format's limits")
     values: NDArray[Any] = np.empty(expected, field.dtype)
     memory = kind if enumerated else _TYPES[field.name]
-    stored.read(h5py.h5s.ALL, h5py.h5s.ALL, values, memory)
+    dataset_id.read(h5py.h5s.ALL, h5py.h5s.ALL, values, memory)
     return values
 
 
@@ -234,15 +234,15 @@ def _read_design(text: str) -> SensorDesign:
     return parse_toml(SensorDesign, text, "attribute 'design'")
 
 
-def _read_protocol(stored: h5py.h5d.DatasetID) -> Protocol:
-    shape = stored.shape
+def _read_protocol(dataset_id: h5py.h5d.DatasetID) -> Protocol:
+    shape = dataset_id.shape
     if len(shape) != 2 or shape[1] != 4 or shape[0] > LIMITS["channel"]:
         raise DataError(f"'protocol' must have shape (channels, 4), got {shape}")
-    if stored.dtype != np.dtype("<i2"):
-        raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
+    if dataset_id.dtype != np.dtype("<i2"):
+        raise DataError(f"'protocol' must hold int16, got {dataset_id.dtype}")
     rows = np.empty(shape, "<i2")
-    stored.read(h5py.h5s.ALL, h5py.h5s.ALL, rows)
-    return _protocol(rows.tobytes(), int(_attribute(stored, "n_electrodes")))
+    dataset_id.read(h5py.h5s.ALL, h5py.h5s.ALL, rows)
+    return _protocol(rows.tobytes(), int(_attribute(dataset_id, "n_electrodes")))
 
 
 @lru_cache(maxsize=8)
@@ -251,7 +251,7 @@ def _protocol(rows: bytes, n_electrodes: int) -> Protocol:
     return Protocol.from_rows(np.frombuffer(rows, dtype="<i2").reshape(-1, 4), n_electrodes)
 
 
-_MOST_EXPANSION = 1100  # deflate makes at most 1,032 bytes of one
+_MAX_EXPANSION = 1100  # deflate makes at most 1,032 bytes of one
 _FILTERS = {
     h5py.h5z.FILTER_DEFLATE,
     h5py.h5z.FILTER_SHUFFLE,
@@ -318,7 +318,7 @@ def _check_claims(array: h5py.h5d.DatasetID, properties: Any, name: str) -> None
 def require_stored(array: h5py.h5d.DatasetID, name: str) -> None:
     """Raise DataError for an array that claims more than any compression leaves of it."""
     claimed = math.prod(array.shape) * array.get_type().get_size()
-    if claimed > _MOST_EXPANSION * array.get_storage_size():
+    if claimed > _MAX_EXPANSION * array.get_storage_size():
         raise DataError(
             f"'{name}' claims {claimed} bytes and stores {array.get_storage_size()}, fewer than "
             "any compression leaves; it is damaged"
@@ -335,15 +335,15 @@ def _check_chunks(array: h5py.h5d.DatasetID, path: str) -> None:
     properties = array.get_create_plist()
     if properties.get_layout() != h5py.h5d.CHUNKED:
         return
-    found: list[Any] = []
-    array.chunk_iter(found.append)
+    chunks: list[Any] = []
+    array.chunk_iter(chunks.append)
     shape = properties.get_chunk()
     grid = [range(0, size, step) for size, step in zip(array.shape, shape, strict=True)]
-    complete = len(found) == math.prod(map(len, grid)) and {
-        chunk.chunk_offset for chunk in found
+    complete = len(chunks) == math.prod(map(len, grid)) and {
+        chunk.chunk_offset for chunk in chunks
     } == set(itertools.product(*grid))
     size = math.prod(shape) * array.get_type().get_size()
     raw = not properties.get_nfilters()
-    sound = all(not chunk.filter_mask and (not raw or chunk.size == size) for chunk in found)
-    if found and not (complete and sound):
+    sound = all(not chunk.filter_mask and (not raw or chunk.size == size) for chunk in chunks)
+    if chunks and not (complete and sound):
         raise DataError(f"'{path}' is stored in other chunks than its filters make; it is damaged")

@@ -13,7 +13,7 @@ from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 Values = NDArray[Any]
 
 
-# Columns whose range is told, each with the factor that makes a unit of daily use.
+# Columns whose range is reported, each with the factor that makes a unit of daily use.
 _RANGES = {
     "time_s": ("time", 1.0),
     "bend_angle_deg": ("bend_angle_deg", 1.0),
@@ -56,12 +56,12 @@ class DatasetSummary:
         for name, (column, factor) in _RANGES.items():
             values = getattr(data, column)
             values = np.abs(values) if column == "impedance" else factor * values
-            known = values[np.isfinite(values)]
-            if known.size and name != other:
+            finite = values[np.isfinite(values)]
+            if finite.size and name != other:
                 least, most = self._ranges[name]
-                self._ranges[name] = min(least, float(known.min())), max(most, float(known.max()))
+                self._ranges[name] = min(least, float(finite.min())), max(most, float(finite.max()))
 
-    def watched(self, parts: Iterable[Dataset]) -> Iterator[Dataset]:
+    def add_parts(self, parts: Iterable[Dataset]) -> Iterator[Dataset]:
         """Yield the parts of a dataset and add each."""
         for part in parts:
             self.add(part)
@@ -104,18 +104,18 @@ class DatasetSummary:
         return ", ".join(f"{n} {low:.4g} to {high:.4g}" for n, low, high in ends if low < high)
 
 
-def specimens_in_words(data: Dataset, most: int = 8) -> str:
+def specimens_in_words(data: Dataset, max_names: int = 8) -> str:
     """Number of the specimens of a dataset's frames, and the names of the first few named ones."""
-    told = data.specimen_names
-    counted = f"{len(told)} specimen{'s' * (len(told) != 1)}"
+    names = data.specimen_names
+    counted = f"{len(names)} specimen{'s' * (len(names) != 1)}"
     if not data.names.specimens:
         return counted
-    rest = f" and {len(told) - most} more" if len(told) > most else ""
-    return f"{counted} ({', '.join(told[:most])}{rest})"
+    remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return f"{counted} ({', '.join(names[:max_names])}{remainder})"
 
 
-def _range(least: float, most: float) -> dict[str, float] | None:
+def _range(minimum: float, maximum: float) -> dict[str, float] | None:
     """Least and greatest known value; None where none is known."""
-    if least > most:
+    if minimum > maximum:
         return None
-    return {"from": float(f"{least:.4g}"), "to": float(f"{most:.4g}")}
+    return {"from": float(f"{minimum:.4g}"), "to": float(f"{maximum:.4g}")}

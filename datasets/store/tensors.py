@@ -35,7 +35,7 @@ class FrameTensors:
         """Item of frame `index`, negative from the end; raises IndexError beyond either end."""
         if not -len(self) <= index < len(self):
             raise IndexError(f"frame {index} of a dataset of {len(self)}")
-        return item_of(self.data, index, self.names)
+        return make_item(self.data, index, self.names)
 
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -48,7 +48,7 @@ def checked_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def item_of(data: Any, index: int | NDArray[np.int64], names: Sequence[str]) -> Item:
+def make_item(data: Any, index: int | NDArray[np.int64], names: Sequence[str]) -> Item:
     """Item of one frame of a `Dataset`, or batch of several."""
     values = {name: getattr(data, name)[index] for name in names if name != "reference"}
     row = data.specimen[index]

@@ -8,7 +8,7 @@ import numpy as np
 
 from eitskin.datasets.store.folder import open_dataset, read_entry
 from eitskin.datasets.store.manifest import read_manifest
-from eitskin.datasets.store.tensors import NAMES, FrameTensors, Item, checked_names, item_of
+from eitskin.datasets.store.tensors import NAMES, FrameTensors, Item, checked_names, make_item
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
 
@@ -43,9 +43,9 @@ class TorchDataset:
         """Read the manifest and the first shard.
 
         Args:
-            folder: of the dataset.
+            folder: folder of the dataset.
             names: keys of an item.
-            memory_limit: for all frames together [bytes].
+            memory_limit: memory limit for all frames together [bytes].
 
         Raises:
             ConfigurationError: for unknown names, or a dataset above the limit.
@@ -106,7 +106,7 @@ class ShuffledShards:
         """Read the manifest only; errors as for `TorchDataset`.
 
         Args:
-            folder: of the dataset.
+            folder: folder of the dataset.
             names: keys of an item.
             seed: of the order.
             batch: number of frames in an item, the first axis of its tensors; fewer in the last
@@ -141,7 +141,7 @@ class ShuffledShards:
             size = self._batch or 1
             for start in range(0, len(frames), size):
                 chosen = frames[start : start + size] if self._batch else int(frames[start])
-                yield item_of(data, chosen, self.names)
+                yield make_item(data, chosen, self.names)
 
     def _generator(self, *stream: int) -> np.random.Generator:
         sequence = np.random.SeedSequence(self.seed, spawn_key=(self.epoch, *stream))

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import require_axes, require_count, require_length
 from eitskin.errors import DataError
 
-MOST_PIXELS = 4096  # of a row or column
+MAX_PIXELS = 4096  # of a row or column
 
 
 def touch_maps(
@@ -39,7 +39,7 @@ def touch_maps(
     for name, length in zip(("length", "width"), outline, strict=True):
         require_length(f"{name} of the outline", length)
     for name, count in zip(("rows", "columns"), shape, strict=True):
-        require_count(f"{name} of a touch map", count, 1, MOST_PIXELS)
+        require_count(f"{name} of a touch map", count, 1, MAX_PIXELS)
     x, y, radius = (np.asarray(values, dtype=np.float32) for values in (x, y, radius))
     for name, values in (("x", x), ("y", y), ("radius", radius)):
         require_axes(name, values, *(x.shape if x.ndim == 2 else (None, None)), more=False)

@@ -169,9 +169,9 @@ def _interrupts_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(begun: Event) -> None:
+def _begin(started_event: Event) -> None:
     """Say that this worker has begun; end it, from a thread, when its parent has ended."""
-    begun.set()
+    started_event.set()
 
     def wait() -> None:
         if parent := multiprocessing.parent_process():
@@ -224,11 +224,11 @@ def _run_on_worker(
     versions: Mapping[str, str], task: Callable[[Item], Result], item: Item
 ) -> Result:
     """Run a task on a worker of a cluster."""
-    found = package_versions(PACKAGES)
-    if found != versions:
+    worker_versions = package_versions(PACKAGES)
+    if worker_versions != versions:
         raise ConfigurationError(
             f"a dask worker has other packages, so its numbers would differ: expected {versions}, "
-            f"got {found}; install the same on all machines"
+            f"got {worker_versions}; install the same on all machines"
         )
     # More BLAS threads would compete for the cores, and sums would depend on their number.
     with _one_at_a_time, one_thread():

@@ -31,7 +31,7 @@ class ShardWriter(Closeable):
             writer.append(frame)
 
     Attributes:
-        folder: of the dataset.
+        folder: folder of the dataset.
         readable: number of frames in finished shards, which survive a crash.
 
     Example:
@@ -57,10 +57,10 @@ class ShardWriter(Closeable):
         """Start a dataset in `folder`, which must be new or empty.
 
         Args:
-            folder: of the dataset.
+            folder: folder of the dataset.
             reference: flat, untouched sensor, (C,) [ohm]; the first frame of the first shard with
                 only finite values when omitted.
-            design: of the sensor, where known.
+            design: design of the sensor, where known.
             source: "measured" or "simulated".
             frames_per_shard: number of frames in a file, at most lost in a crash.
         """
@@ -138,7 +138,7 @@ class ShardWriter(Closeable):
         return sum(entry.count for entry in self._entries)
 
     def _list_shards(self) -> None:
-        manifest = Manifest.of_shards(self._shared["source"], self._entries)
+        manifest = Manifest.from_shards(self._shared["source"], self._entries)
         write_manifest(self.folder, manifest)
         self.readable = self._count
 

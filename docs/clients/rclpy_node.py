@@ -36,12 +36,12 @@ class Skin(Node):
 
     def publish(self, reading: Reading) -> None:
         """Publish one reading, stamped with the time at which its frame came."""
-        said = self._messages.of(reading, round(1e9 * reading.wall_time))
+        said = self._messages.make_messages(reading, round(1e9 * reading.wall_time))
         if reading.frame.session != self._session:
             self._session = reading.frame.session
             said |= self._messages.sensor(reading.frame)
         for topic, message in said.items():
-            self._topics[topic].publish(self._messages.serialised(topic, message))  # CDR
+            self._topics[topic].publish(self._messages.serialise(topic, message))  # CDR
 
 
 def main() -> None:

@@ -120,7 +120,7 @@ def _rim(design: SensorDesign) -> NDArray[np.float64]:
         corners = np.array(outline.points)
         return np.vstack([corners, corners[:1]])
     assert isinstance(outline, PlaneOutline)
-    return np.asarray(outline.at(np.linspace(0.0, outline.perimeter, 841)))
+    return np.asarray(outline.rim_points(np.linspace(0.0, outline.perimeter, 841)))
 
 
 def _along(design: SensorDesign, x: float, y: float, width: float) -> NDArray[np.float64]:
@@ -129,7 +129,7 @@ def _along(design: SensorDesign, x: float, y: float, width: float) -> NDArray[np
     assert isinstance(outline, PlaneOutline)
     s, _ = outline.nearest(np.array([x, y]))
     reach = np.linspace(-0.5 * width, 0.5 * width, 9)
-    return np.asarray(outline.at((float(s) + reach) % outline.perimeter))
+    return np.asarray(outline.rim_points((float(s) + reach) % outline.perimeter))
 
 
 def _outward(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-from eitskin.cli.help import examples_of
+from eitskin.cli.help import command_examples
 from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.geometry import Clamp, FreeArc, Hinge, SensorDesign
@@ -88,7 +88,7 @@ def _command(path: str, command: typing.Any) -> Iterator[str]:
                 yield from _command(f"{path} {name}", member)
         return
     text = inspect.cleandoc(command.help or "")
-    examples = examples_of(path)
+    examples = command_examples(path)
     arguments = [each for each in command.params if each.param_type_name == "argument"]
     usage = " ".join([path, *(usage_name(each).strip("`") for each in arguments)])
     yield f"### {path}\n\n{text}\n"

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from eitskin.bounds import LONGEST, require_positive, require_within
+from eitskin.bounds import LONGEST, require_in_range, require_positive
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
@@ -101,8 +101,8 @@ class _Kinematic(ABC):
 
     def _check_profile(self, transition: float, contraction: float) -> None:
         half = 0.5 * self.bent_length
-        require_within("transition, to half the bent length,", transition, 0.0, half, "m")
-        require_within("contraction, of a plate to that of a beam,", contraction, 0.0, 1.0)
+        require_in_range("transition, to half the bent length,", transition, 0.0, half, "m")
+        require_in_range("contraction, of a plate to that of a beam,", contraction, 0.0, 1.0)
 
     def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
         """Flexure of the bent sensor.
@@ -175,8 +175,8 @@ class Hinge(_Kinematic):
 
     def __post_init__(self) -> None:
         require_positive("hinge span", self.span, "m")
-        require_within("hinge offset", self.offset, -LONGEST, LONGEST, "m")
-        require_within("hinge give", self.give, 0.0, LONGEST, "m")
+        require_in_range("hinge offset", self.offset, -LONGEST, LONGEST, "m")
+        require_in_range("hinge give", self.give, 0.0, LONGEST, "m")
         self._check_profile(self.transition, self.contraction)
 
     @property
@@ -187,17 +187,17 @@ class Hinge(_Kinematic):
         centre, half = design.centre, 0.5 * theta
         length = self.bent_length
         clamp = 0.5 * length
-        made = Flexure(centre, length, theta, 1.0, self.transition, self.contraction)
+        flexure = Flexure(centre, length, theta, 1.0, self.transition, self.contraction)
         straight, more = (
-            float(replace(made, stretch=s, contraction=0.0).centre_line(np.array(clamp))[0])
+            float(replace(flexure, stretch=s, contraction=0.0).centre_line(np.array(clamp))[0])
             for s in (1.0, 2.0)
         )
         # The extent of the centre line along x is linear in the stretch; its end is the clamp's.
-        wanted = clamp * math.cos(half) + self.offset * math.sin(half)
-        made = replace(made, stretch=1.0 + (wanted - straight) / (more - straight))
-        down = float(made.centre_line(np.array(clamp))[1])
+        chord = clamp * math.cos(half) + self.offset * math.sin(half)
+        flexure = replace(flexure, stretch=1.0 + (chord - straight) / (more - straight))
+        down = float(flexure.centre_line(np.array(clamp))[1])
         height = -clamp * math.sin(half) + self.offset * (math.cos(half) - 1.0)
-        return replace(made, rise=height + down)
+        return replace(flexure, rise=height + down)
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,13 +281,13 @@ class Twist:
         if not math.isfinite(self.angle_deg):
             raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
 
-    def deformation(self, design: SensorDesign) -> "Twisted":
+    def deformation(self, design: SensorDesign) -> "TwistedMap":
         """Deformation of a twisted design, its middle at rest."""
-        return Twisted(design.centre, math.radians(self.angle_deg) / design.outline.length)
+        return TwistedMap(design.centre, math.radians(self.angle_deg) / design.outline.length)
 
 
 @dataclass(frozen=True, slots=True)
-class Twisted(Deformation):
+class TwistedMap(Deformation):
     """Torsion without warping: each cross-section turns rigidly about x, in proportion to X.
 
     x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
@@ -301,7 +301,7 @@ class Twisted(Deformation):
     centre: tuple[float, float, float]
     rate: float
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients; det F = 1 everywhere."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
@@ -337,23 +337,23 @@ class Roll:
                 f"{self.angle_deg}"
             )
 
-    def deformation(self, design: SensorDesign) -> "Rolled":
+    def deformation(self, design: SensorDesign) -> "RolledMap":
         """Deformation of a rolled design: Rivlin's flexure (1949) of the whole width."""
         outline, theta = design.outline, math.radians(self.angle_deg)
         x, y, z = design.centre
         c = theta / outline.width
         stretch = _free_stretch(c * design.encapsulated_thickness)
-        return Rolled(Flexure((y, x, z), outline.width, theta, stretch))
+        return RolledMap(Flexure((y, x, z), outline.width, theta, stretch))
 
 
 @dataclass(frozen=True, slots=True)
-class Rolled(Deformation):
+class RolledMap(Deformation):
     """Flexure with x and y exchanged."""
 
     flexure: Flexure
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients; det F = 1 everywhere."""
         swap = [1, 0, 2]
-        moved, F = self.flexure.mapped(points[..., swap])
+        moved, F = self.flexure.map_points(points[..., swap])
         return moved[..., swap], F[..., swap, :][..., swap]

@@ -38,12 +38,12 @@ class Flexure(Deformation):
     Attributes:
         centre: middle of the span at mid-layer, (x, y, z) [m].
         span: flat length that bends [m].
-        angle: between the two ends, positive convex upwards [rad].
+        angle: angle between the two ends, positive convex upwards [rad].
         stretch: lambda_0 in the middle of the span.
         transition: flat length over which the curvature rises, at each end of the span [m].
         contraction: beta in mu = lambda_0^(-beta / 2): 0 for a plate of constant width, 1 for a
             beam that contracts equally in width and thickness.
-        rise: of mid-layer in the middle of the span [m].
+        rise: rise of mid-layer in the middle of the span [m].
     """
 
     centre: tuple[float, float, float]
@@ -59,7 +59,7 @@ class Flexure(Deformation):
         """Curvature c in the middle of the span: rotation per flat length [1/m]."""
         return self.angle / (self.span - self.transition)
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients; det F = 1 everywhere."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         along, down = self.centre_line(X)

@@ -24,41 +24,41 @@ class Deformation(ABC):
     __slots__ = ()
 
     @abstractmethod
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Deformed positions x [m], (..., 3), and gradients F = dx/dX, (..., 3, 3).
 
         At flat points X [m], (..., 3).
         """
 
-    def after(self, places: Points, gradients: Gradients) -> tuple[Points, Gradients]:
+    def map_deformed(self, places: Points, gradients: Gradients) -> tuple[Points, Gradients]:
         """Positions and gradients of points that another deformation moved to places (..., 3) [m].
 
         By the chain rule F = F_own(places) F, from gradients F (..., 3, 3) so far.
         """
-        positions, outer = self.mapped(places)
+        positions, outer = self.map_points(places)
         outer, inner = _entries(outer), _entries(gradients)
         F = np.asarray(sum(outer[:, j, None] * inner[j] for j in range(3)))
         return positions, np.moveaxis(F, (0, 1), (-2, -1))
 
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
-        return self.mapped(points)[0]
+        return self.map_points(points)[0]
 
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient F = dx/dX, (..., 3, 3), at flat points [m], (..., 3)."""
-        return self.mapped(points)[1]
+        return self.map_points(points)[1]
 
 
 @dataclass(frozen=True, slots=True)
-class Composed(Deformation):
+class Composition(Deformation):
     """Composition of two deformations; F = F_second(x_first) F_first."""
 
     first: Deformation
     second: Deformation
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradient by the chain rule."""
-        return self.second.after(*self.first.mapped(points))
+        return self.second.map_deformed(*self.first.map_points(points))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +68,14 @@ class Displaced(Deformation):
     Attributes:
         displacement: u(x) [m], (..., 3), of flat points (..., 3) [m].
         derivative: du/dx, (..., 3, 3); central differences of `displacement` when omitted.
-        step: of those differences [m]; they are exact to about (step / size)^2.
+        step: step of those differences [m]; they are exact to about (step / size)^2.
     """
 
     displacement: Callable[[Points], Points]
     derivative: Callable[[Points], Gradients] | None = None
     step: float = 1e-6
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradient; raises ConfigurationError where the body is inside out."""
         if self.derivative is not None:
             slope = self.derivative(points)

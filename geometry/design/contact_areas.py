@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc, Outline, PlaneOutline, beyond, half_planes
+from eitskin.geometry.design.outline import Disc, Outline, PlaneOutline, half_planes, overhang
 from eitskin.geometry.design.patches import Patch, Region, area_vectors, on_boundary
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_WIDEST_ARC = 0.5  # of one region [rad]
-_DEEPEST = 0.1  # largest depth of a region behind its side, relative to the perimeter
-_SAME = 1e-9  # distance of points that count as one, relative to the size of the body
+_MAX_ARC = 0.5  # of one region [rad]
+_MAX_DEPTH = 0.1  # largest depth of a region behind its side, relative to the perimeter
+_POINT_TOLERANCE = 1e-9  # distance of points that count as one, relative to the size of the body
 _LEVEL = 0.9  # of a normal's z, above which a surface counts as level
-_COVERED = 0.9  # share of a pad that must lie on the surface
+_MIN_COVERED_SHARE = 0.9  # share of a pad that must lie on the surface
 _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _TOUCHING = 1e-9  # overlap of electrodes that only touch [m]
 
@@ -29,8 +29,8 @@ class Strip:
     """Contact on the side of a layer: an interval of arc length times one of height.
 
     Attributes:
-        outline: of the layer.
-        thickness: of the layer [m].
+        outline: outline of the layer.
+        thickness: thickness of the layer [m].
         start, end: arc lengths, not limited to one turn around the outline [m].
         low, high: heights [m].
     """
@@ -45,7 +45,7 @@ class Strip:
     @property
     def centre(self) -> Array:
         """Middle of the strip, (3,) [m]."""
-        x, y = self.outline.at(0.5 * (self.start + self.end))
+        x, y = self.outline.rim_points(0.5 * (self.start + self.end))
         return np.array([x, y, 0.5 * (self.low + self.high)])
 
     @property
@@ -60,31 +60,31 @@ class Strip:
 
     def edges(self, spacing: float) -> Array:
         """Points along the rim of the strip, except on the rim of the layer, (k, 3) [m]."""
-        rows = _divided(self.low, self.high, spacing)
-        around = np.concatenate([_divided(a, b, spacing) for a, b in self._pieces()])
+        rows = _subdivide_interval(self.low, self.high, spacing)
+        around = np.concatenate([_subdivide_interval(a, b, spacing) for a, b in self._pieces()])
         lines = [(np.full_like(rows, s), rows) for s in (self.start, self.end)]
         # At the rim of the layer the potential has no singularity: it continues mirrored.
-        same = _SAME * self.thickness
+        same = _POINT_TOLERANCE * self.thickness
         free = [z for z in (self.low, self.high) if same < z < self.thickness - same]
         lines += [(around, np.full_like(around, z)) for z in free]
         s, z = (np.concatenate(parts) for parts in zip(*lines, strict=True))
-        return np.column_stack([self.outline.at(s), z])
+        return np.column_stack([self.outline.rim_points(s), z])
 
     def _pieces(self) -> list[tuple[float, float]]:
         """Intervals of arc length of constant or nearly constant normal."""
         if isinstance(self.outline, Disc):
-            count = math.ceil((self.end - self.start) / (_WIDEST_ARC * self.outline.radius))
+            count = math.ceil((self.end - self.start) / (_MAX_ARC * self.outline.radius))
             breaks = np.linspace(self.start, self.end, count + 1)
         else:
             turns = np.array([[-1.0], [0.0], [1.0]]) * self.outline.perimeter
             corners = (turns + self.outline.corners).ravel()
-            same = _SAME * self.outline.perimeter
+            same = _POINT_TOLERANCE * self.outline.perimeter
             within = (corners > self.start + same) & (corners < self.end - same)
             breaks = np.concatenate([[self.start], corners[within], [self.end]])
         return list(zip(breaks[:-1].tolist(), breaks[1:].tolist(), strict=True))
 
     def _region(self, start: float, end: float) -> Region:
-        a, b = np.column_stack([self.outline.at([start, end]), np.zeros(2)])
+        a, b = np.column_stack([self.outline.rim_points([start, end]), np.zeros(2)])
         along = (b - a) / np.linalg.norm(b - a)
         normal = np.cross(along, _UP)
         if isinstance(self.outline, Disc):
@@ -103,7 +103,7 @@ class Strip:
 def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> Strip:
     """Strip of an electrode; raises ConfigurationError where the strip does not fit the side."""
     centre = outline.locate(electrode.x, electrode.y)
-    if electrode.width > outline.perimeter * (1.0 - _SAME):
+    if electrode.width > outline.perimeter * (1.0 - _POINT_TOLERANCE):
         raise ConfigurationError(
             f"its width of {electrode.width:g} m must be less than the outline's perimeter of "
             f"{outline.perimeter:g} m"
@@ -113,7 +113,7 @@ def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> St
         return Strip(outline, thickness, start, end, 0.0, thickness)
     z = 0.5 * thickness if electrode.z is None else electrode.z
     low, high = z - 0.5 * electrode.height, z + 0.5 * electrode.height
-    if low < -_SAME * thickness or high > thickness * (1.0 + _SAME):
+    if low < -_POINT_TOLERANCE * thickness or high > thickness * (1.0 + _POINT_TOLERANCE):
         raise ConfigurationError(
             f"it reaches from z = {low:g} to {high:g} m, beyond the layer's 0 to {thickness:g} m; "
             "lower its height or move its z"
@@ -121,7 +121,7 @@ def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> St
     return Strip(outline, thickness, start, end, max(low, 0.0), min(high, thickness))
 
 
-def _divided(start: float, end: float, spacing: float) -> Array:
+def _subdivide_interval(start: float, end: float, spacing: float) -> Array:
     """Evenly spaced numbers from `start` to `end`, at most `spacing` apart."""
     return np.linspace(start, end, max(2, math.ceil((end - start) / spacing - 1e-9) + 1))
 
@@ -131,7 +131,7 @@ def _depth(outline: PlaneOutline, a: Array, b: Array) -> float:
 
     The depth is half the distance to the nearest side with overlapping extent and equal direction.
     """
-    corners = outline.at(outline.corners)
+    corners = outline.rim_points(outline.corners)
     start, step = corners - a, np.roll(corners, -1, axis=0) - corners
     length = float(np.hypot(*(b - a)))
     along = (b - a) / length
@@ -143,10 +143,10 @@ def _depth(outline: PlaneOutline, a: Array, b: Array) -> float:
         for end in (0.0, length)
     ]
     offsets = np.abs([start @ normal + part * rise for part in share])
-    same = _SAME * outline.perimeter
+    same = _POINT_TOLERANCE * outline.perimeter
     other = alike & ((share[1] - share[0]) * forward > same) & (offsets.max(axis=0) > same)
     nearest = offsets.min(axis=0)[other].min(initial=np.inf)
-    return float(min(0.5 * nearest, _DEEPEST * outline.perimeter))
+    return float(min(0.5 * nearest, _MAX_DEPTH * outline.perimeter))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +158,7 @@ class Pad:
         corners: counter-clockwise seen from outside, (k, 3) [m].
         normal: outward unit vector, (3,).
         depth: largest distance of the contacted boundary from the plane of the pad [m].
-        area: of the contact [m2].
+        area: area of the contact [m2].
     """
 
     on: str
@@ -201,7 +201,7 @@ def on_plane(electrode: Electrode, outline: PlaneOutline, thickness: float) -> P
     """
     footprint = electrode.footprint()
     plane = np.add(footprint, (electrode.x, electrode.y))
-    excess = beyond(outline, plane)
+    excess = overhang(outline, plane)
     if excess > 0.0:
         raise ConfigurationError(
             f"its pad of {np.ptp(plane[:, 0]):g} x {np.ptp(plane[:, 1]):g} m about "
@@ -223,10 +223,10 @@ def on_plane(electrode: Electrode, outline: PlaneOutline, thickness: float) -> P
 
 def on_surface(electrode: Electrode, surface: Surface) -> Pad:
     """Pad of an electrode on a surface; raises ConfigurationError where the pad lies off it."""
-    given = np.array([electrode.x, electrode.y, electrode.z or 0.0])
-    centre, normal = surface.nearest(given)
+    position = np.array([electrode.x, electrode.y, electrode.z or 0.0])
+    centre, normal = surface.nearest(position)
     footprint = electrode.footprint()
-    off = float(np.linalg.norm(centre - given))
+    off = float(np.linalg.norm(centre - position))
     if off > np.abs(footprint).max(axis=0).min():
         raise ConfigurationError(
             f"its centre is {off:g} m off the surface; the nearest point on it is "
@@ -237,10 +237,10 @@ def on_surface(electrode: Electrode, surface: Surface) -> Pad:
     for _ in range(2):
         corners = centre + footprint @ tangents(normal)
         depth = float(np.linalg.norm(footprint, axis=1).max())
-        vectors = _within(points[faces], _prism(corners, normal, depth))
+        vectors = _area_vectors_inside(points[faces], _prism(corners, normal, depth))
         normal = vectors.sum(axis=0) / np.linalg.norm(vectors.sum(axis=0))
     covered, area = float(np.linalg.norm(vectors, axis=1).sum()), _area(footprint)
-    if covered < _COVERED * area:
+    if covered < _MIN_COVERED_SHARE * area:
         raise ConfigurationError(
             f"only {covered / area:.0%} of its pad lies on the surface: it passes a sharp edge or "
             "is too large for the body; move it or make it smaller"
@@ -258,11 +258,11 @@ def _prism(corners: Array, normal: Array, depth: float) -> Region:
     return Region(np.column_stack([outward, (outward * points).sum(axis=1)]), normal)
 
 
-def _within(triangles: Array, region: Region) -> Array:
+def _area_vectors_inside(triangles: Array, region: Region) -> Array:
     """Area times normal, (k, 3) [m2], of the parts of triangles (n, 3, 3) in a region."""
     normals = area_vectors(triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-    snap = _SAME * float(np.ptp(triangles))
+    snap = _POINT_TOLERANCE * float(np.ptp(triangles))
     pieces = on_boundary(triangles, normals, np.arange(len(triangles)), region, snap)
     return area_vectors(pieces.polygons)
 
@@ -287,7 +287,7 @@ def _area(corners: Array) -> float:
 ContactArea = Strip | Pad
 
 
-def placed(
+def contact_areas(
     electrodes: Sequence[Electrode], outline: Outline, thickness: float
 ) -> list[ContactArea]:
     """Contact areas of electrodes on a body.
@@ -297,13 +297,13 @@ def placed(
     contacts = []
     for number, electrode in enumerate(electrodes):
         try:
-            contacts.append(_placed(electrode, outline, thickness))
+            contacts.append(_contact_area(electrode, outline, thickness))
         except ConfigurationError as error:
             raise ConfigurationError(f"electrode {number}: {error}") from error
     return contacts
 
 
-def require_apart(contacts: Sequence[ContactArea]) -> None:
+def require_disjoint(contacts: Sequence[ContactArea]) -> None:
     """Raise ConfigurationError, naming both, for the first two contacts that overlap.
 
     Strips are compared in the unrolled side, pads in their common plane; a surface is taken as
@@ -323,7 +323,7 @@ def require_apart(contacts: Sequence[ContactArea]) -> None:
             )
 
 
-def _placed(electrode: Electrode, outline: Outline, thickness: float) -> ContactArea:
+def _contact_area(electrode: Electrode, outline: Outline, thickness: float) -> ContactArea:
     if isinstance(outline, Surface) != (electrode.on == "surface"):
         raise ConfigurationError(
             'on = "surface" goes with the surface of a file as outline and with nothing else; got '

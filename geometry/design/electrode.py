@@ -65,9 +65,9 @@ class Electrode:
             )
         for name, kind in (("on", On), ("shape", Shape)):
             if getattr(self, name) not in get_args(kind):
-                known = ", ".join(f"'{choice}'" for choice in get_args(kind))
+                choices = ", ".join(f"'{choice}'" for choice in get_args(kind))
                 raise ConfigurationError(
-                    f"electrode {name} must be one of {known}, got {getattr(self, name)!r}"
+                    f"electrode {name} must be one of {choices}, got {getattr(self, name)!r}"
                 )
         self._check_combination()
         require_contact_impedance(self.contact_impedance)

@@ -8,17 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import LONGEST, require_within
+from eitskin.bounds import LONGEST, require_in_range
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 
 Array = NDArray[np.float64]
 
 _CHORDS = 48  # of a circle, whose polygon has the area of the circle
 _SAMPLES = 400  # places along a rim that must be apart from others
-_LEAST_DISTANCE = 1e-3  # of a rim from others, over its extent
+_MIN_DISTANCE = 1e-3  # of a rim from others, over its extent
 
 
+@old_names(meshed="mesh_outline")
 @dataclass(frozen=True, slots=True)
 class Inclusion:
     """Part of a layer through its whole thickness.
@@ -29,7 +31,7 @@ class Inclusion:
         Disc(radius=0.01)
 
     Attributes:
-        outline: of the part.
+        outline: outline of the part.
         x, y: middle of the outline's bounding box [m].
         conductivity: inside, complex for an admittivity [S/m].
     """
@@ -41,8 +43,8 @@ class Inclusion:
 
     def __post_init__(self) -> None:
         """Check that the numbers are finite, and the conductivity's real part positive."""
-        require_within("inclusion x", self.x, -LONGEST, LONGEST, "m")
-        require_within("inclusion y", self.y, -LONGEST, LONGEST, "m")
+        require_in_range("inclusion x", self.x, -LONGEST, LONGEST, "m")
+        require_in_range("inclusion y", self.y, -LONGEST, LONGEST, "m")
         if not (np.isfinite(self.conductivity) and np.real(self.conductivity) > 0.0):
             raise ConfigurationError(
                 "inclusion conductivity must be finite with a positive real part, got "
@@ -62,7 +64,7 @@ class Inclusion:
         return cls(Rectangle(length, width), x, y, conductivity)
 
     @property
-    def meshed(self) -> PlaneOutline:
+    def mesh_outline(self) -> PlaneOutline:
         """Outline on whose rim the points of a mesh lie: of a disc a little larger.
 
         The polygon of its chords has the disc's area.
@@ -75,7 +77,7 @@ class Inclusion:
     @property
     def marks(self) -> Array:
         """Arc lengths of required points of the meshed rim, besides corners [m]."""
-        whole = self.meshed.perimeter
+        whole = self.mesh_outline.perimeter
         return (
             whole * np.arange(_CHORDS) / _CHORDS if isinstance(self.outline, Disc) else np.empty(0)
         )
@@ -83,30 +85,34 @@ class Inclusion:
     @property
     def origin(self) -> Array:
         """Least x and y of the meshed outline, (2,) [m]."""
-        return np.array([self.x, self.y]) - 0.5 * np.array([self.meshed.length, self.meshed.width])
+        return np.array([self.x, self.y]) - 0.5 * np.array(
+            [self.mesh_outline.length, self.mesh_outline.width]
+        )
 
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """Whether points (..., 2 or 3) [m] are within the meshed outline, (...)."""
-        return self.meshed.contains(points[..., :2] - self.origin)
+        return self.mesh_outline.contains(points[..., :2] - self.origin)
 
 
 def require_inside(inclusions: Sequence[Inclusion], outline: PlaneOutline) -> None:
     """Raise ConfigurationError for rims that cross or touch each other or the layer's rim."""
     rims = [
-        each.meshed.at(np.linspace(0.0, each.meshed.perimeter, _SAMPLES, endpoint=False))
+        each.mesh_outline.rim_points(
+            np.linspace(0.0, each.mesh_outline.perimeter, _SAMPLES, endpoint=False)
+        )
         + each.origin
         for each in inclusions
     ]
     for number, (each, rim) in enumerate(zip(inclusions, rims, strict=True)):
-        least = _LEAST_DISTANCE * max(each.outline.length, each.outline.width)
+        least = _MIN_DISTANCE * max(each.outline.length, each.outline.width)
         if not outline.contains(rim, least).all():
             raise ConfigurationError(
                 f"inclusion {number} must lie within the layer, clear of its rim by {least:.2g} m; "
                 "move it inwards, or make it smaller"
             )
     for (first, a), (second, b) in itertools.permutations(enumerate(inclusions), 2):
-        depth = a.meshed.nearest(rims[second] - a.origin)[1]
-        least = _LEAST_DISTANCE * max(b.outline.length, b.outline.width)
+        depth = a.mesh_outline.nearest(rims[second] - a.origin)[1]
+        least = _MIN_DISTANCE * max(b.outline.length, b.outline.width)
         if depth.min() < least and depth.max() > -least:
             raise ConfigurationError(
                 f"the rims of inclusions {first} and {second} must not cross or touch; move them "

@@ -1,10 +1,11 @@
 """Plane outlines of a conductive layer: rectangle, disc, polygon.
 
-A position on the rim is told by its arc length, counter-clockwise.
+A position on the rim is reported by its arc length, counter-clockwise.
 
-An outline of straight sides is a frozen dataclass that derives from `_StraightSided`, gives
-`vertices`, `length` and `width`, and joins the union `PlaneOutline`; TOML files tell outlines apart
-by their keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc` has one.
+An outline of straight sides is a frozen dataclass that derives from `_PolygonalOutline`, gives
+`vertices`, `length` and `width`, and joins the union `PlaneOutline`; TOML files distinguish
+outlines by their keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc`
+has one.
 """
 
 import math
@@ -16,12 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import MOST_POINTS, require_axes, require_count, require_length
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_ON = 1e-3  # largest distance from the rim of a position on it, relative to the outline's size
-_SAME = 1e-9  # distance of points that count as one, relative to the outline's size
+# largest distance from the rim of a position on it, relative to the outline's size
+_MAX_RIM_DISTANCE = 1e-3
+_POINT_TOLERANCE = 1e-9  # distance of points that count as one, relative to the outline's size
 
 
 class _Plane:
@@ -34,7 +37,7 @@ class _Plane:
     __slots__ = ()
     corner = (0.0, 0.0)
 
-    def at(self, s: ArrayLike) -> Array:
+    def rim_points(self, s: ArrayLike) -> Array:
         """Points (..., 2) [m] of the rim at arc lengths `s` (...) [m], counter-clockwise."""
         raise NotImplementedError
 
@@ -48,7 +51,7 @@ class _Plane:
     def contains(self, points: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether points (..., 2) [m] are inside, at least `margin` [m] from the rim, (...)."""
         _, depth = self.nearest(np.asarray(points, dtype=float))
-        return depth >= margin - _SAME * self._size()
+        return depth >= margin - _POINT_TOLERANCE * self._size()
 
     def locate(self, x: float, y: float) -> float:
         """Arc length [m] of the point of the rim nearest to (x, y) [m].
@@ -56,7 +59,7 @@ class _Plane:
         Raises ConfigurationError, naming that point, for a position off the rim by more than a
         thousandth of the outline's larger extent: positions may be rounded.
         """
-        return _located(self, x, y)
+        return _rim_position(self, x, y)
 
     def _size(self) -> float:
         """Larger extent [m]."""
@@ -64,10 +67,10 @@ class _Plane:
 
 
 @lru_cache(maxsize=1024)  # the same electrodes are placed for every change of a design
-def _located(outline: _Plane, x: float, y: float) -> float:
+def _rim_position(outline: _Plane, x: float, y: float) -> float:
     s, depth = outline.nearest(np.array([x, y]))
-    if not abs(depth) <= _ON * outline._size():
-        near_x, near_y = outline.at(s)
+    if not abs(depth) <= _MAX_RIM_DISTANCE * outline._size():
+        near_x, near_y = outline.rim_points(s)
         raise ConfigurationError(
             f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest point on it is "
             f"({near_x:.9g}, {near_y:.9g}) m"
@@ -75,7 +78,7 @@ def _located(outline: _Plane, x: float, y: float) -> float:
     return float(s)
 
 
-class _StraightSided(_Plane):
+class _PolygonalOutline(_Plane):
     """Outline of straight sides; arc length runs counter-clockwise from the first vertex."""
 
     __slots__ = ()
@@ -95,7 +98,7 @@ class _StraightSided(_Plane):
         """Length of the rim [m]."""
         return float(_sides(self).knots[-1])
 
-    def at(self, s: ArrayLike) -> Array:
+    def rim_points(self, s: ArrayLike) -> Array:
         sides = _sides(self)
         along = np.mod(s, sides.knots[-1])
         return np.stack([np.interp(along, sides.knots, axis) for axis in sides.closed.T], axis=-1)
@@ -133,7 +136,7 @@ class _Sides:
 
 
 @lru_cache(maxsize=64)
-def _sides(outline: _StraightSided) -> _Sides:
+def _sides(outline: _PolygonalOutline) -> _Sides:
     closed = np.concatenate([outline.vertices, outline.vertices[:1]])
     step = np.diff(closed, axis=0)
     lengths = np.hypot(step[:, 0], step[:, 1])
@@ -143,7 +146,7 @@ def _sides(outline: _StraightSided) -> _Sides:
 
 
 @dataclass(frozen=True, slots=True)
-class Rectangle(_StraightSided):
+class Rectangle(_PolygonalOutline):
     """Rectangular outline with a corner at the origin: length along x, width along y [m].
 
     Arc length runs counter-clockwise from the origin.
@@ -169,7 +172,7 @@ class Rectangle(_StraightSided):
 
 
 @dataclass(frozen=True, slots=True)
-class Polygon(_StraightSided):
+class Polygon(_PolygonalOutline):
     """Polygonal outline through at least three points (x, y) [m]; the last joins the first.
 
     The least x and the least y must be 0. Clockwise points are reversed, the first point staying
@@ -188,23 +191,23 @@ class Polygon(_StraightSided):
         require_count("the number of outline.points", len(self.points), 3, MOST_POINTS)
         if any(len(point) != 2 for point in self.points):
             raise ConfigurationError("outline.points must be pairs (x, y), in m")
-        given = np.array(self.points, dtype=float)
-        if not np.isfinite(given).all():
+        vertices = np.array(self.points, dtype=float)
+        if not np.isfinite(vertices).all():
             raise ConfigurationError("outline.points must be finite, in m")
-        low, extent = given.min(axis=0), np.ptp(given, axis=0)
+        low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
         require_length("outline.points' extent along x", float(extent[0]))
         require_length("outline.points' extent along y", float(extent[1]))
-        same = _SAME * float(extent.max())
+        same = _POINT_TOLERANCE * float(extent.max())
         if np.abs(low).max() > same:
             raise ConfigurationError(
                 "the bounding box of outline.points must start at the origin; shift the points by "
                 f"({-low[0]:.9g}, {-low[1]:.9g}) m"
             )
-        _require_simple(given, same)
-        x, y = given.T
+        _require_simple(vertices, same)
+        x, y = vertices.T
         if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0.0:
-            given = np.concatenate([given[:1], given[:0:-1]])
-        points = tuple((float(x), float(y)) for x, y in given)
+            vertices = np.concatenate([vertices[:1], vertices[:0:-1]])
+        points = tuple((float(x), float(y)) for x, y in vertices)
         object.__setattr__(self, "points", points)
 
     @property
@@ -226,9 +229,14 @@ class Polygon(_StraightSided):
         """Rectangle of the same rim; None where the polygon is of another shape."""
         (x, y), box = np.array(self.points).T, self.length * self.width
         area = 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
-        return Rectangle(self.length, self.width) if abs(area - box) <= _SAME * box else None
+        return (
+            Rectangle(self.length, self.width)
+            if abs(area - box) <= _POINT_TOLERANCE * box
+            else None
+        )
 
 
+@old_names(at="rim_points")
 @dataclass(frozen=True, slots=True)
 class Disc(_Plane):
     """Circular outline about (radius, radius) [m].
@@ -266,7 +274,7 @@ class Disc(_Plane):
         """Length of the rim [m]."""
         return 2.0 * math.pi * self.radius
 
-    def at(self, s: ArrayLike) -> Array:
+    def rim_points(self, s: ArrayLike) -> Array:
         angle = np.asarray(s, dtype=float) / self.radius
         return self.radius * (1.0 + np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
@@ -284,7 +292,7 @@ PlaneOutline = Rectangle | Disc | Polygon
 Outline = PlaneOutline | Surface
 
 
-def beyond(outline: PlaneOutline, corners: Array) -> float:
+def overhang(outline: PlaneOutline, corners: Array) -> float:
     """Distance by which a convex polygon (k, 2) [m] reaches beyond an outline [m]; 0 inside."""
     _, depth = outline.nearest(corners)
     excess = -float(depth.min())
@@ -302,7 +310,7 @@ def beyond(outline: PlaneOutline, corners: Array) -> float:
         middle = start + 0.5 * np.clip(enter + leave, 0.0, 2.0)[:, None] * step
         inside = (planes[:, 2] - middle @ planes[:, :2].T).min(axis=1)
         excess = max(excess, float(inside[enter < leave].max(initial=-np.inf)))
-    return excess if excess > _SAME * max(outline.length, outline.width) else 0.0
+    return excess if excess > _POINT_TOLERANCE * max(outline.length, outline.width) else 0.0
 
 
 def half_planes(corners: Array) -> Array:
@@ -322,7 +330,7 @@ def _require_simple(points: Array, same: float) -> None:
     short = np.flatnonzero(np.hypot(*step.T) <= same)
     if short.size:
         i, j = int(short[0]), int((short[0] + 1) % count)
-        close = "; leave out the last, the outline closes by itself" if j == 0 else ""
+        close = "; leave out the last, the outline closes automatically" if j == 0 else ""
         raise ConfigurationError(
             f"outline.points {i} and {j} are the same point, so the side between them has no "
             f"length{close}"

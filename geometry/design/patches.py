@@ -49,7 +49,7 @@ class Patch:
     Attributes:
         regions: convex sets that do not overlap; their union cuts the electrode out of the
             boundary. Empty for a sheet.
-        area: of the electrode [m2].
+        area: area of the electrode [m2].
         sheet: (k, 3) corners in order of a plane convex polygon inside the body [m]; None for
             an electrode on the boundary.
     """
@@ -68,9 +68,9 @@ class Contacts:
         cell: the cell that the piece bounds, (n,).
         corners: counter-clockwise seen from outside, (n, 3, 3) triangles or (n, 4, 3)
             parallelograms [m].
-        areas: of the pieces, (n,) [m2], scaled so that each electrode has its true area: the
+        areas: areas of the pieces, (n,) [m2], scaled so that each electrode has its true area: the
             chords of a curved face are a little short.
-        facets: per electrode the cell faces in contact, (k, 3) or (k, 4) point numbers.
+        facets: facets per electrode the cell faces in contact, (k, 3) or (k, 4) point numbers.
 
     Example:
         >>> from eitskin.geometry import SensorDesign, structured_mesh
@@ -106,7 +106,7 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
         points: (n, 3) [m].
         cells: (m, 8) hexahedra, (m, 6) wedges or (m, 4) tetrahedra of positive volume, in VTK's
             order.
-        patches: of the electrodes, in their order.
+        patches: patches of the electrodes, in their order.
 
     Raises ConfigurationError where the pieces of an electrode do not add up to its area.
     """
@@ -121,13 +121,13 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
             parts = [on_boundary(corners, normals, owners, r, snap) for r in patch.regions]
         else:
             parts = [_in_cells(points, cells, patch.sheet, snap)]
-        found = _joined(parts)
+        found = _concatenate_pieces(parts)
         areas = np.linalg.norm(area_vectors(found.polygons), axis=1)
         _check_area(number, float(areas.sum()), patch.area)
         stretch.append(patch.area / areas.sum())
         real = areas > 1e-12 * patch.area
         pieces.append(_Pieces(found.polygons[real], found.cells[real], found.faces[real]))
-    everything = _joined(pieces)
+    everything = _concatenate_pieces(pieces)
     electrode = np.repeat(np.arange(len(patches)), [len(p.cells) for p in pieces])
     chosen, shapes = _shapes(everything.polygons)
     areas = np.linalg.norm(area_vectors(shapes), axis=1) * np.array(stretch)[electrode[chosen]]
@@ -168,7 +168,7 @@ def on_boundary(
         near = near[(corners[near] @ plane[:3]).min(axis=1) <= plane[3] + snap]
     polygons = corners[near]
     for plane in region.planes:
-        kept, polygons = _clipped(polygons, np.broadcast_to(plane, (len(polygons), 4)), snap)
+        kept, polygons = _clip_polygons(polygons, np.broadcast_to(plane, (len(polygons), 4)), snap)
         near = near[kept]
     return _Pieces(polygons, owners[near], near)
 
@@ -191,12 +191,12 @@ def _in_cells(points: Array, cells: Numbers, sheet: Array, snap: float) -> _Piec
         outward = area_vectors(corners[:, face])
         outward /= np.linalg.norm(outward, axis=1)[:, None]
         offset = np.einsum("ni,ni->n", outward, corners[:, face].mean(axis=1))
-        kept, polygons = _clipped(polygons, np.column_stack([outward, offset]), snap)
-        passed, corners = passed[kept], corners[kept]
+        numbers, polygons = _clip_polygons(polygons, np.column_stack([outward, offset]), snap)
+        passed, corners = passed[numbers], corners[numbers]
     return _Pieces(polygons, passed, np.full(len(passed), -1))
 
 
-def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Array]:
+def _clip_polygons(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Array]:
     """Clip each polygon (n, k, 3) by its own plane (n, 4): numbers and shapes of the remaining."""
     distance = np.einsum("nki,ni->nk", polygons, planes[:, :3]) - planes[:, 3:]
     distance[np.abs(distance) <= snap] = 0.0
@@ -210,11 +210,11 @@ def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Arra
     # In order around the polygon: each corner inside the plane, then the cut after the corner.
     slots = np.stack([polygons, cuts], axis=2).reshape(n, 2 * k, 3)
     used = np.stack([distance <= 0.0, crossing], axis=2).reshape(n, 2 * k)
-    left = np.flatnonzero(used.any(axis=1))
-    count = used[left].sum(axis=1)[:, None]
+    remaining = np.flatnonzero(used.any(axis=1))
+    count = used[remaining].sum(axis=1)[:, None]
     place = np.minimum(np.arange(min(k + 1, 2 * k)), count - 1)
-    order = np.take_along_axis(np.argsort(~used[left], axis=1, kind="stable"), place, axis=1)
-    return left, np.take_along_axis(slots[left], order[..., None], axis=1)
+    order = np.take_along_axis(np.argsort(~used[remaining], axis=1, kind="stable"), place, axis=1)
+    return remaining, np.take_along_axis(slots[remaining], order[..., None], axis=1)
 
 
 def area_vectors(polygons: Array) -> Array:
@@ -224,7 +224,7 @@ def area_vectors(polygons: Array) -> Array:
     return vectors
 
 
-def _joined(parts: Sequence[_Pieces]) -> _Pieces:
+def _concatenate_pieces(parts: Sequence[_Pieces]) -> _Pieces:
     """Concatenated pieces; last corners are repeated up to the greatest number of corners."""
     width = max(part.polygons.shape[1] for part in parts)
     repeat = [np.minimum(np.arange(width), part.polygons.shape[1] - 1) for part in parts]
@@ -267,7 +267,7 @@ def _shapes(polygons: Array) -> tuple[Numbers, Array]:
     return np.repeat(np.arange(n), k - 2)[real], triangles[real]
 
 
-def _facets(faces: Numbers, touched: Numbers) -> Numbers:
+def _facets(faces: Numbers, numbers: Numbers) -> Numbers:
     """Unique faces in contact; without the repeated corners if all are triangles."""
-    found = faces[np.unique(touched[touched >= 0])]
-    return found[:, :3] if (found[:, -1] == found[:, -2]).all() else found
+    facets = faces[np.unique(numbers[numbers >= 0])]
+    return facets[:, :3] if (facets[:, -1] == facets[:, -2]).all() else facets

@@ -7,7 +7,7 @@ import numpy as np
 from eitskin.bounds import MOST_ELECTRODES, require_count
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode, Shape
-from eitskin.geometry.design.outline import Outline, PlaneOutline, beyond
+from eitskin.geometry.design.outline import Outline, PlaneOutline, overhang
 from eitskin.geometry.design.surface import Surface
 
 _DIGITS = 12  # of positions in m, so that round numbers stay round
@@ -43,7 +43,7 @@ def uniform(
         raise ConfigurationError(f"start must be a finite arc length in m, got {first}")
     return tuple(
         Electrode(_round(x), _round(y), width, contact_impedance, height, z)
-        for x, y in outline.at(first + pitch * np.arange(count))
+        for x, y in outline.rim_points(first + pitch * np.arange(count))
     )
 
 
@@ -89,7 +89,7 @@ def grid(
         for x in pitch_x * (np.arange(columns) + 0.5)
     ]
     corners = [np.add(pad.footprint(), (pad.x, pad.y)) for pad in pads]
-    fitting = tuple(pads[i] for i, c in enumerate(corners) if not beyond(outline, c))
+    fitting = tuple(pads[i] for i, c in enumerate(corners) if not overhang(outline, c))
     if not fitting:
         raise ConfigurationError("no pad of the grid fits on the outline; make the pads smaller")
     return fitting

@@ -19,7 +19,8 @@ from eitskin.bounds import (
 )
 from eitskin.config import Location, build, choose, read, read_toml, to_toml, write_toml
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.contact_areas import placed, require_apart
+from eitskin.extras import old_names
+from eitskin.geometry.design.contact_areas import contact_areas, require_disjoint
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Outline, Rectangle
 from eitskin.geometry.design.patches import Patch
@@ -27,13 +28,13 @@ from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
-_SAME = 1e-9  # relative difference of thicknesses that count as equal
-_SAME_HEIGHT = 1e-6  # likewise for the height of a surface, which files give in few digits
+_THICKNESS_TOLERANCE = 1e-9  # relative difference of thicknesses that count as equal
+_HEIGHT_TOLERANCE = 1e-6  # likewise for the height of a surface, which files give in few digits
 _POINTS_PER_EDGE = 8
 
 
 def warn_of_grid(call: str) -> None:
-    """Warn of arguments of version 0.2 that told about which values solutions are shared."""
+    """Warn of arguments of version 0.2 that reported about which values solutions are shared."""
     warnings.warn(
         f"{call}: these arguments have no effect any more; give "
         "Simulator(..., grid=SensorGrid(...)) to share solutions between similar sensors",
@@ -149,6 +150,7 @@ class Layer:
         require_positive("layer conductivity", self.conductivity, "S/m")
 
 
+@old_names(conductivity_at="evaluate_conductivity", expanded="expand_data")
 @dataclass(frozen=True, slots=True)
 class SensorDesign:
     """Conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
@@ -188,7 +190,7 @@ class SensorDesign:
         self._check_layers()
         require_fit(self.support, self.outline)
         require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
-        require_apart(placed(self.electrodes, self.outline, self.thickness))
+        require_disjoint(contact_areas(self.electrodes, self.outline, self.thickness))
 
     @classmethod
     def reference(cls) -> "SensorDesign":
@@ -202,15 +204,15 @@ class SensorDesign:
         return read_toml(cls, path)
 
     @classmethod
-    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
+    def expand_data(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """Plain data of a design, its layout (`electrodes` as one table) replaced by electrodes."""
         table = data.get("electrodes")
         if not isinstance(table, Mapping):
             return data
         if "outline" not in data:
             raise location.error("missing required field `outline`, which the layout goes around")
-        where = location.under("electrodes")
-        outline = read(Outline, data["outline"], location.under("outline"))
+        where = location.child("electrodes")
+        outline = read(Outline, data["outline"], location.child("outline"))
         layout = choose([partial(make, outline) for make in (uniform, grid)], table, where)
         return {**data, "outline": outline, "electrodes": build(layout, table, where)}
 
@@ -231,7 +233,7 @@ class SensorDesign:
 
     def patches(self) -> tuple[Patch, ...]:
         """Contact area of each electrode, on the boundary of the body or inside it."""
-        contacts = placed(self.electrodes, self.outline, self.thickness)
+        contacts = contact_areas(self.electrodes, self.outline, self.thickness)
         return tuple(contact.patch() for contact in contacts)
 
     @property
@@ -256,10 +258,10 @@ class SensorDesign:
         extents = [e.width for e in self.electrodes]
         extents += [e.height or self.thickness for e in self.electrodes]
         spacing = spacing or min(extents) / _POINTS_PER_EDGE
-        contacts = placed(self.electrodes, self.outline, self.thickness)
+        contacts = contact_areas(self.electrodes, self.outline, self.thickness)
         return np.concatenate([contact.edges(spacing) for contact in contacts])
 
-    def conductivity_at(self, points: ArrayLike) -> Array:
+    def evaluate_conductivity(self, points: ArrayLike) -> Array:
         """Conductivity (...) [S/m] at points (..., 3) [m].
 
         A point between two layers belongs to the upper one, an outer point to the nearest layer.
@@ -285,7 +287,7 @@ class SensorDesign:
             )
         if isinstance(self.outline, Surface):
             height = self.outline.height
-            if abs(self.thickness - height) > _SAME_HEIGHT * height:
+            if abs(self.thickness - height) > _HEIGHT_TOLERANCE * height:
                 raise ConfigurationError(
                     f"thickness must be the height of the surface, {height:.9g} m, "
                     f"got {self.thickness:g} m"
@@ -295,7 +297,7 @@ class SensorDesign:
         if not self.layers:
             return
         total = sum(layer.thickness for layer in self.layers)
-        if abs(total - self.thickness) > _SAME * self.thickness:
+        if abs(total - self.thickness) > _THICKNESS_TOLERANCE * self.thickness:
             raise ConfigurationError(
                 f"the layers' thicknesses must add up to the thickness of {self.thickness:g} m, "
                 f"got {total:.9g} m"

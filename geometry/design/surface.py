@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.bounds import require_length, require_positive
-from eitskin.contained import Answer, Limits, contained
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
 from eitskin.files import read_bytes
+from eitskin.reader_process import Answer, Limits, read_in_subprocess
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-MOST_BYTES: Final = 1 << 28
+MAX_BYTES: Final = 1 << 28
 """Largest size of a file [bytes], that of five million triangles."""
 
 SECONDS: Final = 20
@@ -111,12 +111,12 @@ class Surface:
 def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
     """Checked points and faces of a file; `changed` is its time of modification."""
     require("trimesh", "mesh")
-    content = read_bytes(path, MOST_BYTES)
+    content = read_bytes(path, MAX_BYTES)
     limits = Limits(
         SECONDS + len(content) // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * len(content)
     )
     try:
-        (answer,) = contained(_READER, path.name, content, limits)
+        (answer,) = read_in_subprocess(_READER, path.name, content, limits)
     except (DataError, ImportError) as error:
         raise ConfigurationError(
             f"cannot read {path} as a surface: {error}; expected a triangle surface such as STL, "
@@ -128,7 +128,7 @@ def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
 
 
 def read_surface(name: str, content: bytes) -> Iterator[Answer]:
-    """Points and faces of a file's content, as a reader for `contained`.
+    """Points and faces of a file's content, as a reader for `read_in_subprocess`.
 
     Raises ConfigurationError where they bound no body, and errors of any class for other files.
     """

@@ -16,18 +16,18 @@ Numbers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 # Circumradius over shortest edge is 1 / (2 sin) of the smallest angle, here 28 degrees.
-_WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
+_MAX_CIRCUMRADIUS_RATIO = 0.5 / np.sin(np.radians(28.0))
 _CHORDS = 24  # fewest chords of a circle
-_MOST_ROUNDS = 300
-_MOST_POINTS = 500_000
+_MAX_ROUNDS = 300
+_MAX_POINTS = 500_000
 _PER_SIZE = 1.0 / np.sqrt(3.0)  # points in twice the square of an edge, of equilateral triangles
 _ORIGIN: Array = np.zeros(2)
-_SAME = 1e-9  # relative distance of points and lengths that count as equal
+_RELATIVE_TOLERANCE = 1e-9  # relative distance of points and lengths that count as equal
 
 
-def triangulated(
+def triangulate(
     outline: PlaneOutline,
-    fixed: Array,
+    fixed_points: Array,
     size: Callable[[Array], Array],
     inclusions: Sequence[Inclusion] = (),
 ) -> tuple[Array, Numbers]:
@@ -40,8 +40,8 @@ def triangulated(
     least 28 degrees. The same input gives the same triangles.
 
     Args:
-        outline: of the layer. On a disc all points of the rim are on the circle.
-        fixed: arc lengths of required points of the rim, besides the corners, (k,) [m].
+        outline: outline of the layer. On a disc all points of the rim are on the circle.
+        fixed_points: arc lengths of required points of the rim, besides the corners, (k,) [m].
         size: largest edge lengths (n,) [m] at the middles of triangles, (n, 2) [m].
         inclusions: whose rims no triangle crosses.
 
@@ -52,9 +52,9 @@ def triangulated(
     Raises ConfigurationError for more than half a million points, and where electrode ends and
     corners allow no triangulation.
     """
-    rims, inner = [_Rim.of(outline, fixed)], np.empty((0, 2))
-    rims += [_Rim.of(each.meshed, each.marks, each.origin) for each in inclusions]
-    for _ in range(_MOST_ROUNDS):
+    rims, inner = [_Rim.from_outline(outline, fixed_points)], np.empty((0, 2))
+    rims += [_Rim.from_outline(each.mesh_outline, each.marks, each.origin) for each in inclusions]
+    for _ in range(_MAX_ROUNDS):
         rims = _clear_of_all(rims, inner)
         points = np.concatenate([*(rim.positions for rim in rims), inner])
         triangles = _inside(outline, points)
@@ -63,18 +63,18 @@ def triangulated(
         edges = _edges(corners)
         largest = size(corners.mean(axis=1))
         _require_few(_PER_SIZE * float((_doubled_areas(corners) / largest**2).sum()))
-        poor = radii > _WORST_RATIO * edges.min(axis=1)
-        poor &= ~rims[0].across_acute_corner(triangles, edges)
-        poor |= edges.max(axis=1) > largest * (1.0 + _SAME)
+        poor = radii > _MAX_CIRCUMRADIUS_RATIO * edges.min(axis=1)
+        poor &= ~rims[0].joins_acute_corner(triangles, edges)
+        poor |= edges.max(axis=1) > largest * (1.0 + _RELATIVE_TOLERANCE)
         if not poor.any():
             return numbered_along_x(points, triangles)
-        chosen = np.flatnonzero(poor)[_far_apart(centres[poor], radii[poor])]
+        chosen = np.flatnonzero(poor)[_independent_circles(centres[poor], radii[poor])]
         accepted = centres[chosen]
         for number, rim in enumerate(rims):
-            rims[number], accepted = rim.split_by(accepted, beyond=number > 0)
+            rims[number], accepted = rim.split_at_centres(accepted, beyond=number > 0)
         inner = np.concatenate([inner, accepted])
     raise ConfigurationError(
-        f"no triangulation with angles of 28 degrees was found in {_MOST_ROUNDS} rounds; move "
+        f"no triangulation with angles of 28 degrees was found in {_MAX_ROUNDS} rounds; move "
         "electrode ends away from each other and from the outline's corners"
     )
 
@@ -84,7 +84,7 @@ def _clear_of_all(rims: list["_Rim"], inner: Array) -> list["_Rim"]:
     while True:
         positions = [rim.positions for rim in rims]
         cleared = [
-            rim.clear_of(np.concatenate([*positions[:k], *positions[k + 1 :], inner]))
+            rim.split_encroached(np.concatenate([*positions[:k], *positions[k + 1 :], inner]))
             for k, rim in enumerate(rims)
         ]
         if all(len(a.arc) == len(b.arc) for a, b in zip(rims, cleared, strict=True)):
@@ -97,10 +97,10 @@ class _Rim:
     """Points of the rim by rising arc length, and acute corners.
 
     Attributes:
-        outline: of the layer.
+        outline: outline of the layer.
         arc: lengths within one turn, (n,) [m].
         acute: whether each corner is below 60 degrees, seen from inside or outside, (c,).
-        origin: of the outline, (2,) [m].
+        origin: origin of the outline, (2,) [m].
     """
 
     outline: PlaneOutline
@@ -109,28 +109,28 @@ class _Rim:
     origin: Array
 
     @classmethod
-    def of(cls, outline: PlaneOutline, fixed: Array, origin: Array = _ORIGIN) -> "_Rim":
+    def from_outline(cls, outline: PlaneOutline, points: Array, origin: Array = _ORIGIN) -> "_Rim":
         whole = outline.perimeter
-        marks = np.mod(fixed, whole)
+        marks = np.mod(points, whole)
         if isinstance(outline, Disc):
             arc = _cut_evenly(np.sort(marks) if len(marks) else np.zeros(1), whole)
             acute = np.zeros(0, dtype=bool)
         else:
             gap = np.abs(marks[:, None] - outline.corners)
-            off = (np.minimum(gap, whole - gap) > _SAME * whole).all(axis=1)
+            off = (np.minimum(gap, whole - gap) > _RELATIVE_TOLERANCE * whole).all(axis=1)
             arc = np.sort(np.concatenate([outline.corners, marks[off]]))
             side = np.roll(outline.vertices, -1, axis=0) - outline.vertices
             side /= np.linalg.norm(side, axis=1)[:, None]
-            acute = -(side * np.roll(side, 1, axis=0)).sum(axis=1) > 0.5 + _SAME
-        apart = np.diff(arc, append=arc[0] + whole) > _SAME * whole
+            acute = -(side * np.roll(side, 1, axis=0)).sum(axis=1) > 0.5 + _RELATIVE_TOLERANCE
+        apart = np.diff(arc, append=arc[0] + whole) > _RELATIVE_TOLERANCE * whole
         return cls(outline, arc[apart], acute, origin)
 
     @property
     def positions(self) -> Array:
         """Positions of the points, (n, 2) [m]."""
-        return self.outline.at(self.arc) + self.origin
+        return self.outline.rim_points(self.arc) + self.origin
 
-    def clear_of(self, inner: Array) -> "_Rim":
+    def split_encroached(self, inner: Array) -> "_Rim":
         """Halve chords until none has a point within its diametral circle.
 
         All chords are then edges of the Delaunay triangulation.
@@ -145,7 +145,7 @@ class _Rim:
             rim = rim._split(close)
             _require_few(len(rim.arc))
 
-    def split_by(self, centres: Array, beyond: bool = False) -> tuple["_Rim", Array]:
+    def split_at_centres(self, centres: Array, beyond: bool = False) -> tuple["_Rim", Array]:
         """Split the chords that `centres` (k, 2) encroach upon; return the other centres too.
 
         Those beyond the rim split the nearest chord, unless points `beyond` it are wanted.
@@ -159,7 +159,7 @@ class _Rim:
         split[cKDTree(middle).query(centres[lost])[1]] = True
         return self._split(split), centres[free & ~lost]
 
-    def across_acute_corner(self, triangles: Numbers, edges: Array) -> Flags:
+    def joins_acute_corner(self, triangles: Numbers, edges: Array) -> Flags:
         """Whether the shortest edge of each triangle joins the two sides of an acute corner."""
         if not self.acute.any():
             return np.zeros(len(triangles), dtype=bool)
@@ -197,7 +197,7 @@ class _Rim:
 def _cut_evenly(marks: Array, whole: float) -> Array:
     """Arc lengths on a circle that include the `marks` (k,), in steps of at most a chord."""
     gaps = np.diff(marks, append=marks[0] + whole)
-    counts = np.ceil(gaps * _CHORDS / whole - _SAME).astype(int)
+    counts = np.ceil(gaps * _CHORDS / whole - _RELATIVE_TOLERANCE).astype(int)
     parts = [m + g * np.arange(n) / n for m, g, n in zip(marks, gaps, counts, strict=True) if n]
     return np.sort(np.mod(np.concatenate(parts), whole))
 
@@ -209,7 +209,7 @@ def _inside(outline: PlaneOutline, points: Array) -> Numbers:
     doubled = _doubled_areas(corners)
     triangles[doubled < 0.0] = triangles[doubled < 0.0][:, ::-1]
     # Points on a straight side give triangles without area.
-    real = np.abs(doubled) > _SAME * _edges(corners).max(axis=1) ** 2
+    real = np.abs(doubled) > _RELATIVE_TOLERANCE * _edges(corners).max(axis=1) ** 2
     inside: Numbers = triangles[real & outline.contains(corners.mean(axis=1))]
     return inside
 
@@ -236,12 +236,12 @@ def _edges(corners: Array) -> Array:
     return lengths
 
 
-def _far_apart(centres: Array, radii: Array) -> Numbers:
+def _independent_circles(centres: Array, radii: Array) -> Numbers:
     """Circumcentres that can be inserted at once, larger circles before smaller ones.
 
     No chosen centre lies in the circle of a smaller one that is chosen.
     """
-    within = cKDTree(centres).query_ball_point(centres, radii * (1.0 - _SAME))
+    within = cKDTree(centres).query_ball_point(centres, radii * (1.0 - _RELATIVE_TOLERANCE))
     chosen = np.zeros(len(radii), dtype=bool)
     for number in np.argsort(-radii, kind="stable"):
         chosen[number] = not chosen[within[number]].any()
@@ -257,8 +257,8 @@ def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
 
 
 def _require_few(count: float) -> None:
-    if count > _MOST_POINTS:
+    if count > _MAX_POINTS:
         raise ConfigurationError(
-            f"a triangulation of more than {_MOST_POINTS} points was asked for; choose a larger "
+            f"a triangulation of more than {_MAX_POINTS} points was asked for; choose a larger "
             "finest or coarsest size, or more growth"
         )

@@ -12,8 +12,8 @@ from eitskin.errors import ConfigurationError
 
 Lines = NDArray[np.float64]
 
-_NEAREST = 1e-9  # of two lines [m]
-_MOST_POINTS = 1_000_000
+_MIN_LINE_DISTANCE = 1e-9  # of two lines [m]
+_MAX_POINTS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ def require_possible(points: float, grading: Grading) -> None:
 
     A linear hexahedron has 64 entries in the matrix, each of two integers and a value.
     """
-    if points > _MOST_POINTS:
+    if points > _MAX_POINTS:
         raise ConfigurationError(
             f"a grid of {points:.2g} points, with cells of {grading.finest:g} to "
             f"{grading.coarsest:g} m, needs {points * 64 * 24 / 1e9:.2g} GB of memory or more; at "
-            f"most {_MOST_POINTS:g} points are possible, choose a larger finest or coarsest size, "
+            f"most {_MAX_POINTS:g} points are possible, choose a larger finest or coarsest size, "
             "more growth or fewer layers"
         )
 
@@ -73,9 +73,10 @@ def graded_lines(
     """
     near = np.array(sorted(edges))
     fixed = np.unique(np.clip([0.0, extent, *near, *breaks], 0.0, extent).round(12))
-    if np.diff(fixed).min() < _NEAREST:
+    if np.diff(fixed).min() < _MIN_LINE_DISTANCE:
         raise ConfigurationError(
-            f"lines of a mesh must be {_NEAREST:g} m apart, got {np.diff(fixed).min():g} m between "
+            f"lines of a mesh must be {_MIN_LINE_DISTANCE:g} m apart, got "
+            f"{np.diff(fixed).min():g} m between "
             "edges of electrodes, ends of the sensor and breaks; move one of them"
         )
     attractors = near if len(near) else np.array([-np.inf])

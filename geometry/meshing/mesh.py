@@ -20,7 +20,7 @@ _CORNERS = {
 # Scales that make the ideal cell's value 1: cube, upright equilateral prism, regular tetrahedron.
 _IDEAL = {8: 1.0, 6: 2.0 / np.sqrt(3.0), 4: np.sqrt(2.0)}
 # A scaled Jacobian of 10^-k costs a linear solver about k digits.
-_LEAST_SCALED_JACOBIAN = 1e-3
+_MIN_SCALED_JACOBIAN = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class Quality:
 
     Attributes:
         cells, points: numbers of cells and points.
-        volume: of all cells [m3].
+        volume: volume of all cells [m3].
         scaled_jacobian: least over all cells and corners of the determinant of the three unit
             edge vectors; 1 for cubes, equilateral prisms and regular tetrahedra, not above 0 for
             an inverted cell (Verdict: "scaled Jacobian").
@@ -106,12 +106,12 @@ def quality(mesh: Mesh) -> Quality:
     )
 
 
-def check_quality(mesh: Mesh, least: float = _LEAST_SCALED_JACOBIAN) -> None:
+def check_quality(mesh: Mesh, quality: float = _MIN_SCALED_JACOBIAN) -> None:
     """Raise ConfigurationError where a cell is inverted or degenerate, or a point not finite.
 
     Args:
         mesh: any mesh. Thin boxes and prisms pass: their edges are upright on each other.
-        least: scaled Jacobian that every cell must have.
+        quality: scaled Jacobian that every cell must have.
     """
     lost = np.flatnonzero(~np.isfinite(mesh.points).all(axis=1))
     if len(lost):
@@ -121,13 +121,13 @@ def check_quality(mesh: Mesh, least: float = _LEAST_SCALED_JACOBIAN) -> None:
         )
     shapes = scaled_jacobians(mesh.points, mesh.cells)
     worst = int(shapes.argmin())
-    if shapes[worst] < least:
+    if shapes[worst] < quality:
         x, y, z = mesh.points[mesh.cells[worst]].mean(axis=0)
         state = "inverted" if shapes[worst] < 0.0 else "degenerate"
         raise ConfigurationError(
-            f"{(shapes < least).sum()} of {len(shapes)} cells are inverted or degenerate; the "
+            f"{(shapes < quality).sum()} of {len(shapes)} cells are inverted or degenerate; the "
             f"worst, cell {worst} at ({x:.6g}, {y:.6g}, {z:.6g}) m, is {state} with a scaled "
-            f"Jacobian of {shapes[worst]:.3g}, at least {least:g} is needed. Give the mesh other "
+            f"Jacobian of {shapes[worst]:.3g}, at least {quality:g} is needed. Give the mesh other "
             "sizes there, or move electrode ends that nearly meet each other or a corner"
         )
 

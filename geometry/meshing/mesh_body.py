@@ -42,7 +42,7 @@ class GivenMesh:
     regions: Groups
 
     @classmethod
-    def of(cls, mesh: Any) -> "GivenMesh":
+    def from_mesh(cls, mesh: Any) -> "GivenMesh":
         """Mesh of a file, of `meshio` or `skfem`, or a pair of points and cells.
 
         Raises ConfigurationError for anything else, and for other cells.
@@ -50,13 +50,13 @@ class GivenMesh:
         if isinstance(mesh, str | Path):
             mesh = require("meshio", "mesh").read(mesh)
         if hasattr(mesh, "cells_dict"):
-            return cls._of_meshio(mesh)
+            return cls._from_meshio(mesh)
         if hasattr(mesh, "facets") and hasattr(mesh, "t"):
             facets = mesh.facets.T
             named = {
                 name: facets[np.asarray(chosen)] for name, chosen in (mesh.boundaries or {}).items()
             }
-            return cls._checked(mesh.p.T, mesh.t.T, named, mesh.subdomains or {})
+            return cls._from_checked_arrays(mesh.p.T, mesh.t.T, named, mesh.subdomains or {})
         try:
             points, cells = mesh
         except (TypeError, ValueError) as error:
@@ -64,10 +64,10 @@ class GivenMesh:
                 "expected a mesh of skfem or meshio, the path of a file that meshio reads, or a "
                 f"pair of points and cells, got {type(mesh).__name__}"
             ) from error
-        return cls._checked(points, cells, {}, {})
+        return cls._from_checked_arrays(points, cells, {}, {})
 
     @classmethod
-    def _checked(
+    def _from_checked_arrays(
         cls, points: ArrayLike, cells: ArrayLike, boundaries: Groups, regions: Groups
     ) -> "GivenMesh":
         x, cell = np.asarray(points, dtype=float), np.asarray(cells, dtype=np.int64)
@@ -81,7 +81,7 @@ class GivenMesh:
         return cls(x, cell, dict(boundaries), dict(regions))
 
     @classmethod
-    def _of_meshio(cls, mesh: Any) -> "GivenMesh":
+    def _from_meshio(cls, mesh: Any) -> "GivenMesh":
         blocks = {
             kind: np.asarray(cells)[:, : _CORNERS[kind]]
             for kind, cells in mesh.cells_dict.items()
@@ -95,15 +95,15 @@ class GivenMesh:
         groups: dict[int, dict[str, list[Indices]]] = {}
         for kind, name, chosen in _meshio_groups(mesh):
             if kind in blocks and _CORNERS[kind] in (_CORNERS[inner], _CORNERS[inner] - 1):
-                found = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
-                part = found if kind == inner else blocks[kind][found]
+                numbers = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
+                part = numbers if kind == inner else blocks[kind][numbers]
                 groups.setdefault(_CORNERS[kind], {}).setdefault(name, []).append(part)
         faces, regions = (
             {name: np.concatenate(parts) for name, parts in groups.get(corners, {}).items()}
             for corners in (_CORNERS[inner] - 1, _CORNERS[inner])
         )
         sets = {name: np.asarray(each) for name, each in getattr(mesh, "point_sets", {}).items()}
-        return cls._checked(mesh.points, blocks[inner], sets | faces, regions)
+        return cls._from_checked_arrays(mesh.points, blocks[inner], sets | faces, regions)
 
 
 def _meshio_groups(mesh: Any) -> Iterator[tuple[str, str, NDArray[Any]]]:
@@ -129,9 +129,9 @@ class MeshBody:
 
     Attributes:
         electrodes: name of each electrode.
-        contact_impedance: of the electrodes, (electrodes,) [ohm m2].
+        contact_impedance: contact impedance of the electrodes, (electrodes,) [ohm m2].
         conductivity: a number, (cells,) or f(x) [S/m].
-        mesh: of the body; triangles are prisms of one layer.
+        mesh: mesh of the body; triangles are prisms of one layer.
         given: the mesh as it was given.
         used: number of each point of the given mesh that a cell has, (points,).
     """
@@ -146,7 +146,7 @@ class MeshBody:
     layers = ()
 
     @classmethod
-    def of(
+    def from_mesh(
         cls,
         mesh: Any,
         electrodes: Sequence[str | ArrayLike] | None,
@@ -156,10 +156,10 @@ class MeshBody:
     ) -> "MeshBody":
         """Body of a mesh; arguments and errors as for `ForwardModel.from_mesh`."""
         require_positive("thickness", thickness, "m")
-        given = GivenMesh.of(mesh)
-        plane = given.cells.shape[1] == 3
-        used, cells = np.unique(given.cells, return_inverse=True)
-        points, cells = given.points[used], cells.reshape(given.cells.shape)
+        given_mesh = GivenMesh.from_mesh(mesh)
+        plane = given_mesh.cells.shape[1] == 3
+        used, cells = np.unique(given_mesh.cells, return_inverse=True)
+        points, cells = given_mesh.points[used], cells.reshape(given_mesh.cells.shape)
         levels = 2 if plane else 1
         if plane:
             heights = np.array([0.0, thickness])
@@ -168,26 +168,26 @@ class MeshBody:
         inverted = volumes(points, cells) < 0
         swapped = [0, 2, 1, 3, 5, 4] if plane else [0, 2, 1, 3]
         cells[inverted] = cells[inverted][:, swapped]
-        named = sorted(given.boundaries, key=_in_order)
+        named = sorted(given_mesh.boundaries, key=_in_order)
         names: Sequence[str | ArrayLike] = named if electrodes is None else electrodes
-        numbers = np.full(len(given.points), -1)
+        numbers = np.full(len(given_mesh.points), -1)
         numbers[used] = np.arange(len(used))
-        contacts = _contacts(points, cells, levels, list(_faces(given, names, numbers)))
+        contacts = _contacts(points, cells, levels, list(_faces(given_mesh, names, numbers)))
         whole = Mesh(points, cells, contacts, heights if plane else None)
         check_quality(whole)
         z = np.broadcast_to(np.asarray(contact_impedance), len(names))
         for each in z.tolist():
             require_contact_impedance(each)
         labels = tuple(n if isinstance(n, str) else str(k) for k, n in enumerate(names))
-        return cls(labels, z, _by_cell(given, conductivity), whole, given, used)
+        return cls(labels, z, _cell_conductivity(given_mesh, conductivity), whole, given_mesh, used)
 
-    def at_given_points(self, values: NDArray[np.inexact]) -> NDArray[np.inexact]:
+    def values_on_given_mesh(self, values: NDArray[np.inexact]) -> NDArray[np.inexact]:
         """Values at the points of the given mesh, of those of `mesh`; NaN where no cell is."""
-        found = np.full((len(self.given.points), *values.shape[1:]), np.nan, dtype=values.dtype)
-        found[self.used] = values[:: len(values) // len(self.used)]
-        return found
+        full = np.full((len(self.given.points), *values.shape[1:]), np.nan, dtype=values.dtype)
+        full[self.used] = values[:: len(values) // len(self.used)]
+        return full
 
-    def conductivity_at(self, points: Array) -> NDArray[np.inexact]:
+    def evaluate_conductivity(self, points: Array) -> NDArray[np.inexact]:
         """Conductivity at points (..., 3) [m], of a number or function; (...) [S/m]."""
         known = self.conductivity
         return np.asarray(known(points) if callable(known) else np.full(points.shape[:-1], known))
@@ -233,8 +233,8 @@ class MeshOutline:
         for start in range(0, len(flat), 256):  # bounds the memory
             part = flat[start : start + 256, None]
             turns = [_turn(first, second, part) for first, second in ((a, b), (b, c), (c, a))]
-            left, right = (np.all([s * t >= 0 for t in turns], axis=0) for s in (1, -1))
-            inside[start : start + 256] = ((left | right) & (_turn(a, b, c) != 0)).any(axis=1)
+            on_left, on_right = (np.all([s * t >= 0 for t in turns], axis=0) for s in (1, -1))
+            inside[start : start + 256] = ((on_left | on_right) & (_turn(a, b, c) != 0)).any(axis=1)
         return inside.reshape(np.shape(points)[:-1])
 
 
@@ -253,7 +253,7 @@ def _in_order(name: str) -> list[tuple[int, str]]:
 
 
 def _faces(
-    given: GivenMesh, electrodes: Iterable[Any], numbers: Indices
+    mesh: GivenMesh, electrodes: Iterable[Any], numbers: Indices
 ) -> Iterator[tuple[str, Indices]]:
     """Name of each electrode, and the points of its faces (k, 2 or 3) or its points (k,)."""
     if not electrodes:
@@ -262,12 +262,12 @@ def _faces(
             "each electrode as electrodes="
         )
     for number, each in enumerate(electrodes):
-        if isinstance(each, str) and each not in given.boundaries:
+        if isinstance(each, str) and each not in mesh.boundaries:
             raise ConfigurationError(
                 f"the boundary of the mesh has no part '{each}'; it has "
-                f"{', '.join(given.boundaries) or 'none that is named'}"
+                f"{', '.join(mesh.boundaries) or 'none that is named'}"
             )
-        faces = np.asarray(given.boundaries[each] if isinstance(each, str) else each)
+        faces = np.asarray(mesh.boundaries[each] if isinstance(each, str) else each)
         if faces.dtype.kind not in "iu" or not (0 <= faces.min(initial=0)) or not faces.size:
             raise ConfigurationError(
                 f"expected names, or point numbers from 0, of electrodes, got {each!r}"
@@ -288,22 +288,22 @@ def _contacts(
         upright = faces[:, -1] != faces[:, -2]
         faces, owners = faces[upright], owners[upright]
     rims = faces[:, :2] // 2 if levels == 2 else faces
-    known = {tuple(sorted(rim)): number for number, rim in enumerate(rims.tolist())}
+    numbers = {tuple(sorted(rim)): number for number, rim in enumerate(rims.tolist())}
     taken: dict[int, str] = {}
     chosen = []
     for name, given in electrodes:
         if given.ndim == 1:
             mine = np.flatnonzero(np.isin(rims, given).all(axis=1))
         else:
-            mine = np.array([known.get(tuple(sorted(rim)), -1) for rim in given.tolist()])
+            mine = np.array([numbers.get(tuple(sorted(rim)), -1) for rim in given.tolist()])
         if not len(mine) or mine.min() < 0:
             raise ConfigurationError(
                 f"electrode {name} needs whole faces of the boundary: name those, or all points of "
                 "at least one of them; single points, and faces inside, have no contact area"
             )
-        both = [taken[face] for face in mine.tolist() if face in taken]
-        if both:
-            raise ConfigurationError(f"electrodes {both[0]} and {name} share a face; part them")
+        shared = [taken[face] for face in mine.tolist() if face in taken]
+        if shared:
+            raise ConfigurationError(f"electrodes {shared[0]} and {name} share a face; part them")
         taken |= dict.fromkeys(mine.tolist(), name)
         chosen.append(np.unique(mine))
     every = np.concatenate(chosen)
@@ -317,20 +317,20 @@ def _contacts(
     )
 
 
-def _by_cell(given: GivenMesh, conductivity: Any) -> Any:
+def _cell_conductivity(mesh: GivenMesh, conductivity: Any) -> Any:
     """Conductivity of regions as one number for each cell; any other as it is."""
     if not isinstance(conductivity, Mapping):
         return conductivity
-    found = np.full(len(given.cells), np.nan, dtype=np.result_type(float, *conductivity.values()))
+    found = np.full(len(mesh.cells), np.nan, dtype=np.result_type(float, *conductivity.values()))
     for region, value in conductivity.items():
-        if region not in given.regions:
+        if region not in mesh.regions:
             raise ConfigurationError(
-                f"the mesh has no region '{region}'; it has {', '.join(given.regions) or 'none'}"
+                f"the mesh has no region '{region}'; it has {', '.join(mesh.regions) or 'none'}"
             )
-        found[given.regions[region]] = value
+        found[mesh.regions[region]] = value
     if np.isnan(found).any():
         raise ConfigurationError(
             f"{np.isnan(found).sum()} cells are in no region of a known conductivity; the regions "
-            f"are {', '.join(given.regions)}"
+            f"are {', '.join(mesh.regions)}"
         )
     return found

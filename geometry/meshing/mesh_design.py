@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.contact_areas import ContactArea, Strip, placed
+from eitskin.geometry.design.contact_areas import ContactArea, Strip, contact_areas
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.inclusion import Inclusion, require_inside
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.patches import electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import triangulated
+from eitskin.geometry.meshing.delaunay import triangulate
 from eitskin.geometry.meshing.grading import Grading, graded_lines, require_possible
 from eitskin.geometry.meshing.mesh import Mesh, check_quality
 
@@ -36,7 +36,7 @@ def triangulated_mesh(
     Args:
         design: the sensor; its outline must be plane.
         grading: longest edges of the triangles, and layers.
-        inclusions: at whose rims prisms have faces.
+        inclusions: inclusions at whose rims prisms have faces.
 
     Raises ConfigurationError for a surface, inclusions that do not lie inside, and for more than
     half a million points in the plane.
@@ -46,7 +46,7 @@ def triangulated_mesh(
         raise ConfigurationError(
             "prisms need a plane outline, got a Surface; use tetrahedra for bodies of any shape"
         )
-    contacts = placed(design.electrodes, outline, design.thickness)
+    contacts = contact_areas(design.electrodes, outline, design.thickness)
     strips = [contact for contact in contacts if isinstance(contact, Strip)]
     ends = np.array([end for strip in strips for end in (strip.start, strip.end)])
     rims = [c.edges(np.inf if _full(c) else grading.finest) for c in contacts]
@@ -57,7 +57,7 @@ def triangulated_mesh(
         return grading.size(distance)
 
     require_inside(inclusions, outline)
-    plane, triangles = triangulated(outline, ends, size, inclusions)
+    plane, triangles = triangulate(outline, ends, size, inclusions)
     heights = layer_heights(design, grading)
     count = len(heights)
     points = np.column_stack([np.repeat(plane, count, axis=0), np.tile(heights, len(plane))])
@@ -148,7 +148,7 @@ def electrode_lines(design: SensorDesign) -> tuple[set[float], set[float]]:
 
     The edges of the electrodes lie on these lines.
     """
-    contacts = placed(design.electrodes, design.outline, design.thickness)
+    contacts = contact_areas(design.electrodes, design.outline, design.thickness)
     boxes = [contact.edges(np.inf) for contact in contacts]
     ends = np.concatenate([[box.min(axis=0), box.max(axis=0)] for box in boxes]).round(12)
     return set(ends[:, 0].tolist()), set(ends[:, 1].tolist())
@@ -181,7 +181,7 @@ def mesh_design(
         grading: cell sizes.
         cells: kind of cells; `natural_cells(design)` when omitted.
         breaks: further x at which hexahedra have faces [m]; other cells ignore them.
-        inclusions: at whose rims prisms have faces.
+        inclusions: inclusions at whose rims prisms have faces.
 
     Raises:
         ConfigurationError: where the cells cannot fill the outline, or some are misshapen.

@@ -15,7 +15,7 @@ from eitskin.geometry.design.outline import Disc, Outline
 from eitskin.geometry.design.patches import boundary_faces, electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import numbered_along_x, triangulated
+from eitskin.geometry.meshing.delaunay import numbered_along_x, triangulate
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh, scaled_jacobians, volumes
 
@@ -30,7 +30,7 @@ _AT_EDGES = 0.7  # of the size along electrode edges, where fTetWild gives 1.4 t
 # reference slab 4 s at 2e-3 of the diagonal, 100 s at 1e-4.
 _WIDEST_ENVELOPE, _SLIMMEST_ENVELOPE = 2e-3, 1e-4
 _REACH = 1.25  # of the snapping, in envelopes: a point near an edge is off two faces
-_MOST_CELLS = 300_000
+_MAX_CELLS = 300_000
 _SHARP = np.radians(30.0)  # of the angle between normals, or directions of edges
 _POOR = 0.05  # scaled Jacobian below which no moved cell may fall
 
@@ -64,7 +64,7 @@ def tetrahedral_body(design: SensorDesign, grading: Grading, edges: Array) -> tu
     lie at distances of about twice the finest size.
     """
     tetwild = require("pytetwild", "mesh")
-    surface = TriangleSurface.of(*_surface(design.outline, design.thickness))
+    surface = TriangleSurface.from_triangles(*_surface(design.outline, design.thickness))
     diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
     envelope = min(0.25 * grading.finest, _WIDEST_ENVELOPE * diagonal)
     _require_feasible(design, grading, envelope / diagonal, len(edges))
@@ -82,8 +82,8 @@ def tetrahedral_body(design: SensorDesign, grading: Grading, edges: Array) -> tu
             bg_tets=tetrahedra,
             bg_values=sizes,
         )
-    cells = _oriented(points, cells.astype(np.int64))
-    points = snapped(points, cells, surface, _REACH * envelope)
+    cells = _orient_cells(points, cells.astype(np.int64))
+    points = snap_boundary(points, cells, surface, _REACH * envelope)
     if isinstance(design.outline, Disc):
         points = _on_circle(design.outline, points, cells)
     return numbered_along_x(points, cells)
@@ -95,7 +95,7 @@ def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
         return outline.triangles()
     rim = np.arange(_CHORDS if isinstance(outline, Disc) else 0) / _CHORDS
     longest = max(outline.length, outline.width) / _FACES
-    plane, lower = triangulated(
+    plane, lower = triangulate(
         outline, rim * outline.perimeter, lambda middles: np.full(len(middles), longest)
     )
     count = len(plane)
@@ -137,7 +137,7 @@ def _on_circle(disc: Disc, points: Array, cells: Numbers) -> Array:
     rim = boundary[depth < 1.001 * disc.radius * (1.0 - np.cos(np.pi / _CHORDS))]
     arc, _ = disc.nearest(points[rim, :2])
     moved = points.copy()
-    moved[rim, :2] = disc.at(arc)
+    moved[rim, :2] = disc.rim_points(arc)
     return moved
 
 
@@ -152,16 +152,16 @@ def _require_feasible(design: SensorDesign, grading: Grading, envelope: float, e
     length = edges * _SPACING * grading.finest
     around = 0.5 * np.pi * length / (grading.growth**2 * grading.finest)
     cells = 8.5 * (volume / grading.coarsest**3 + around)
-    if cells > _MOST_CELLS or envelope < _SLIMMEST_ENVELOPE:
+    if cells > _MAX_CELLS or envelope < _SLIMMEST_ENVELOPE:
         least = grading.finest * max(1.0, _SLIMMEST_ENVELOPE / envelope)
         raise ConfigurationError(
             f"about {cells:.2g} tetrahedra with edges down to {grading.finest:g} m would take too "
-            f"long: at most {_MOST_CELLS:.0e} with edges of at least {least:.2g} m are possible; "
+            f"long: at most {_MAX_CELLS:.0e} with edges of at least {least:.2g} m are possible; "
             "choose larger sizes or more growth, or use hexahedra or prisms"
         )
 
 
-def _oriented(points: Array, cells: Numbers) -> Numbers:
+def _orient_cells(points: Array, cells: Numbers) -> Numbers:
     """Cells oriented to positive volume; raises ConfigurationError if there are none."""
     if not len(cells):
         raise ConfigurationError(
@@ -173,7 +173,7 @@ def _oriented(points: Array, cells: Numbers) -> Numbers:
     return cells
 
 
-def snapped(points: Array, cells: Numbers, surface: "TriangleSurface", reach: float) -> Array:
+def snap_boundary(points: Array, cells: Numbers, surface: "TriangleSurface", reach: float) -> Array:
     """Mesh points with those of the boundary projected onto a surface.
 
     Points move to the nearest face within `reach`, then to the nearest sharp edge, then to the
@@ -216,7 +216,7 @@ class TriangleSurface:
     corners: Numbers
 
     @classmethod
-    def of(cls, points: Array, faces: Numbers) -> "TriangleSurface":
+    def from_triangles(cls, points: Array, faces: Numbers) -> "TriangleSurface":
         """Find the sharp edges and corners of a closed surface."""
         mesh = require("trimesh", "mesh").Trimesh(points, faces, process=False)
         edges = mesh.face_adjacency_edges[mesh.face_adjacency_angles > _SHARP]

@@ -49,13 +49,13 @@ class Counts:
 
 
 SILENT_PERIODS = 3
-SHORTEST_SILENCE = 0.5  # s, a host may be busy for as long
-LONGEST_SILENCE = 600.0  # s, three frames of 16,384 channels; a firmware may tell of over an hour
+MIN_SILENCE = 0.5  # s, a host may be busy for as long
+MAX_SILENCE = 600.0  # s, three frames of 16,384 channels; a firmware may show of over an hour
 
 
-def longest_silence(period: float, least: float = SHORTEST_SILENCE) -> float:
+def longest_silence(period: float, least: float = MIN_SILENCE) -> float:
     """Longest time without a frame at `period` [s]; infinite for an unknown period, NaN or 0."""
-    return min(max(SILENT_PERIODS * period, least), LONGEST_SILENCE) if period > 0.0 else math.inf
+    return min(max(SILENT_PERIODS * period, least), MAX_SILENCE) if period > 0.0 else math.inf
 
 
 class Board(Closeable, ABC):
@@ -105,7 +105,7 @@ class Board(Closeable, ABC):
 
     @abstractmethod
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Frames as they come.
+        """Frames in their order.
 
         Args:
             newest: skip all but the newest of the waiting frames, and count them as skipped.
@@ -158,7 +158,7 @@ class PortBoard(Board, Generic[Item]):
     def _frame(self, item: Item) -> Frame | None:
         """Frame of what was received; None where it is no frame."""
 
-    def _received(self, seconds: float) -> Iterator[Item]:
+    def _receive_items(self, seconds: float) -> Iterator[Item]:
         """All that is received within `seconds`; the rest stays for the next call."""
         deadline = self._clock() + seconds
         while True:
@@ -170,7 +170,7 @@ class PortBoard(Board, Generic[Item]):
             if self._clock() >= deadline:
                 return
 
-    def _overtaken_by(self, frame: Frame) -> Frame:
+    def _newest_pending(self, frame: Frame) -> Frame:
         """Newest of `frame` and the frames that have arrived since."""
         # Bounded, since a board may never pause.
         for _ in range(BACKLOG // CHUNK):
@@ -185,7 +185,7 @@ class PortBoard(Board, Generic[Item]):
 
 
 FIRST_PAUSE = 0.1  # s, before the first try
-LONGEST_PAUSE = 5.0  # s; the pause doubles until then
+MAX_PAUSE = 5.0  # s; the pause doubles until then
 
 
 class Connection:
@@ -194,7 +194,7 @@ class Connection:
     Attributes:
         board: source of the frames.
         problem: reason why no frames come; empty while frames come.
-        tell: called with each new problem, and with its end.
+        show: called with each new problem, and with its end.
 
     Example:
         >>> from eitskin.hardware import Connection, open_board
@@ -235,7 +235,7 @@ class Connection:
         while True:
             self._wait(pause)
             # Doubled after success too: a board that goes away again at once is asked rarely.
-            pause = min(2.0 * pause, LONGEST_PAUSE)
+            pause = min(2.0 * pause, MAX_PAUSE)
             try:
                 self.board.reconnect()
             except UnrecoverableError:

@@ -15,17 +15,17 @@ from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.extras import require
 
 BAUD = 921600
-GONE: tuple[type[Exception], ...] = (OSError, TypeError)
+PORT_ERRORS: tuple[type[Exception], ...] = (OSError, TypeError)
 """Errors of pyserial for a port that has gone: SerialException (an OSError) from read and write,
 OSError from in_waiting, termios.error from reset_input_buffer, TypeError where another thread
 has closed the port."""
 if importlib.util.find_spec("termios"):
-    GONE += (importlib.import_module("termios").error,)
+    PORT_ERRORS += (importlib.import_module("termios").error,)
 
-_UNOPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
+_OPENING_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
 
 _POLL = 0.05  # s, longest wait of one read
-_SEND_WITHIN = 0.5  # s
+_SEND_TIMEOUT = 0.5  # s
 
 
 class SerialPort(typing.Protocol):
@@ -53,9 +53,9 @@ def open_port(path: str, uri: str, baud: int = BAUD) -> SerialPort:
     serial = require("serial", "hardware")
     try:
         port: SerialPort = serial.Serial(
-            path, baud, timeout=_POLL, write_timeout=_SEND_WITHIN, exclusive=True
+            path, baud, timeout=_POLL, write_timeout=_SEND_TIMEOUT, exclusive=True
         )
-    except _UNOPENED as error:
+    except _OPENING_ERRORS as error:
         raise DeviceError(f"{uri}: cannot open the port: {remedy(error)}") from error
     return port
 
@@ -99,13 +99,13 @@ class PortInfo:
     def __str__(self) -> str:
         """Path, description, manufacturer, USB numbers and serial number."""
         usb = f"{self.vid:04x}:{self.pid or 0:04x}" if self.vid is not None else "no USB"
-        told = (self.description, self.manufacturer, usb, self.serial_number)
-        return f"{self.device} ({', '.join(filter(None, told))})"
+        parts = (self.description, self.manufacturer, usb, self.serial_number)
+        return f"{self.device} ({', '.join(filter(None, parts))})"
 
 
 def serial_ports() -> tuple[PortInfo, ...]:
     """Serial ports of this machine, ordered by path."""
-    found = require("serial.tools.list_ports", "hardware").comports()
+    port_list = require("serial.tools.list_ports", "hardware").comports()
     ports = (
         PortInfo(
             port.device,
@@ -116,7 +116,7 @@ def serial_ports() -> tuple[PortInfo, ...]:
             port.pid,
             port.serial_number or "",
         )
-        for port in found
+        for port in port_list
     )
     return tuple(sorted(ports, key=lambda port: port.device))
 
@@ -126,20 +126,20 @@ def find_port(usb_serial: str) -> str:
 
     Raises DeviceError where no device, or more than one, has that number.
     """
-    found = [port for port in serial_ports() if port.serial_number == usb_serial]
-    if not found:
+    ports = [port for port in serial_ports() if port.serial_number == usb_serial]
+    if not ports:
         raise DeviceError(
             f"no port has the USB serial number {usb_serial!r}; check the cable. {ports_here()}"
         )
-    if len(found) > 1:
+    if len(ports) > 1:
         raise DeviceError(
-            f"{len(found)} ports have the USB serial number {usb_serial!r}; name one of them by "
-            f"its path: {'; '.join(map(str, found))}"
+            f"{len(ports)} ports have the USB serial number {usb_serial!r}; name one of them by "
+            f"its path: {'; '.join(map(str, ports))}"
         )
-    return found[0].device
+    return ports[0].device
 
 
-def usb_serial_of(path: str) -> str:
+def usb_serial_number(path: str) -> str:
     """USB serial number of the device at `path`, which may be a link; empty without one."""
     here = {Path(port.device): port.serial_number for port in serial_ports()}
     return here.get(Path(path).resolve(), "")
@@ -147,14 +147,14 @@ def usb_serial_of(path: str) -> str:
 
 def only_usb_port(scheme: str) -> str:
     """Path of the only USB serial port; raises ConfigurationError for none or several."""
-    found = [port for port in serial_ports() if port.vid is not None]
-    if len(found) != 1:
+    usb_ports = [port for port in serial_ports() if port.vid is not None]
+    if len(usb_ports) != 1:
         raise ConfigurationError(
-            f"{len(found) or 'no'} USB serial ports were found, expected one\n"
+            f"{len(usb_ports) or 'no'} USB serial ports were found, expected one\n"
             f"plug in the board, or name its port, such as --board {scheme}:/dev/ttyACM0 or "
             f"{scheme}:?usb=SERIAL. {ports_here()}"
         )
-    return found[0].device
+    return usb_ports[0].device
 
 
 def connector(path: str, uri: str, baud: int = BAUD, usb: str = "") -> Callable[[], SerialPort]:
@@ -172,15 +172,15 @@ def connector(path: str, uri: str, baud: int = BAUD, usb: str = "") -> Callable[
         raise ConfigurationError(f"{uri}: name the port by path or by usb=, not by both")
     if not usb:
         path = path or only_usb_port(uri.partition(":")[0])
-    known = usb or usb_serial_of(path)
+    serial_number = usb or usb_serial_number(path)
 
     def connect() -> SerialPort:
         current = path
         if usb:
             current = find_port(usb)
-        elif known and usb_serial_of(path) != known:
+        elif serial_number and usb_serial_number(path) != serial_number:
             # The device may be back at another path; if not, the error names the path given.
-            paths = [port.device for port in serial_ports() if port.serial_number == known]
+            paths = [port.device for port in serial_ports() if port.serial_number == serial_number]
             current = paths[0] if len(paths) == 1 else path
         return open_port(current, uri, baud)
 
@@ -243,7 +243,7 @@ class ReopenablePort:
     def reopen(self) -> None:
         """Close the port and open it again, at another path if it has moved."""
         self._require_open()
-        with contextlib.suppress(*GONE):
+        with contextlib.suppress(*PORT_ERRORS):
             self._port.close()
         port = self._connect()
         try:
@@ -257,14 +257,14 @@ class ReopenablePort:
         """Close the port for good; a second call does nothing."""
         if not self.closed:
             self.closed = True
-            with contextlib.suppress(*GONE):
+            with contextlib.suppress(*PORT_ERRORS):
                 self._port.close()
 
     def _use(self, use: Callable[[SerialPort], Result]) -> Result:
         self._require_open()
         try:
             return use(self._port)
-        except GONE as error:
+        except PORT_ERRORS as error:
             raise DeviceError(
                 f"{self.uri}: the board went away ({error}); check power and cable, then connect "
                 "again"

@@ -130,7 +130,7 @@ class ReplayBoard(Board):
 def _info(data: Dataset, protocol: Protocol) -> Info:
     steps = np.diff(data.time)
     forward = steps[np.isfinite(steps) & (steps > 0)]
-    return Info.of(
+    return Info.from_protocol(
         protocol,
         firmware=data.source,
         frequency=data.frequency,

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
-from eitskin.files import shortened
+from eitskin.files import shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
@@ -43,7 +43,7 @@ from eitskin.hardware.protocol.messages import (
 from eitskin.hardware.protocol.packets import Decoder, MessageError, PacketDrop, encode
 from eitskin.protocol import Protocol
 
-REPLY_WITHIN = 0.5  # s
+REPLY_TIMEOUT = 0.5  # s
 TRIES = 3
 
 log = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ class SerialBoard(PortBoard[Message]):
                 self._discard_old()
             frame = self._next_frame()
             if newest:
-                frame = self._overtaken_by(frame)
+                frame = self._newest_pending(frame)
             self._frames += 1
             yield frame
 
@@ -120,10 +120,10 @@ class SerialBoard(PortBoard[Message]):
         self._port.reopen()
         self._decoder.restart()
         self._discard_received()
-        found = self._handshake()
-        self._require_same(found)
-        self._resuming = found.boot_count == self.info.boot_count
-        self.info = found
+        new_info = self._handshake()
+        self._require_same(new_info)
+        self._resuming = new_info.boot_count == self.info.boot_count
+        self.info = new_info
         self._reconnections += 1
 
     def calibrate(self) -> None:
@@ -150,7 +150,7 @@ class SerialBoard(PortBoard[Message]):
             raise UnrecoverableError(
                 f"{self.uri}: expected board {known.uid.hex()}, table {known.table_crc32:08x}; "
                 f"found board {found.uid.hex()}, table {found.table_crc32:08x}; what was learned "
-                "of one sensor does not fit another, start anew"
+                "of one sensor does not fit another, start again"
             )
 
     def _discard_received(self) -> None:
@@ -175,11 +175,11 @@ class SerialBoard(PortBoard[Message]):
 
     def _read_protocol(self) -> Protocol:
         table = self._read_table()
-        said = (self.info.n_measurements, self.info.table_crc32)
-        if (len(table.rows), table.crc32) != said:
+        key = (self.info.n_measurements, self.info.table_crc32)
+        if (len(table.rows), table.crc32) != key:
             raise DeviceError(
-                f"{self.uri}: the board announced a table of {said[0]} measurements with CRC "
-                f"{said[1]:08x} and sent {len(table.rows)} with CRC {table.crc32:08x}; its "
+                f"{self.uri}: the board announced a table of {key[0]} measurements with CRC "
+                f"{key[1]:08x} and sent {len(table.rows)} with CRC {table.crc32:08x}; its "
                 "firmware contradicts itself, flash a good one"
             )
         try:
@@ -195,8 +195,8 @@ class SerialBoard(PortBoard[Message]):
         self._restarted = False
 
     def _next_frame(self) -> Frame:
-        # A board that starts anew again and again gives no frame either.
-        for message in self._received(self._patience):
+        # A board that starts again and again gives no frame either.
+        for message in self._receive_items(self._patience):
             if (frame := self._frame(message)) is not None:
                 return frame
             if self._restarted:
@@ -242,7 +242,7 @@ class SerialBoard(PortBoard[Message]):
             if not self._resuming:
                 self._decoder.drops[PacketDrop.STALE] += 1
                 return None
-            gap = 0  # the board counts anew although its boot count is the same
+            gap = 0  # the board counts again although its boot count is the same
         self._resuming = False
         self._lost += gap
         self._expected = (data.number + 1) % 2**32
@@ -276,7 +276,7 @@ class SerialBoard(PortBoard[Message]):
         self._seq = (self._seq + 1) % 2**16
         for _ in range(TRIES):
             self._send(request, self._seq)
-            for message in self._received(REPLY_WITHIN):
+            for message in self._receive_items(REPLY_TIMEOUT):
                 if isinstance(message, Ack):
                     if message.request != self._seq:
                         continue
@@ -286,14 +286,14 @@ class SerialBoard(PortBoard[Message]):
                 self._note(message)
         raise DeviceError(
             f"{self.uri}: expected an answer to {type(request).__name__.upper()} within "
-            f"{REPLY_WITHIN:g} s, none came in {TRIES} tries{self._received_instead()}; check "
+            f"{REPLY_TIMEOUT:g} s, none came in {TRIES} tries{self._received_instead()}; check "
             "that this is the EIT board, its power and its cable"
         )
 
     def _require_done(self, request: Request, ack: Ack) -> None:
         if ack.status != AckStatus.DONE:
-            known = ack.status in AckStatus.__members__.values()
-            reason = AckStatus(ack.status).name.lower() if known else f"status {ack.status}"
+            is_known = ack.status in AckStatus.__members__.values()
+            reason = AckStatus(ack.status).name.lower() if is_known else f"status {ack.status}"
             # A board that failed has an event that says what to check.
             failed = ack.status == AckStatus.FAILED and self._complaint()
             remedy = "" if failed else "; check that its firmware fits this eitskin"
@@ -314,7 +314,8 @@ class SerialBoard(PortBoard[Message]):
         line = max(lines[-2:], key=len).strip()
         if len(line) > 3 and line.isascii() and line.decode().isprintable():
             return (
-                f" (it printed '{shortened(line.decode())}'; a board that prints lines is opened "
+                f" (it printed '{shorten_text(line.decode())}'; a board that prints lines is "
+                f"opened "
                 "by text:PORT?protocol=, such as protocol=adjacent:16)"
             )
         if drops[PacketDrop.VERSION]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
-from eitskin.files import shortened
+from eitskin.files import shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import CHUNK, SerialPort, connector
@@ -25,9 +25,9 @@ from eitskin.protocol import Protocol
 
 BAUD = 230400
 """Presumed baud rate of the evaluation boards' example programs; not tried on a board."""
-SHORTEST = 1.0
+MIN_SILENCE = 1.0
 """Shortest silence that counts as a stale stream, at any frame rate [s]."""
-FIRST_WITHIN = 10.0
+FIRST_LINE_TIMEOUT = 10.0
 """Longest silence while the period is unknown [s]; two frames pass before the first is given."""
 
 
@@ -35,7 +35,7 @@ class TextBoard(PortBoard[FrameLines]):
     """Board that prints lines; a `Board`.
 
     Such a board sends no frame numbers, sessions or times: frames are counted and timed as they
-    come, and a restart cannot be told from a pause.
+    come, and a restart cannot be distinguished from a pause.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class TextBoard(PortBoard[FrameLines]):
     @property
     def info(self) -> Info:
         """Settings as far as known, else NaN; the board gives no identity."""
-        return Info.of(
+        return Info.from_protocol(
             self.protocol,
             firmware="text lines",
             boot_count=self._session,
@@ -95,7 +95,7 @@ class TextBoard(PortBoard[FrameLines]):
                 self._restart()
             frame = self._next_frame()
             if newest:
-                frame = self._overtaken_by(frame)
+                frame = self._newest_pending(frame)
             self._frames += 1
             yield frame
 
@@ -126,15 +126,16 @@ class TextBoard(PortBoard[FrameLines]):
         self._inbox.clear()
 
     def _next_frame(self) -> Frame:
-        patience = min(longest_silence(self._finder.period, SHORTEST), FIRST_WITHIN)
-        for lines in self._received(patience):
+        patience = min(longest_silence(self._finder.period, MIN_SILENCE), FIRST_LINE_TIMEOUT)
+        for lines in self._receive_items(patience):
             return self._frame(lines)
         drops = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
         received, unread = self._finder.received_instead(), self._decoder.unread
         if unread.isascii() and (count := len(re.findall(rb"\d+(?:[.,]\d+)?", unread))):
             received = (
                 f"the last line that was not read has {count} numbers where the protocol has "
-                f"{len(self.protocol)} measurements: '{shortened(unread.decode())}'; text: reads "
+                f"{len(self.protocol)} measurements: '{shorten_text(unread.decode())}'; text: "
+                f"reads "
                 "one measurement a line, or all of a frame: correct protocol="
             )
         elif drops:
@@ -154,14 +155,14 @@ class TextBoard(PortBoard[FrameLines]):
         status = np.where(np.isfinite(impedance), 0, np.uint8(Status.NOT_FINITE))
         if math.isnan(self._begun):
             self._begun = item.time
-        said = item.measurements[-1].frequency
+        frequency = item.measurements[-1].frequency
         return Frame(
             impedance=impedance.astype(np.complex128),
             protocol=self.protocol,
             time=item.time - self._begun,
             number=item.number,
             session=self._session,
-            frequency=self._frequency if math.isnan(said) else said,
+            frequency=self._frequency if math.isnan(frequency) else frequency,
             status=status.astype(np.uint8),
         )
 
@@ -189,5 +190,5 @@ def open_text(
         )
     if pause <= 0.0 or frequency <= 0.0:
         raise ConfigurationError(f"{uri}: pause and frequency must be positive")
-    measured = Protocol.named(protocol)
+    measured = Protocol.from_name(protocol)
     return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from statistics import median
 
-LONGEST = 256
+MAX_LINE = 256
 """Longest line with one measurement [bytes]; the programs print less than half as many."""
 BYTES_PER_VALUE = 32
 """Most bytes of a value in a line of many."""
@@ -88,7 +88,7 @@ class LineDecoder:
 
         Lines of `size` numbers are whole frames.
         """
-        self._size, self._longest = size, max(LONGEST, BYTES_PER_VALUE * size)
+        self._size, self._longest = size, max(MAX_LINE, BYTES_PER_VALUE * size)
         self.unread, self._cut = b"", False
         self.drops: Counter[LineDrop] = Counter()
         self._mark = b" ".join(mark.encode().split())
@@ -136,16 +136,16 @@ class LineDecoder:
         return None
 
     def _read(self, text: bytes, cut: bool) -> Measurement | FrameLine | None:
-        if found := _POLAR.fullmatch(text):
-            frequency, magnitude, phase = (_number(found[group]) for group in (1, 2, 4))
-            impedance = _from_polar(magnitude * (1e3 if found[3] else 1.0), phase)
-        elif found := _CARTESIAN.fullmatch(text):
-            frequency, *parts = map(_number, found.groups())
+        if polar := _POLAR.fullmatch(text):
+            frequency, magnitude, phase = (_number(polar[group]) for group in (1, 2, 4))
+            impedance = _from_polar(magnitude * (1e3 if polar[3] else 1.0), phase)
+        elif polar := _CARTESIAN.fullmatch(text):
+            frequency, *parts = map(_number, polar.groups())
             impedance = complex(*parts)
-        elif found := _FREQUENCY_ALONE.fullmatch(text):
-            self._frequency = _number(found[1])
+        elif polar := _FREQUENCY_ALONE.fullmatch(text):
+            self._frequency = _number(polar[1])
             return None
-        elif self._size > 1 and not cut and len(values := values_in(text)) == self._size:
+        elif self._size > 1 and not cut and len(values := parse_values(text)) == self._size:
             numbers = [value if math.isfinite(value) else math.nan for value in values]
             return FrameLine(
                 tuple(Measurement(complex(v, 0 * v), self._frequency) for v in numbers)
@@ -154,13 +154,13 @@ class LineDecoder:
             self.drops[LineDrop.UNKNOWN] += 1
             self.unread = text
             return None
-        if found[1] is not None:
+        if polar[1] is not None:
             self._frequency = frequency
-        known = math.isfinite(impedance.real) and math.isfinite(impedance.imag)
-        return Measurement(impedance if known else complex(math.nan, math.nan), self._frequency)
+        finite = math.isfinite(impedance.real) and math.isfinite(impedance.imag)
+        return Measurement(impedance if finite else complex(math.nan, math.nan), self._frequency)
 
 
-def values_in(text: bytes) -> list[float]:
+def parse_values(text: bytes) -> list[float]:
     """Numbers of a line that has nothing else but a label, as "magnitudes : 1 , 2 ," or in JSON."""
     lists = re.findall(rb"\[([^\[\]]*)\]", text)
     body = max(lists, key=len) if lists else re.sub(rb"(?i)^[a-z_][\w -]*[:=]", b"", text)
@@ -189,7 +189,7 @@ def _from_polar(magnitude: float, phase_deg: float) -> complex:
 
 PAUSE = 3.0
 """Shortest pause, in usual intervals between lines."""
-RUNS = 4  # frames' worth of runs of intervals, whose median tells the usual one
+RUNS = 4  # frames' worth of runs of intervals, whose median shows the usual one
 
 
 class FrameDrop(StrEnum):
@@ -278,11 +278,11 @@ class FrameFinder:
             found = ", ".join(map(str, self._counts))
             return (
                 f"its last frames had {found} lines where {self._size} were expected; check the "
-                "protocol, or tell frames apart by mark= or pause="
+                "protocol, or separate frames by mark= or pause="
             )
         if self._count:
             what = "no line with the mark" if self._marked else "no pause"
-            return f"lines come, but {what}; tell frames apart by mark= or pause="
+            return f"lines come, but {what}; separate frames by mark= or pause="
         return "no measurement came; check power, cable and baud rate"
 
     @property

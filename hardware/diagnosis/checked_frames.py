@@ -23,7 +23,7 @@ Stray capacitances of 100 to 200 pF at 40 kHz give 25 to 50, a poor contact of 5
 CAPACITIVE_DEG = -45.0
 SHORT = 0.1
 """Ratio to the expected value below which a channel is shorted."""
-FLAGGED = 0.1
+MIN_FLAGGED = 0.1
 """Largest share of frames with a status bit that is no finding."""
 
 
@@ -51,11 +51,11 @@ class CheckedFrames:
     @cached_property
     def usable(self) -> Bools:
         """Channels with finite values that are not clipped, (measurements,)."""
-        clipped = self.flagged(Status.CLIPPED) & ~self.shorted
+        clipped = self.channels_with_status(Status.CLIPPED) & ~self.short_circuits
         return np.asarray(self.finite.any(axis=0) & ~clipped)
 
     @cached_property
-    def shorted(self) -> Bools:
+    def short_circuits(self) -> Bools:
         """Channels with nearly no resistance, (measurements,); their current clips on any board.
 
         One small value is no short where a pair is not sensed where it is driven; small values of
@@ -80,7 +80,7 @@ class CheckedFrames:
         return np.asarray(np.abs(self.value) / self.expected)
 
     @cached_property
-    def opened(self) -> Bools:
+    def open_circuits(self) -> Bools:
         """Channels without a current, (measurements,)."""
         # Small values between neighbours change manifold with the places of electrodes.
         least = SHORT * float(np.sqrt(np.mean(self.expected**2)))
@@ -93,13 +93,15 @@ class CheckedFrames:
 
     @property
     def _reported_open(self) -> Bools:
-        return self.flagged(Status.OPEN) | self.flagged(Status.LOW_CURRENT)
+        return self.channels_with_status(Status.OPEN) | self.channels_with_status(
+            Status.LOW_CURRENT
+        )
 
     @cached_property
     def _scale(self) -> float:
         """Ratio of good channels to their expected values.
 
-        The lowest fifth of the ratios tells a wrong scale from bad contacts: it stays good with
+        The lowest fifth of the ratios shows a wrong scale from bad contacts: it stays good with
         four of eight electrodes open. With all of them open, every channel is capacitive: 1.
         With four terminals, where a bad contact does not show, it is the median.
         """
@@ -127,9 +129,9 @@ class CheckedFrames:
         """Channels that sense at the pair that they drive, (measurements,)."""
         return np.array([row[:2] == row[2:] for row in self.protocol.table])
 
-    def flagged(self, bit: Status) -> Bools:
+    def channels_with_status(self, bit: Status) -> Bools:
         """Channels with the status bit in more than a few frames, (measurements,)."""
-        return np.asarray((self.status & np.uint8(bit) > 0).mean(axis=0) > FLAGGED)
+        return np.asarray((self.status & np.uint8(bit) > 0).mean(axis=0) > MIN_FLAGGED)
 
     def with_electrode(self, electrode: int) -> Bools:
         """Channels that drive or sense at `electrode`, (measurements,)."""
@@ -165,20 +167,20 @@ def readings(values: Complex) -> Complex:
     """Values with NaN where they are immense or not finite, and zero where they are minute."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.abs(values)
-    made = np.where(size <= LARGEST_READING, values, np.nan)
-    return np.where(size < LEAST_READING, 0.0, made)
+    readable = np.where(size <= LARGEST_READING, values, np.nan)
+    return np.where(size < LEAST_READING, 0.0, readable)
 
 
 def electrodes_at_fault(wrong: Bools, protocol: Protocol) -> tuple[list[int], list[int]]:
     """Electrodes whose channels are all wrong, and the wrong channels of no such electrode."""
-    table, left = np.array(protocol.table), wrong.copy()
+    table, unexplained = np.array(protocol.table), wrong.copy()
     electrodes = []
     for electrode in range(protocol.n_electrodes):
         at = (table == electrode).any(axis=1)
         if at.sum() > 1 and wrong[at].all():
             electrodes.append(electrode)
-            left &= ~at
-    return electrodes, np.flatnonzero(left).tolist()
+            unexplained &= ~at
+    return electrodes, np.flatnonzero(unexplained).tolist()
 
 
 class FindingKind(StrEnum):
@@ -250,20 +252,20 @@ def channel_names(wrong: Bools, checked: CheckedFrames) -> str:
     return "every channel" if wrong.all() else f"channel {', '.join(labels)}"
 
 
-MOVED = 0.003
+MAX_CHANGE = 0.003
 """Relative change of all values in common between quarters of the check that is a movement."""
-TOUCHED = 0.0003
-"""The same beside the common change, rms over the channels."""
+MIN_TOUCH_CHANGE = 0.0003
+"""The same next to the common change, rms over the channels."""
 SIGNIFICANT = 6.0
 """Reduced chi-square of a change, and its ratio to the standard deviation, beyond noise."""
 NOISY, NOISE = 4.0, 0.001
 """Noise of a noisy channel: in units of the median channel's noise, and relative to its value."""
 NOISY_BOARD = 0.005
 """Noise of the median channel, relative to the rms of all, from which all values are noisy."""
-FEWEST_FOR_NOISE = 8
+MIN_FOR_NOISE = 8
 
 
-def frozen(checked: CheckedFrames) -> Iterator[Finding]:
+def find_frozen(checked: CheckedFrames) -> Iterator[Finding]:
     """Findings of values that repeat to the last bit, which no measurement does."""
     same = np.diff(np.where(checked.finite, checked.impedance, 0.0), axis=0) == 0
     if len(same) < 2 or not checked.usable.any():
@@ -277,35 +279,35 @@ def frozen(checked: CheckedFrames) -> Iterator[Finding]:
         )
         yield finding(FindingKind.FROZEN, np.ones(len(checked.expected), bool), text)
         return
-    stuck = same.all(axis=0) & checked.usable & ~checked.opened & ~checked.shorted
+    stuck = same.all(axis=0) & checked.usable & ~checked.open_circuits & ~checked.short_circuits
     remedy = "its value never changes, not even by noise: check its multiplexer path"
     yield from findings_by_electrode(FindingKind.STUCK, stuck, checked, "is stuck", remedy)
 
 
-def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
-    """Findings of noise and movement among the channels `rest`."""
-    if len(checked.impedance) < FEWEST_FOR_NOISE or not rest.any():
+def unsteady(checked: CheckedFrames, channels: Bools) -> Iterator[Finding]:
+    """Findings of noise and movement among the channels `channels`."""
+    if len(checked.impedance) < MIN_FOR_NOISE or not channels.any():
         return
     value, noise = np.abs(checked.value), checked.noise
     relative = noise / np.maximum(value, SHORT * checked.expected)
-    usual = float(np.median(noise[rest]))
+    usual = float(np.median(noise[channels]))
     # White noise is that of the largest values, and far above many of those between neighbours.
-    size = float(np.sqrt(np.mean(value[rest] ** 2)))
+    size = float(np.sqrt(np.mean(value[channels] ** 2)))
     if usual > NOISY_BOARD * size:
         text = (
             f"all values scatter by {100 * usual / size:.1f} % from frame to frame: check ground, "
             "shield and supply of the board, and that nothing moves"
         )
-        yield finding(FindingKind.NOISY, rest, text)
-    elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():
+        yield finding(FindingKind.NOISY, channels, text)
+    elif (noisy := channels & (noise > NOISY * usual) & (relative > NOISE)).any():
         yield from findings_by_electrode(
             FindingKind.NOISY, noisy, checked, "is noisy", "a loose wire or plug does this"
         )
-        rest = rest & ~noisy
-    yield from _moved(checked, rest, np.maximum(relative, np.median(relative[rest])))
+        channels = channels & ~noisy
+    yield from _find_drift(checked, channels, np.maximum(relative, np.median(relative[channels])))
 
 
-def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
+def _find_drift(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     """Findings of relative changes beyond the noise between quarters of the check."""
     # In the units of `noise`: a value near zero, as between four terminals, is no unit of its own.
     size = np.abs(checked.value)
@@ -317,13 +319,13 @@ def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Findin
     common = np.median(changes, axis=1)
     noise_std = np.maximum(noise[rest] * np.sqrt(2 * 4 / len(values)), np.finfo(float).eps)
     beside = changes - common[:, None]
-    touched = np.sqrt((beside**2).mean(axis=1)) > TOUCHED
+    touched = np.sqrt((beside**2).mean(axis=1)) > MIN_TOUCH_CHANGE
     touched &= ((beside / noise_std) ** 2).mean(axis=1) > SIGNIFICANT
-    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(noise_std)):
+    if not touched.any() and np.abs(common).max() <= max(MAX_CHANGE, 3.0 * np.median(noise_std)):
         return
     largest = np.abs(changes).max(axis=0)
     moved = np.zeros_like(rest)
-    moved[rest] = largest > np.maximum(MOVED, SIGNIFICANT * noise_std)
+    moved[rest] = largest > np.maximum(MAX_CHANGE, SIGNIFICANT * noise_std)
     electrodes, others = electrodes_at_fault(moved, checked.protocol)
     text = f"values changed by up to {100 * float(largest.max()):.2g} % during the check: "
     if len(electrodes) == 1 and not others:

@@ -18,15 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import DataError, FrameError
 from eitskin.frame import Frame
 from eitskin.hardware.diagnosis.checked_frames import (
-    FLAGGED,
+    MIN_FLAGGED,
     Bools,
     CheckedFrames,
     Finding,
     FindingKind,
     channel_names,
+    find_frozen,
     finding,
     findings_by_electrode,
-    frozen,
     readings,
 )
 from eitskin.hardware.diagnosis.sensor_check import board_flags
@@ -59,7 +59,7 @@ def linear_relations(protocol: Protocol) -> tuple[Relation, ...]:
 
 def _swaps(protocol: Protocol) -> Iterator[Relation]:
     """Relations of measurements with the same pairs, in another order of their electrodes."""
-    for same in _by_pairs(protocol).values():
+    for same in _measurements_by_pairs(protocol).values():
         (first, sign), *others = same
         for other, turned in others:
             same_drive = protocol.table[first][:2] == protocol.table[other][:2]
@@ -69,10 +69,10 @@ def _swaps(protocol: Protocol) -> Iterator[Relation]:
 
 def _reciprocities(protocol: Protocol) -> Iterator[Relation]:
     """Relations of measurements whose drive pair is the other's sense pair."""
-    found = _by_pairs(protocol)
-    for (drive, sense), same in found.items():
-        if drive < sense and (sense, drive) in found:
-            (forth, sign), (back, turned) = same[0], found[sense, drive][0]
+    by_pairs = _measurements_by_pairs(protocol)
+    for (drive, sense), same in by_pairs.items():
+        if drive < sense and (sense, drive) in by_pairs:
+            (forth, sign), (back, turned) = same[0], by_pairs[sense, drive][0]
             yield Relation(FindingKind.RECIPROCITY, (forth, back), (1, -sign * turned))
 
 
@@ -80,7 +80,7 @@ def _loops(protocol: Protocol) -> Iterator[Relation]:
     """Relations of closed loops of sense pairs at one drive, and of drive pairs at one sense."""
     at_drive: dict[Pair, dict[Pair, Signed]] = {}
     at_sense: dict[Pair, dict[Pair, Signed]] = {}
-    for (drive, sense), same in _by_pairs(protocol).items():
+    for (drive, sense), same in _measurements_by_pairs(protocol).items():
         at_drive.setdefault(drive, {})[sense] = same[0]
         at_sense.setdefault(sense, {})[drive] = same[0]
     for edges in (*at_drive.values(), *at_sense.values()):
@@ -90,13 +90,13 @@ def _loops(protocol: Protocol) -> Iterator[Relation]:
             yield Relation(FindingKind.LOOP, channels, signs)
 
 
-def _by_pairs(protocol: Protocol) -> Mapping[tuple[Pair, Pair], list[Signed]]:
+def _measurements_by_pairs(protocol: Protocol) -> Mapping[tuple[Pair, Pair], list[Signed]]:
     """Measurements by drive and sense pair, each pair from its smaller electrode, with signs."""
-    found: dict[tuple[Pair, Pair], list[Signed]] = {}
+    by_pairs: dict[tuple[Pair, Pair], list[Signed]] = {}
     for number, (a, b, c, d) in enumerate(protocol.table):
         key = ((min(a, b), max(a, b)), (min(c, d), max(c, d)))
-        found.setdefault(key, []).append((number, 1 if (a < b) == (c < d) else -1))
-    return found
+        by_pairs.setdefault(key, []).append((number, 1 if (a < b) == (c < d) else -1))
+    return by_pairs
 
 
 def _fundamental_loops(edges: Mapping[Pair, Signed]) -> Iterator[list[tuple[Pair, int]]]:
@@ -120,17 +120,17 @@ def _fundamental_loops(edges: Mapping[Pair, Signed]) -> Iterator[list[tuple[Pair
                 if there not in paths:
                     paths[there] = [*paths[here], there]
                     waiting.append(there)
-    tree = {_ordered(path[-2], path[-1])[0] for path in paths.values() if len(path) > 1}
+    tree = {_order_pair(path[-2], path[-1])[0] for path in paths.values() if len(path) > 1}
     for a, b in edges:
         if (a, b) in tree:
             continue
         from_a, from_b = paths[a], paths[b]
         shared = sum(x == y for x, y in zip(from_a, from_b, strict=False))
         nodes = [*from_a[shared - 1 :][::-1], *from_b[shared:]]  # from a over the common node to b
-        yield [_ordered(x, y) for x, y in pairwise([*nodes, a])]
+        yield [_order_pair(x, y) for x, y in pairwise([*nodes, a])]
 
 
-def _ordered(a: int, b: int) -> tuple[Pair, int]:
+def _order_pair(a: int, b: int) -> tuple[Pair, int]:
     """Pair of two electrodes from the smaller one, and the direction from a to b."""
     return ((a, b), 1) if a < b else ((b, a), -1)
 
@@ -143,12 +143,12 @@ UNEQUAL_SMALL = 0.002
 """The same, as a share of the median reading, below which a difference counts for nothing."""
 SIGNIFICANT = 6.0
 """Difference over its standard error beyond which it is no noise."""
-MOST = 0.5
+MAX_LIMIT_SHARE = 0.5
 """Share of violated relations from which the board, and not a channel, is at fault."""
 DEAD = 1e-6
 """Reading over the median channel's below which a channel is dead."""
-FEWEST_VALUES = 8
-"""Least number of different values of a channel, beside its limit, that is not stuck there."""
+MIN_VALUES = 8
+"""Least number of different values of a channel, next to its limit, that is not stuck there."""
 
 LAWS = {
     FindingKind.DRIVE_SWAP: (
@@ -253,7 +253,7 @@ def check_readings(
     typical = np.maximum(np.abs(checked.value), np.finfo(float).tiny)
     checked = CheckedFrames(protocol, values, bits, typical)
     dead = _dead(checked)
-    limited = _at_a_limit(checked) & ~dead
+    limited = _channels_at_limit(checked) & ~dead
     good = checked.usable & ~dead & ~limited
     wrong = (
         (
@@ -270,17 +270,17 @@ def check_readings(
     findings = list(board_flags(checked))
     for what, channels, remedy in wrong:
         findings += findings_by_electrode(what, channels, checked, f"is {what}", remedy)
-    findings += [each for each in frozen(checked) if not dead[list(each.channels)].all()]
+    findings += [each for each in find_frozen(checked) if not dead[list(each.channels)].all()]
     finite = values[np.isfinite(values)]
     magnitudes = bool(not finite.imag.any() and (finite.real >= 0.0).all())
     relations = [each for each in linear_relations(protocol) if good[list(each.channels)].all()]
     laws = []
     for kind in LAWS:
-        chosen = [each for each in relations if each.kind == kind]
+        chosen = [relation for relation in relations if relation.kind == kind]
         if chosen:
-            law, found = _check_law(kind, chosen, checked, magnitudes=magnitudes)
+            law, law_findings = _check_law(kind, chosen, checked, magnitudes=magnitudes)
             laws.append(law)
-            findings += found
+            findings += law_findings
     return ReadingCheck(tuple(findings), tuple(laws), magnitudes)
 
 
@@ -305,19 +305,19 @@ def _dead(checked: CheckedFrames) -> Bools:
     return np.asarray((largest <= DEAD * np.median(largest)) & checked.finite.any(axis=0))
 
 
-def _at_a_limit(checked: CheckedFrames) -> Bools:
+def _channels_at_limit(checked: CheckedFrames) -> Bools:
     """Channels that stay at the board's largest value, unlike a measurement, (measurements,).
 
     The largest value of the recording is a limit where a channel repeats it exactly, in more than
-    a few frames, and takes many other values beside, or where several channels do.
+    a few frames, and takes many other values as well, or where several channels do.
     """
     parts = np.stack([checked.impedance.real, checked.impedance.imag])
     sizes = np.where(np.isfinite(parts), np.abs(parts), 0.0).max(axis=0)
     limit = sizes.max()
-    if not limit or len(sizes) < FEWEST_VALUES:
+    if not limit or len(sizes) < MIN_VALUES:
         return np.zeros(sizes.shape[1], bool)
-    there = (sizes == limit).mean(axis=0) > FLAGGED
-    varied = np.array([len(np.unique(column)) > FEWEST_VALUES for column in sizes.T])
+    there = (sizes == limit).mean(axis=0) > MIN_FLAGGED
+    varied = np.array([len(np.unique(column)) > MIN_VALUES for column in sizes.T])
     return np.asarray(there if there.sum() > 1 else there & varied)
 
 
@@ -327,9 +327,9 @@ def _check_law(
     """Outcome of one law, and its findings."""
     median = float(np.median(np.abs(checked.value)))
     differences, wrong, ratios, signs = [], [], [], 0
-    for each in relations:
-        readings = checked.impedance[:, list(each.channels)]
-        difference, noise = _difference(readings, each, magnitudes=magnitudes)
+    for relation in relations:
+        readings = checked.impedance[:, list(relation.channels)]
+        difference, noise = _difference(readings, relation, magnitudes=magnitudes)
         sizes = np.abs(np.nanmean(readings, axis=0))
         largest = float(sizes.max()) or 1.0
         differences.append(difference / largest)
@@ -351,8 +351,8 @@ def _check_law(
 def _suspects(relations: Sequence[Relation], wrong: Bools, count: int) -> Bools:
     """Channels that keep no relation, or without any all of the violated ones, (count,)."""
     takes_part = np.zeros((len(relations), count), bool)
-    for row, each in zip(takes_part, relations, strict=True):
-        row[list(each.channels)] = True
+    for row, relation in zip(takes_part, relations, strict=True):
+        row[list(relation.channels)] = True
     violated = takes_part[wrong].any(axis=0)
     only = violated & ~takes_part[~wrong].any(axis=0)
     return np.asarray(only if only.any() else violated)
@@ -362,7 +362,7 @@ def _difference(readings: Complex, relation: Relation, *, magnitudes: bool) -> t
     """Violation of a relation by the mean frame, and its standard error.
 
     Args:
-        readings: of the relation's channels, (frames, channels).
+        readings: readings of the relation's channels, (frames, channels).
         relation: signed sum that is to be zero.
         magnitudes: whether only magnitudes are known.
     """
@@ -401,7 +401,7 @@ def _law_text(
             f"{exchange} changes {law.violated} of {law.relations} readings, by a factor of "
             f"{ratio:.2g} in the median, where an ideal meter reads the same"
         )
-    if law.violated <= MOST * law.relations:
+    if law.violated <= MAX_LIMIT_SHARE * law.relations:
         return f"{seen}: check the paths of {names}"
     return (
         f"{seen}: {cause}, or the order of the channels is not that of the protocol; compare the "

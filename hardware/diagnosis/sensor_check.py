@@ -26,9 +26,9 @@ from eitskin.hardware.diagnosis.checked_frames import (
     channel_names,
     checked_frames,
     electrodes_at_fault,
+    find_frozen,
     finding,
     findings_by_electrode,
-    frozen,
     unsteady,
 )
 from eitskin.protocol import Protocol
@@ -43,10 +43,10 @@ OTHER_VALUES = 1.2
 """Factor that half of the channels of four terminals are off by in another sensor or wiring."""
 MODEL_ERROR = 0.004
 """Relative model error of a value, rms: electrode positions and board paths, 0.3 % each."""
-LARGEST_CHI2 = 6.0
+MAX_CHI2 = 6.0
 """Largest reduced chi-square of a good fit; nearly all healthy sensors stay below 3.5, swapped
 wires begin at 9."""
-MOST_SWAPS = 3
+MAX_SWAPS = 3
 _REGULARISATION = 1e-6  # of series resistances that no channel separates
 _SPARE_MEASUREMENTS = 4  # least number of measurements beyond the unknowns
 
@@ -78,7 +78,7 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     """Findings in frames of a sensor that lies flat and untouched.
 
     Electrodes permuted by a symmetry of the sensor (its plug turned round) give the frames of a
-    healthy one: no check of the untouched sensor can tell.
+    healthy one: no check of the untouched sensor can show.
 
     Args:
         frames: frames of one protocol, in their order; 16 are good, fewer than 8 do not show noise.
@@ -100,9 +100,9 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
         [(<FindingKind.OPEN: 'open'>, (3,))]
     """
     checked = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
-    opened = checked.opened
-    rest = checked.usable & ~opened
-    findings = [*board_flags(checked), *frozen(checked)]
+    opened = checked.open_circuits
+    remaining = checked.usable & ~opened
+    findings = [*board_flags(checked), *find_frozen(checked)]
     if opened.all():
         text = "no electrode is connected: check the plug between sensor and board"
         electrodes = range(checked.protocol.n_electrodes)
@@ -114,77 +114,77 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     for k in channels:
         text = f"channel {checked.protocol.labels[k]} is open though its electrodes are not: check "
         findings.append(Finding(FindingKind.OPEN, (), (k,), f"{text}its multiplexer path"))
-    if rest.any():
-        changing = list(unsteady(checked, rest & ~checked.shorted))
-        steady = _without(changing, rest)
+    if remaining.any():
+        changing = list(unsteady(checked, remaining & ~checked.short_circuits))
+        steady = _channels_without_change(changing, remaining)
         findings += [*changing, *_wrong_values(checked, steady)]
     return SensorCheck(tuple(findings))
 
 
 def board_flags(checked: CheckedFrames) -> Iterator[Finding]:
     """Findings of values that are not finite and of status bits."""
-    wrong = ~checked.finite.all(axis=0) & ~checked.opened
-    said = "gives values that are no numbers"
+    wrong = ~checked.finite.all(axis=0) & ~checked.open_circuits
+    words = "gives values that are no numbers"
     remedy = "the board divides by a current of zero: check these wires, then the firmware"
-    yield from findings_by_electrode(FindingKind.NOT_FINITE, wrong, checked, said, remedy)
-    wrong = checked.flagged(Status.CLIPPED) & ~checked.shorted
+    yield from findings_by_electrode(FindingKind.NOT_FINITE, wrong, checked, words, remedy)
+    wrong = checked.channels_with_status(Status.CLIPPED) & ~checked.short_circuits
     remedy = "lower the excitation, or RTIA, in the firmware"
     yield from findings_by_electrode(FindingKind.CLIPPED, wrong, checked, "is clipped", remedy)
-    told = {
+    words_by_status = {
         Status.UNCALIBRATED: "is not calibrated: calibrate the board",
         Status.DFT_TIMEOUT: "timed out: restart the board",
         Status.FIFO_OVERFLOW: "overran the board's memory: restart the board",
     }
-    for bit, said in told.items():
-        if (wrong := checked.flagged(bit)).any():
-            text = f"the board says that {channel_names(wrong, checked)} {said}"
+    for bit, words in words_by_status.items():
+        if (wrong := checked.channels_with_status(bit)).any():
+            text = f"the board says that {channel_names(wrong, checked)} {words}"
             yield finding(FindingKind.BOARD, wrong, text)
 
 
-def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def _wrong_values(checked: CheckedFrames, remaining: Bools) -> Iterator[Finding]:
     """Findings of steady values that are not those of this design."""
-    shorted = rest & checked.shorted
-    for (a, b), channels in _by_drive_pair(shorted, checked).items():
+    shorted = remaining & checked.short_circuits
+    for (a, b), channels in _group_by_drive_pair(shorted, checked).items():
         text = (
             f"electrodes {a} and {b} are shorted: look for wires that touch, or a bridge of gel "
             f"or solder between plugs {a} and {b}"
         )
         yield Finding(FindingKind.SHORT, (min(a, b), max(a, b)), tuple(channels), text)
-    if (rest := rest & ~shorted).any():
-        yield from _wrong_phase(checked, rest)
+    if (remaining := remaining & ~shorted).any():
+        yield from _wrong_phase(checked, remaining)
         # A short changes what all other pairs should be.
         own = not shorted.any() and checked.senses_where_it_drives.all()
-        fit = fit_contacts(checked, rest) if own else None
-        scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[rest]))
+        fit = fit_contacts(checked, remaining) if own else None
+        scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[remaining]))
         if not checked.senses_where_it_drives.any():
             # Small values between neighbours change manifold with the places of electrodes.
             large = checked.expected > SHORT * float(np.sqrt(np.mean(checked.expected**2)))
-            ratio = checked.ratio[rest & large & (checked.ratio > 0.0)]
+            ratio = checked.ratio[remaining & large & (checked.ratio > 0.0)]
             off = float(np.median(np.abs(np.log(ratio / scale)))) if len(ratio) and scale else 0.0
             if off > np.log(OTHER_VALUES):
                 if not shorted.any():
-                    yield _other_wiring(off, checked, rest)
+                    yield _other_wiring(off, checked, remaining)
                 return
         if not 1.0 / FACTOR <= scale <= FACTOR:
             text = (
                 f"all values are {scale:.2g} times what this design gives: check RTIA and RCAL in "
                 "the firmware, and that this is the sensor that the model is for"
             )
-            yield finding(FindingKind.FACTOR, rest, text)
+            yield finding(FindingKind.FACTOR, remaining, text)
         else:
             scale = 1.0
         if fit and scale > 0.0:
             yield from _wrong_contacts(
-                dataclasses.replace(checked, impedance=checked.impedance / scale), rest
+                dataclasses.replace(checked, impedance=checked.impedance / scale), remaining
             )
 
 
-def _by_drive_pair(wrong: Bools, checked: CheckedFrames) -> dict[tuple[int, int], list[int]]:
+def _group_by_drive_pair(wrong: Bools, checked: CheckedFrames) -> dict[tuple[int, int], list[int]]:
     """Wrong channels by the pair that they drive, in the order of the first of each pair."""
-    found: dict[frozenset[int], list[int]] = {}
+    channels_by_pair: dict[frozenset[int], list[int]] = {}
     for k in np.flatnonzero(wrong).tolist():
-        found.setdefault(frozenset(checked.protocol.table[k][:2]), []).append(k)
-    return {checked.protocol.table[ks[0]][:2]: ks for ks in found.values()}
+        channels_by_pair.setdefault(frozenset(checked.protocol.table[k][:2]), []).append(k)
+    return {checked.protocol.table[ks[0]][:2]: ks for ks in channels_by_pair.values()}
 
 
 def _other_wiring(off: float, checked: CheckedFrames, rest: Bools) -> Finding:
@@ -225,25 +225,25 @@ def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
         yield finding(FindingKind.BAD_CONTACT, checked.with_electrode(e) & rest, text, e)
 
 
-def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def _wrong_phase(checked: CheckedFrames, remaining: Bools) -> Iterator[Finding]:
     """Findings of phases that no gel has, where the sign of a value is known."""
-    if not (rest := rest & checked.senses_where_it_drives).any():
+    if not (remaining := remaining & checked.senses_where_it_drives).any():
         return
     turned = checked.value / np.maximum(np.abs(checked.value), np.finfo(float).tiny)
-    common = np.median(turned.real[rest]) + 1j * np.median(turned.imag[rest])
+    common = np.median(turned.real[remaining]) + 1j * np.median(turned.imag[remaining])
     if abs(angle := float(np.angle(common, deg=True))) > PHASE_DEG:
         text = (
             f"all phases are off by {angle:.0f} deg: calibrate the board against RCAL; near 180 "
             "deg its two sense leads are exchanged"
         )
-        yield finding(FindingKind.PHASE, rest, text)
+        yield finding(FindingKind.PHASE, remaining, text)
         turned = turned / common
-    wrong = rest & (np.abs(np.angle(turned, deg=True)) > PHASE_DEG)
+    wrong = remaining & (np.abs(np.angle(turned, deg=True)) > PHASE_DEG)
     remedy = "a contact without gel acts as a capacitor: wet it, check its wire"
     yield from findings_by_electrode(FindingKind.PHASE, wrong, checked, "has a wrong phase", remedy)
 
 
-def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
+def _channels_without_change(changing: Sequence[Finding], rest: Bools) -> Bools:
     """Channels of `rest` without a finding of change, unless most of them have one."""
     steady = rest.copy()
     for each in changing:
@@ -270,22 +270,22 @@ class ContactFit:
     @property
     def good(self) -> bool:
         """Whether the misfit is that of a healthy sensor."""
-        return bool(self.misfit**2 <= LARGEST_CHI2 * MODEL_ERROR**2)
+        return bool(self.misfit**2 <= MAX_CHI2 * MODEL_ERROR**2)
 
 
-def fit_contacts(checked: CheckedFrames, used: Bools) -> ContactFit | None:
-    """Fit of contacts to the channels `used`, (measurements,), which sense where they drive.
+def fit_contacts(checked: CheckedFrames, usable: Bools) -> ContactFit | None:
+    """Fit of contacts to the channels `usable`, (measurements,), which sense where they drive.
 
     None for too few channels.
     """
     columns = _columns(checked)
-    if used.sum() < _unknowns(columns, used) + _SPARE_MEASUREMENTS:
+    if usable.sum() < _unknowns(columns, usable) + _SPARE_MEASUREMENTS:
         return None
-    return _least_squares(np.abs(checked.value)[None], used[None], columns)[0]
+    return _least_squares(np.abs(checked.value)[None], usable[None], columns)[0]
 
 
 def corrected_wiring(
-    checked: CheckedFrames, used: Bools
+    checked: CheckedFrames, usable: Bools
 ) -> tuple[tuple[tuple[int, int], ...], int | None, ContactFit]:
     """Fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
 
@@ -294,26 +294,26 @@ def corrected_wiring(
     those of `fit_contacts`.
     """
     values, protocol, columns = np.abs(checked.value), checked.protocol, _columns(checked)
-    given = _least_squares(values[None], used[None], columns)[0]
-    if given.good:
-        return (), None, given
-    one_less = used & ~np.eye(len(used), dtype=bool)[used]
+    given_wiring = _least_squares(values[None], usable[None], columns)[0]
+    if given_wiring.good:
+        return (), None, given_wiring
+    one_less = usable & ~np.eye(len(usable), dtype=bool)[usable]
     without_one = _least_squares(np.repeat(values[None], len(one_less), axis=0), one_less, columns)
     best = min(range(len(without_one)), key=lambda k: without_one[k].misfit)
     pairs = tuple(itertools.combinations(range(protocol.n_electrodes), 2))
-    orders = np.array([_exchanged(protocol, pair) for pair in pairs])
+    orders = np.array([_exchange_electrodes(protocol, pair) for pair in pairs])
     order, swaps = np.arange(len(values)), []
-    for _ in range(MOST_SWAPS):
+    for _ in range(MAX_SWAPS):
         tried = order[orders]
-        fits = _least_squares(values[tried], used[tried], columns)
+        fits = _least_squares(values[tried], usable[tried], columns)
         k = min(range(len(pairs)), key=lambda k: fits[k].misfit)
         order = tried[k]
         swaps.append(pairs[k])
         if fits[k].good and not (len(swaps) == 1 and without_one[best].misfit < fits[k].misfit):
             return tuple(swaps), None, fits[k]
         if without_one[best].good:
-            return (), int(np.flatnonzero(used)[best]), without_one[best]
-    return (), None, given
+            return (), int(np.flatnonzero(usable)[best]), without_one[best]
+    return (), None, given_wiring
 
 
 def _columns(checked: CheckedFrames) -> Array:
@@ -333,25 +333,25 @@ def _unknowns(columns: Array, used: Bools) -> int:
 def _least_squares(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
     """Fits of the rows of `values` and `used`, (fits, measurements), by weighted least squares."""
     expected, typical = columns[:, 0], float(np.median(columns[:, 0]))
-    kept = np.where(used, values, np.nan)
-    common = np.nanmedian(kept / expected, axis=1, keepdims=True)
+    used_values = np.where(used, values, np.nan)
+    common = np.nanmedian(used_values / expected, axis=1, keepdims=True)
     sizes = np.maximum(values, np.maximum(common, np.finfo(float).eps) * expected)
     weights = np.where(used, 1.0 / sizes**2, 0.0)
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(expected), -1)
     size = columns.shape[1]
     normal = (weights @ products).reshape(-1, size, size)
     normal += _REGULARISATION * np.diag(np.arange(size) > 0) * normal[:, :1, :1]
-    found = np.linalg.solve(normal, ((weights * values) @ columns)[:, :, None])[:, :, 0]
-    square = (weights * (values - found @ columns.T) ** 2).sum(axis=1)
+    solution = np.linalg.solve(normal, ((weights * values) @ columns)[:, :, None])[:, :, 0]
+    square = (weights * (values - solution @ columns.T) ** 2).sum(axis=1)
     freedom = used.sum(axis=1) - _unknowns(columns, np.asarray(used.any(axis=0)))
     rms = np.sqrt(square / np.maximum(freedom, 1))
     return [
         ContactFit(float(x[0]), x[1:] * typical, float(each))
-        for x, each in zip(found, rms, strict=True)
+        for x, each in zip(solution, rms, strict=True)
     ]
 
 
-def _exchanged(protocol: Protocol, pair: tuple[int, int]) -> list[int]:
+def _exchange_electrodes(protocol: Protocol, pair: tuple[int, int]) -> list[int]:
     """Number of the measurement in place of each, with two electrodes exchanged."""
     a, b = pair
     number = {frozenset(row[:2]): k for k, row in enumerate(protocol.table)}

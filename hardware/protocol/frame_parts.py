@@ -25,7 +25,7 @@ _PART = struct.Struct("<HHI")
 _BYTES_PER_CHANNEL = 9  # re f32, im f32, status u8
 PER_PACKET = (MAX_PAYLOAD - _FRAME.size) // _BYTES_PER_CHANNEL
 """Most measurements in one packet, a whole frame or a part."""
-MOST_MEASUREMENTS = 0xFFFF
+MAX_MEASUREMENTS = 0xFFFF
 """Most measurements in a frame, as their number has two bytes."""
 
 
@@ -112,8 +112,8 @@ class FrameAssembly:
             return None
         whole = replace(
             part.data,
-            impedance=np.concatenate([each.data.impedance for each in self._parts]),
-            status=np.concatenate([each.data.status for each in self._parts]),
+            impedance=np.concatenate([part.data.impedance for part in self._parts]),
+            status=np.concatenate([part.data.status for part in self._parts]),
         )
         self._parts.clear()
         return whole

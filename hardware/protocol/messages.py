@@ -12,8 +12,9 @@ from enum import IntEnum
 from typing import Any, NamedTuple, cast
 
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.hardware.protocol.frame_parts import (
-    MOST_MEASUREMENTS,
+    MAX_MEASUREMENTS,
     PER_PACKET,
     FrameData,
     FramePart,
@@ -28,7 +29,7 @@ from eitskin.hardware.protocol.packets import (
     Packet,
     require_field,
 )
-from eitskin.protocol import MOST_ELECTRODES, Protocol, Row
+from eitskin.protocol import MAX_ELECTRODES, Protocol, Row
 
 MAGIC = b"EITS"
 
@@ -82,6 +83,7 @@ class Calibrate:
     """Request to measure the calibration resistor again."""
 
 
+@old_names(of="from_protocol")
 @dataclass(frozen=True, slots=True)
 class Info:
     """Identity and settings of a board; the answer to Hello, also sent once on boot.
@@ -101,8 +103,8 @@ class Info:
         >>> from eitskin import Protocol
         >>> from eitskin.hardware import Info
         >>> protocol = Protocol.pairwise(8)
-        >>> info = Info.of(protocol, firmware="mine", boot_count=0, frequency=40e3, period=0.3)
-        >>> info.n_measurements
+        >>> info = Info.from_protocol(protocol, firmware="mine", boot_count=0, frequency=40e3,
+        period=0.3) >>> info.n_measurements
         28
     """
 
@@ -119,11 +121,15 @@ class Info:
     period: float
 
     @classmethod
-    def of(cls, protocol: Protocol, **known: Any) -> "Info":
+    def from_protocol(cls, protocol: Protocol, **known: Any) -> "Info":
         """Info of a board with a protocol; what is not known is NaN or zero."""
         numbers: dict[str, Any] = dict.fromkeys(_ANALOG, math.nan)
         numbers |= {"n_electrodes": protocol.n_electrodes, "n_measurements": len(protocol)}
-        numbers |= {"uid": bytes(12), "boot_count": 0, "table_crc32": Table.of(protocol).crc32}
+        numbers |= {
+            "uid": bytes(12),
+            "boot_count": 0,
+            "table_crc32": Table.from_protocol(protocol).crc32,
+        }
         return cls(**numbers | known)
 
 
@@ -152,12 +158,12 @@ class Table:
     rows: tuple[Row, ...]
 
     @classmethod
-    def of(cls, protocol: Protocol) -> "Table":
+    def from_protocol(cls, protocol: Protocol) -> "Table":
         """Table of `protocol`; raises ConfigurationError for more than the wire can say."""
-        if len(protocol) > MOST_MEASUREMENTS or protocol.n_electrodes > MOST_ELECTRODES:
+        if len(protocol) > MAX_MEASUREMENTS or protocol.n_electrodes > MAX_ELECTRODES:
             raise ConfigurationError(
-                f"on the wire a frame holds at most {MOST_MEASUREMENTS} measurements of "
-                f"{MOST_ELECTRODES} electrodes, the protocol is {protocol}; measure fewer"
+                f"on the wire a frame holds at most {MAX_MEASUREMENTS} measurements of "
+                f"{MAX_ELECTRODES} electrodes, the protocol is {protocol}; measure fewer"
             )
         return cls(protocol.table)
 
@@ -176,7 +182,7 @@ class TablePart:
     rows: tuple[Row, ...]
 
     @classmethod
-    def of(cls, table: Table, first: int) -> "TablePart":
+    def from_table(cls, table: Table, first: int) -> "TablePart":
         """As many rows of `table` from number `first` on as one packet holds."""
         return cls(len(table.rows), first, table.rows[first : first + _ROWS_PER_PACKET])
 
@@ -245,9 +251,9 @@ def _pack_info(info: Info) -> bytes:
 
 def _unpack_info(packet: Packet) -> Info:
     magic, name, *numbers, period_us = _INFO[packet.version].unpack(packet.payload)
-    firmware = _shown(name.rstrip(b"\0").decode("ascii"))
+    firmware = _printable(name.rstrip(b"\0").decode("ascii"))
     info = Info(*(firmware, *numbers, period_us * 1e-6))
-    least, most = (1, PER_PACKET) if packet.version == 1 else (PER_PACKET + 1, MOST_MEASUREMENTS)
+    least, most = (1, PER_PACKET) if packet.version == 1 else (PER_PACKET + 1, MAX_MEASUREMENTS)
     n_meas = info.n_measurements
     require_field("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
     require_field("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
@@ -269,10 +275,10 @@ def _unpack_event(packet: Packet) -> Event:
     level, code = _EVENT.unpack_from(packet.payload)
     # The text is for people: a damaged letter is no reason to lose the other letters.
     text = packet.payload[_EVENT.size :].decode("utf-8", errors="replace")
-    return Event(level, code, _shown(text))
+    return Event(level, code, _printable(text))
 
 
-def _shown(text: str) -> str:
+def _printable(text: str) -> str:
     """Text with a question mark for each control character: it could command the terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)
 

@@ -75,7 +75,7 @@ class Packet:
         type: message type of the payload.
         seq: number of the request, or of the packet from the board, 0 to 65535.
         payload: the packed message.
-        version: of the wire protocol that the payload is written in.
+        version: version of the wire protocol that the payload is written in.
     """
 
     type: int
@@ -126,29 +126,29 @@ class Decoder:
         self._skipping = False
 
     @property
-    def buffered(self) -> int:
+    def buffered_bytes(self) -> int:
         """Number of bytes held of an unfinished packet, at most `MAX_PACKET`."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> Iterator[Packet]:
         """Packets completed by `data`; bytes that are no packet are dropped and counted."""
-        *ended, rest = bytes(data).split(b"\0")
+        *ended, unfinished = bytes(data).split(b"\0")
         for part in ended:
             self._extend(part)
             packet = self._finish()
             if packet is not None:
                 yield packet
-        self._extend(rest)
+        self._extend(unfinished)
 
-    def _extend(self, part: bytes) -> None:
+    def _extend(self, chunk: bytes) -> None:
         if self._skipping:
             return
-        if len(self._partial) + len(part) > _MAX_STUFFED:
+        if len(self._partial) + len(chunk) > _MAX_STUFFED:
             self.drops[PacketDrop.TOO_LONG] += 1
             self._partial.clear()
             self._skipping = True
         else:
-            self._partial += part
+            self._partial += chunk
 
     def _finish(self) -> Packet | None:
         """Packet in the bytes since the last zero; None where those are empty or no packet."""
@@ -157,11 +157,11 @@ class Decoder:
         self._skipping = False
         if not stuffed:
             return None
-        found = self._open(stuffed)
-        if isinstance(found, PacketDrop):
-            self.drops[found] += 1
+        packet = self._open(stuffed)
+        if isinstance(packet, PacketDrop):
+            self.drops[packet] += 1
             return None
-        return found
+        return packet
 
     def _open(self, stuffed: bytes) -> Packet | PacketDrop:
         try:

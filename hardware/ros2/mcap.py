@@ -14,7 +14,7 @@ from eitskin.hardware.live import Reading
 from eitskin.hardware.ros2.messages import RosMessages
 
 SUFFIX = ".mcap"
-UNFINISHED = ".unfinished"  # ending of the folder of an unfinished file
+UNFINISHED_SUFFIX = ".unfinished"  # ending of the folder of an unfinished file
 GAP = 10**9  # ns, between a frame and the session that follows it in a recording
 
 
@@ -33,7 +33,7 @@ class Stamps:
         self._session = -1
         self._began, self._first, self._last = 0, 0.0, 0
 
-    def of(self, frame: Frame) -> tuple[int, bool]:
+    def stamp_frame(self, frame: Frame) -> tuple[int, bool]:
         """Stamp of `frame` [ns], and whether the frame begins a session."""
         stamp = self._began + round(1e9 * (frame.time - self._first))
         begins = frame.session != self._session or stamp <= self._last
@@ -92,21 +92,21 @@ class McapWriter(Closeable):
         Raises PartialError where the reading cannot be written; the writer is then at its end, and
         no file takes the name.
         """
-        stamp, begins = self._stamps.of(reading.frame)
-        said = self._messages.of(reading, stamp)
+        stamp, begins = self._stamps.stamp_frame(reading.frame)
+        messages = self._messages.make_messages(reading, stamp)
         if begins:
-            said = self._messages.sensor(reading.frame) | said
+            messages = self._messages.sensor(reading.frame) | messages
         try:
-            for topic, message in said.items():
-                data = self._messages.serialised(topic, message)
+            for topic, message in messages.items():
+                data = self._messages.serialise(topic, message)
                 self._bag.write(self._topic(topic), stamp, data)
         except OSError as error:
             # A truncated chunk must stay the last: no index may follow.
             bag, self._bag = self._bag, None
             with suppress(OSError):
                 bag.abort()
-            raise self._stopped(error) from error
-        self.messages += len(said)
+            raise self._partial_error(error) from error
+        self.messages += len(messages)
 
     def close(self) -> None:
         """Finish the file and give it its name; without any message no file is left.
@@ -126,7 +126,7 @@ class McapWriter(Closeable):
         except OSError as error:
             with suppress(OSError):
                 bag.abort()
-            raise self._stopped(error) from error
+            raise self._partial_error(error) from error
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def discard(self) -> None:
@@ -144,7 +144,7 @@ class McapWriter(Closeable):
             )
         return self._topics[topic]
 
-    def _stopped(self, error: OSError) -> PartialError:
+    def _partial_error(self, error: OSError) -> PartialError:
         return PartialError(
             f"could not write {self.path}: {error.strerror or error}; what was written before lies "
             f"in {self._folder}; make room"
@@ -158,10 +158,10 @@ def require_new(path: Path) -> Path:
     """
     if path.suffix != SUFFIX:
         raise ConfigurationError(f"an MCAP file must end in {SUFFIX}, got {path}")
-    folder = path.with_name(path.name + UNFINISHED)
-    for taken in (path, folder):
-        if taken.exists():
+    folder = path.with_name(path.name + UNFINISHED_SUFFIX)
+    for existing in (path, folder):
+        if existing.exists():
             raise ConfigurationError(
-                f"{taken} exists and is not replaced; name another file, or remove it"
+                f"{existing} exists and is not replaced; name another file, or remove it"
             )
     return folder

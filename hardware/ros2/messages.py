@@ -45,7 +45,7 @@ def build_message(store: Any, kind: str, fields: Fields) -> Any:
         if node == Nodetype.NAME:
             values[name] = build_message(store, inner, values[name])
         elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
-            values[name] = [build_message(store, inner[0][1], each) for each in values[name]]
+            values[name] = [build_message(store, inner[0][1], value) for value in values[name]]
     return store.types[kind](**values)
 
 
@@ -71,7 +71,7 @@ class RosMessages:
         """Full name of one of `TOPICS`."""
         return topic if topic.startswith("/") else f"/{self.name}/{topic}"
 
-    def serialised(self, topic: str, message: Fields) -> bytes:
+    def serialise(self, topic: str, message: Fields) -> bytes:
         """Bytes of `message` for `topic`."""
         kind = self.types[topic]
         return bytes(self.store.serialize_cdr(build_message(self.store, kind, message), kind))
@@ -91,7 +91,7 @@ class RosMessages:
         }
         return {self.topic("sensor"): {"data": json.dumps(text)}}
 
-    def of(self, reading: Reading, stamp: int) -> dict[str, Fields]:
+    def make_messages(self, reading: Reading, stamp: int) -> dict[str, Fields]:
         """Messages of one reading at `stamp` [ns], by topic.
 
         A reading without estimate has no topics of estimates, and a quantity that the pipeline does
@@ -102,24 +102,24 @@ class RosMessages:
         seconds, nanoseconds = divmod(stamp, 10**9)
         time = {"sec": seconds, "nanosec": nanoseconds}
         header = {"header": {"stamp": time, "frame_id": self.name}}
-        said = {self.topic("impedance"): _impedance(frame)}
+        messages = {self.topic("impedance"): _impedance(frame)}
         if estimate is not None:
-            said |= self._estimated(header, estimate)
+            messages |= self._estimate_messages(header, estimate)
         statuses = [self._sensor_status(reading), self._channel_status(frame)]
-        return said | {"/diagnostics": {**header, "status": statuses}}
+        return messages | {"/diagnostics": {**header, "status": statuses}}
 
-    def _estimated(self, header: Fields, estimate: Estimate) -> dict[str, Fields]:
+    def _estimate_messages(self, header: Fields, estimate: Estimate) -> dict[str, Fields]:
         """Messages of the quantities that the pipeline estimates, by topic."""
-        said: dict[str, Fields] = {}
+        messages: dict[str, Fields] = {}
         if estimate.bend_angle_deg is not None:
             none = {"velocity": np.zeros(0), "effort": np.zeros(0)}
             angle = np.radians([estimate.bend_angle_deg])
-            said[self.topic("bend")] = {**header, "name": ["bend"], "position": angle, **none}
+            messages[self.topic("bend")] = {**header, "name": ["bend"], "position": angle, **none}
         if estimate.touch_map is not None:
-            said[self.topic("touch_map")] = {**header, **_image(estimate.touch_map)}
+            messages[self.topic("touch_map")] = {**header, **_image(estimate.touch_map)}
         if estimate.touches is not None:
             rows = touch_rows(estimate)
-            said[self.topic("touches")] = {**header, **_points(rows)}
+            messages[self.topic("touches")] = {**header, **_points(rows)}
             transforms = [
                 {
                     **header,
@@ -132,8 +132,8 @@ class RosMessages:
                 for number, (x, y, z) in enumerate(rows[:, :3].astype(float).tolist())
             ]
             if transforms:  # frames of coordinates at the touches, in their order
-                said["/tf"] = {"transforms": transforms}
-        return said
+                messages["/tf"] = {"transforms": transforms}
+        return messages
 
     def _sensor_status(self, reading: Reading) -> Fields:
         """Status of the sensor: state and doubts; unknown values are left out."""
@@ -160,12 +160,12 @@ class RosMessages:
             values |= {
                 f"probability {i}": float(value) for i, value in enumerate(estimate.probabilities)
             }
-        known = {
+        finite_fields = {
             name: value
             for name, value in values.items()
             if not (value is None or (isinstance(value, float) and math.isnan(value)))
         }
-        return self._status(f"{self.name}: sensor", level, message, known)
+        return self._status(f"{self.name}: sensor", level, message, finite_fields)
 
     def _channel_status(self, frame: Frame) -> Fields:
         """Status of each measurement, by its label."""

@@ -9,7 +9,7 @@ import numpy as np
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.files import quoted
+from eitskin.files import quote_value
 from eitskin.hardware.ros2.messages import build_message
 
 DISCOVERY_TOPIC = "ros_discovery_info"
@@ -19,7 +19,7 @@ OLD = ("foxy", "galactic", "humble")
 both, so that a domain can hold only one kind."""
 
 
-LARGEST_DOMAIN = 232  # ports of UDP above 65535 would follow
+MAX_DOMAIN = 232  # ports of UDP above 65535 would follow
 MAX_NAME = 160  # characters of a namespace; names of topics in DDS have at most 255
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
@@ -45,7 +45,7 @@ def require_name(name: str) -> str:
         raise ConfigurationError(
             "expected a ROS 2 namespace of letters, digits and single underscores, in parts that "
             f"begin with no digit, of at most {MAX_NAME} characters, such as left_hand/skin, got "
-            f"{quoted(name)}"
+            f"{quote_value(name)}"
         )
     return bare
 
@@ -55,9 +55,9 @@ def require_domain(domain: int) -> int:
 
     Raises ConfigurationError outside 0 to 232.
     """
-    if not 0 <= domain <= LARGEST_DOMAIN:
+    if not 0 <= domain <= MAX_DOMAIN:
         raise ConfigurationError(
-            f"expected a DDS domain of 0 to {LARGEST_DOMAIN}, got {domain}; take the robot's "
+            f"expected a DDS domain of 0 to {MAX_DOMAIN}, got {domain}; take the robot's "
             "ROS_DOMAIN_ID"
         )
     return domain
@@ -84,23 +84,23 @@ class DdsTypes:
         self._store = store
         self._made: dict[str, Any] = {}
 
-    def of(self, kind: str) -> Any:
+    def message_class(self, kind: str) -> Any:
         """Class of samples of a message type, such as sensor_msgs/msg/Image."""
         if kind not in self._made:
             _, fields = self._store.fielddefs[kind]
             self._made[kind] = _struct(kind, {name: self._field(each) for name, each in fields})
         return self._made[kind]
 
-    def of_service(self, kind: str) -> Any:
+    def service_class(self, kind: str) -> Any:
         """Class of samples of one of `SERVICE_TYPES`, with the header of rmw_cyclonedds_cpp."""
         if kind not in self._made:
             fields = HEADER | SERVICE_TYPES[kind]
             self._made[kind] = _struct(kind, {name: _scalar(each) for name, each in fields.items()})
         return self._made[kind]
 
-    def serialised(self, kind: str, data: bytes) -> Any:
+    def parse_sample(self, kind: str, data: bytes) -> Any:
         """Sample of a message type that is written as `data`, its CDR form."""
-        sample = self.of(kind).__new__(self.of(kind))
+        sample = self.message_class(kind).__new__(self.message_class(kind))
         sample.serialize = lambda **_: data
         return sample
 
@@ -111,7 +111,7 @@ class DdsTypes:
 
         node, inner = description
         if node == Nodetype.NAME:
-            return self.of(inner)
+            return self.message_class(inner)
         if node == Nodetype.BASE:
             name, longest = inner
             return types.bounded_str[longest] if longest else _scalar(name)
@@ -144,7 +144,7 @@ LINGER = (
 """Configuration by which each writer waits no longer, when it is closed, for subscribers that have
 vanished (a second otherwise)."""
 
-_SHARED: list[Any] = []
+_SHARED_PARTICIPANTS: list[Any] = []
 
 
 class RosParticipant(Closeable):
@@ -160,7 +160,7 @@ class RosParticipant(Closeable):
 
         Args:
             domain: number of the DDS domain, 0 to 232.
-            namespace: of the node, without a leading slash.
+            namespace: namespace of the node, without a leading slash.
             node: name of the node.
             store: definitions of messages, a type store of rosbags.
 
@@ -182,7 +182,9 @@ class RosParticipant(Closeable):
         """
         data = f"typehash={self._store.hash_rihs01(kind)};"
         return TopicWriter(
-            self._writer(f"rt{topic}", self._types.of(kind), data, latched), kind, self._types
+            self._writer(f"rt{topic}", self._types.message_class(kind), data, latched),
+            kind,
+            self._types,
         )
 
     def service(self, name: str, kind: str) -> tuple[Any, Any]:
@@ -192,13 +194,13 @@ class RosParticipant(Closeable):
         # A client takes a service for available once it sees both ends with one identifier.
         data = f"serviceid={'.'.join(f'{byte:x}' for byte in self._participant.guid.bytes)};"
         requests, replies = dds_service(name)
-        topic = self._topic(requests, self._types.of_service(f"{kind}_Request"))
+        topic = self._topic(requests, self._types.service_class(f"{kind}_Request"))
         reader = DataReader(self._participant, topic, qos=_profile(data))
         self._readers.append(reader)
-        return reader, self._writer(replies, self._types.of_service(f"{kind}_Response"), data)
+        return reader, self._writer(replies, self._types.service_class(f"{kind}_Response"), data)
 
     def announce(self) -> None:
-        """Tell the graph of ROS 2 the node with the readers and writers made so far."""
+        """Announce to the graph of ROS 2 the node with the readers and writers made so far."""
         from rosbags.typesys import Stores, get_typestore
 
         old = os.environ.get("ROS_DISTRO") in OLD
@@ -211,13 +213,15 @@ class RosParticipant(Closeable):
         node = {
             "node_namespace": f"/{self._namespace}",
             "node_name": self._node,
-            "reader_gid_seq": [identifier(each) for each in self._readers],
-            "writer_gid_seq": [identifier(each) for each in self._writers],
+            "reader_gid_seq": [identifier(reader) for reader in self._readers],
+            "writer_gid_seq": [identifier(writer) for writer in self._writers],
         }
         fields = {"gid": identifier(self._participant), "node_entities_info_seq": [node]}
         data = store.serialize_cdr(build_message(store, DISCOVERY_TYPE, fields), DISCOVERY_TYPE)
         types = DdsTypes(store)
-        writer = self._writer(DISCOVERY_TOPIC, types.of(DISCOVERY_TYPE), "", latched=True)
+        writer = self._writer(
+            DISCOVERY_TOPIC, types.message_class(DISCOVERY_TYPE), "", latched=True
+        )
         TopicWriter(writer, DISCOVERY_TYPE, types).write(bytes(data))
 
     def close(self) -> None:
@@ -225,7 +229,7 @@ class RosParticipant(Closeable):
         self._readers, self._writers, self._participant = [], [], None
         domain, self._domain = self._domain, None
         if domain is not None and domain.get_participants():
-            _SHARED.append(domain)  # deleting it would delete them
+            _SHARED_PARTICIPANTS.append(domain)  # deleting it would delete them
 
     def _topic(self, name: str, kind: Any) -> Any:
         from cyclonedds.topic import Topic
@@ -251,7 +255,7 @@ class TopicWriter:
 
     def write(self, data: bytes) -> bool:
         """Write a message in its CDR form, at once or not at all; whether it was taken."""
-        return write_at_once(self._writer, self._types.serialised(self._kind, data))
+        return write_at_once(self._writer, self._types.parse_sample(self._kind, data))
 
 
 def _join(domain: int) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from eitskin.hardware.ros2.participant import RosParticipant, require_name, writ
 NODE = "skin"  # name of the node, under the name of the skin
 TARE_FRAMES = 32
 TYPE = "std_srvs/srv/Trigger"
-MOST_AT_ONCE = 100  # requests that are taken together
+MAX_REQUESTS = 100  # requests that are taken together
 
 Tare = Callable[[Sequence[Frame]], str]
 """Makes frames of the untouched sensor the zero; returns how, and raises EitskinError if not."""
@@ -72,12 +72,12 @@ class SkinNode(Closeable):
     def publish(self, reading: Reading) -> None:
         """Publish one reading, and go on with what clients have asked for."""
         stamp = self._now() - round(1e9 * reading.latency)
-        said = self._messages.of(reading, stamp)
+        messages = self._messages.make_messages(reading, stamp)
         if reading.frame.session != self._session:
             self._session = reading.frame.session
-            said |= self._messages.sensor(reading.frame)
-        for topic, message in said.items():
-            data = self._messages.serialised(topic, message)
+            messages |= self._messages.sensor(reading.frame)
+        for topic, message in messages.items():
+            data = self._messages.serialise(topic, message)
             self.refused += not self._topics[topic].write(data)
         if self._service is not None:
             self._service.follow(reading.frame)
@@ -122,13 +122,13 @@ class TareService:
     def close(self) -> None:
         """Answer requests that came too late."""
         self._waiting += self._new()
-        self._answer(False, "the session ended before enough frames came; begin it anew")
+        self._answer(False, "the session ended before enough frames came; begin it again")
         self._requests = self._replies = None
 
     def _new(self) -> list[Any]:
         """Requests since the last frame; that a client has gone is no request."""
-        taken = self._requests.take(MOST_AT_ONCE)
-        return [request for request in taken if request.sample_info.valid_data]
+        requests = self._requests.take(MAX_REQUESTS)
+        return [request for request in requests if request.sample_info.valid_data]
 
     def _answer(self, success: bool, message: str) -> None:
         for request in self._waiting:

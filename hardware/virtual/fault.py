@@ -24,7 +24,7 @@ class Hook(Enum):
     REPLY = auto()  # bytes that answer one request
     LINE = auto()  # bytes of anything that the board sends
     INFO = auto()  # Info: the identity that the board gives
-    REBOOTS = auto()  # bool: the board starts anew instead of measuring the frame
+    REBOOTS = auto()  # bool: the board starts again instead of measuring the frame
     FIRST_NUMBER = auto()  # int: number of the first frame after a start
     STREAMS = auto()  # bool: frames are sent unasked after a start
     STAYS_OUT = auto()  # bool: the cable, once pulled, is not put back
@@ -38,12 +38,12 @@ Effect = Callable[[Any, "Fault"], Any]
 """Function from the value at a hook, and the fault, to the value that the board uses."""
 
 
-class Unplugged(Exception):  # noqa: N818
+class UnpluggedError(Exception):
     """Signal that the cable has been pulled.
 
     Attributes:
         sent: bytes that still came through.
-        back_after: time until the cable is put back and the board starts anew [s]; None where the
+        back_after: time until the cable is put back and the board starts again [s]; None where the
             cable stays out.
     """
 
@@ -60,7 +60,7 @@ class FaultKind:
     Attributes:
         meaning: one sentence, for `eitskin virtual-board --list-faults`.
         effects: effect at each hook, from the fault's first frame on.
-        unit: of the index; empty where the index has no effect.
+        unit: unit of the index; empty where the index has no effect.
         default: amount that index 0 stands for.
         frame: the first frame, or request, where none is given.
         stays: frames until the fault is removed, by its amount; None until it is cleared.
@@ -140,6 +140,6 @@ class Fault:
         with np.errstate(invalid="ignore"):  # values may be infinite by another fault
             return effect(value, self)
 
-    def over(self, now: int) -> bool:
+    def is_over(self, now: int) -> bool:
         """Whether the fault is to be removed before frame `now`."""
         return self.kind.stays is not None and now - self.frame >= self.kind.stays(self.amount)

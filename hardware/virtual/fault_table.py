@@ -22,7 +22,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.frame import Status
 from eitskin.hardware.protocol.messages import Ack, AckStatus, pack
 from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, MessageType, encode
-from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplugged
+from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, UnpluggedError
 
 TEXT = b"\r\nRzMag: 612.034000 Ohm , RzPhase: -0.120000\r\n"
 
@@ -39,7 +39,7 @@ def _bit_flip(packet: bytes, f: Fault) -> bytes:
     return bytes(wrong)
 
 
-def _merged(packet: bytes, f: Fault) -> bytes:
+def _merge_packets(packet: bytes, f: Fault) -> bytes:
     if f.memory.pop("without end", False):
         return packet.lstrip(b"\0")
     if not packet or f.since:
@@ -48,7 +48,7 @@ def _merged(packet: bytes, f: Fault) -> bytes:
     return packet.rstrip(b"\0")
 
 
-def _reordered(packet: bytes, f: Fault) -> bytes:
+def _reorder_packets(packet: bytes, f: Fault) -> bytes:
     if not packet or f.since:
         return packet + bytes(f.memory.pop("held", b""))
     f.memory["held"] = packet
@@ -68,27 +68,27 @@ def _wrong_baud(data: bytes, f: Fault) -> bytes:
     return f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1))
 
 
-def _packets(sent: bytes) -> list[bytes]:
+def _packets(packet: bytes) -> list[bytes]:
     """Bytes of each packet of a frame."""
-    return [b"\0" + part + b"\0" for part in sent.split(b"\0") if part]
+    return [b"\0" + part + b"\0" for part in packet.split(b"\0") if part]
 
 
-def _times(sent: bytes, f: Fault, times: int) -> bytes:
+def _times(packet: bytes, f: Fault, times: int) -> bytes:
     """Frame whose packet `index`, modulo their number, is sent `times` times."""
-    packets = _packets(sent)
+    packets = _packets(packet)
     chosen = f.index % len(packets)
     return b"".join(packets[:chosen] + times * [packets[chosen]] + packets[chosen + 1 :])
 
 
-def _reordered_parts(sent: bytes, f: Fault) -> bytes:
-    packets = _packets(sent)
+def _reordered_parts(packet: bytes, f: Fault) -> bytes:
+    packets = _packets(packet)
     first = f.index % len(packets)
     packets[first : first + 2] = packets[first : first + 2][::-1]
     return b"".join(packets)
 
 
-def _merged_frames(sent: bytes, f: Fault) -> bytes:
-    packets = _packets(sent)
+def _merged_frames(packet: bytes, f: Fault) -> bytes:
+    packets = _packets(packet)
     cut = f.amount % max(len(packets), 1) or 1
     return b"".join(packets[cut:] if f.since else packets[:cut])
 
@@ -139,13 +139,13 @@ DAMAGE_FAULTS = {
     ),
     "merged": _packet(
         "The zero that ends the packet is missing, and the one that begins the next.",
-        _merged,
+        _merge_packets,
         stays=two_frames,
     ),
     "duplicated": _damage("The packet is sent twice.", lambda packet, _: packet + packet),
     "lost_frame": _damage("The frame is measured and never sent.", lambda *_: b""),
     "reordered": _packet(
-        "The frame comes after the one that follows it.", _reordered, stays=two_frames
+        "The frame comes after the one that follows it.", _reorder_packets, stays=two_frames
     ),
     "lost_part": _damage(
         "Packet `index` of the frame is missing.", lambda sent, f: _times(sent, f, 0), "packet"
@@ -215,7 +215,7 @@ NAN = complex(np.nan, np.nan)
 OTHER_VERSION = 99
 STRAY_CAPACITANCE = 100e-12  # F, measured at an open lead
 SHORT = 2.0  # ohm, leads of a shorted pair
-CLIPPED_TO = 0.7  # of the impedance, where a sine is cut off
+CLIPPING_SHARE = 0.7  # of the impedance, where a sine is cut off
 LOST_PER_FRAME = 0.05  # of the resistance of a failing contact's pairs, in one frame
 GAIN_STEP = 1.02
 WRONG_RTIA = 5.0  # the next resistor of the AD5940, 1 kohm where 200 ohm are meant
@@ -257,20 +257,20 @@ def _wrong_version(data: bytes, _: Fault) -> bytes:
     return b"".join(encode(replace(packet, version=OTHER_VERSION)) for packet in packets)
 
 
-def _pull(sent: bytes) -> NoReturn:
-    raise Unplugged(sent)
+def _pull(packet: bytes) -> NoReturn:
+    raise UnpluggedError(packet)
 
 
 def _replug(packet: bytes, f: Fault) -> bytes:
     if f.since == 0:
-        raise Unplugged(back_after=f.amount * f.info.period)
+        raise UnpluggedError(back_after=f.amount * f.info.period)
     return packet
 
 
 # ---- in the values ----
 
 
-def _with(array: Array, where: Any, value: Any) -> Array:
+def _substitute(array: Array, where: Any, value: Any) -> Array:
     """Copy with `value` at the channels `where`."""
     changed = array.copy()
     changed[where] = value
@@ -280,37 +280,37 @@ def _with(array: Array, where: Any, value: Any) -> Array:
 # ---- of the network between the electrodes ----
 
 
-def _opened(z: Array, f: Fault) -> Array:
+def _open_lead(z: Array, f: Fault) -> Array:
     """Network whose electrode hangs on its stray capacitance alone, as a lead that is off does.
 
     The lead neither carries current into the sensor nor follows its potential. Ground is the mean
     potential of the electrodes that are left.
     """
-    rest = np.arange(len(z)) != f.electrode
-    row = z[rest].mean(axis=0)
-    opened: Array = (z - row - row[:, None] + row[rest].mean()).astype(np.complex128)
+    other_electrodes = np.arange(len(z)) != f.electrode
+    row = z[other_electrodes].mean(axis=0)
+    opened: Array = (z - row - row[:, None] + row[other_electrodes].mean()).astype(np.complex128)
     opened[f.electrode] = opened[:, f.electrode] = 0.0
     opened[f.electrode, f.electrode] = 1.0 / (2j * np.pi * f.info.frequency * STRAY_CAPACITANCE)
     return opened
 
 
-def _shorted(z: Array, f: Fault) -> Array:
+def _short_electrodes(z: Array, f: Fault) -> Array:
     """Network with a resistor between the two electrodes that the channel drives.
 
     Its admittance grows by b b^T / R with b = e_i - e_j; by the formula of Sherman and Morrison
     its impedance falls by Z b b^T Z / (R + b^T Z b).
     """
-    one, other = f.protocol.table[f.channel][:2]
-    between = z[:, one] - z[:, other]
-    shorted: Array = z - np.outer(between, between) / (SHORT + between[one] - between[other])
+    first, second = f.protocol.table[f.channel][:2]
+    between = z[:, first] - z[:, second]
+    shorted: Array = z - np.outer(between, between) / (SHORT + between[first] - between[second])
     return shorted
 
 
-def _swapped(z: Array, f: Fault) -> Array:
+def _swap_electrodes(z: Array, f: Fault) -> Array:
     """Network with two electrodes exchanged."""
     order = np.arange(len(z))
-    one, other = f.electrode, (f.electrode + 1) % len(z)
-    order[[one, other]] = other, one
+    first, second = f.electrode, (f.electrode + 1) % len(z)
+    order[[first, second]] = second, first
     swapped: Array = z[np.ix_(order, order)]
     return swapped
 
@@ -360,12 +360,12 @@ BOARD_FAULTS = {
     ),
     "reboot": _row(
         Hook.REBOOTS,
-        "The board starts anew instead of measuring the frame.",
+        "The board restarts instead of measuring the frame.",
         lambda already, f: already or f.since == 0,
         stays=two_frames,
     ),
     "counter_wrap": FaultKind(
-        "The board starts anew, with a frame number that wraps after `index` frames, three for 0.",
+        "The board restarts, with a frame number that wraps after `index` frames, three for 0.",
         {
             Hook.REBOOTS: lambda already, f: already or f.since == 0,
             Hook.FIRST_NUMBER: lambda number, f: max(number, 2**32 - f.amount),
@@ -386,7 +386,7 @@ BOARD_FAULTS = {
         },
     ),
     "replug": _packet(
-        "The cable is pulled and put back `index` periods later, one for 0; the board starts anew.",
+        "The cable is pulled and put back `index` periods later, one for 0; the board restarts.",
         _replug,
         "periods",
         default=1,
@@ -401,42 +401,44 @@ BOARD_FAULTS = {
 }
 SENSOR_FAULTS = {
     "nan_channel": _values(
-        "Channel `index` is NaN.", lambda z, f: _with(z, f.channel, NAN), "channel"
+        "Channel `index` is NaN.", lambda z, f: _substitute(z, f.channel, NAN), "channel"
     ),
     "inf_channel": _values(
-        "Channel `index` is infinite.", lambda z, f: _with(z, f.channel, np.inf), "channel"
+        "Channel `index` is infinite.", lambda z, f: _substitute(z, f.channel, np.inf), "channel"
     ),
     "frozen_frame": _values(
         "All channels stay as they are, to the last bit.", lambda z, f: f.memory.setdefault("z", z)
     ),
     "stuck_channel": _values(
         "Channel `index` stays as it is, to the last bit.",
-        lambda z, f: _with(z, f.channel, f.memory.setdefault("z", z[f.channel])),
+        lambda z, f: _substitute(z, f.channel, f.memory.setdefault("z", z[f.channel])),
         "channel",
     ),
     "clipping": FaultKind(
         "Channel `index` is cut off by the converter, and marked so.",
         {
-            Hook.IMPEDANCE: lambda z, f: _with(z, f.channel, z[f.channel] * CLIPPED_TO),
-            Hook.STATUS: lambda bits, f: _with(bits, f.channel, bits[f.channel] | Status.CLIPPED),
+            Hook.IMPEDANCE: lambda z, f: _substitute(z, f.channel, z[f.channel] * CLIPPING_SHARE),
+            Hook.STATUS: lambda bits, f: _substitute(
+                bits, f.channel, bits[f.channel] | Status.CLIPPED
+            ),
         },
         "channel",
     ),
     "open_electrode": FaultKind(
         "The lead of electrode `index` is off: it sees stray capacitance; what needs it is marked.",
         {
-            Hook.NETWORK: _opened,
-            Hook.STATUS: lambda bits, f: _with(bits, f.pairs, bits[f.pairs] | Status.OPEN),
+            Hook.NETWORK: _open_lead,
+            Hook.STATUS: lambda bits, f: _substitute(bits, f.pairs, bits[f.pairs] | Status.OPEN),
         },
         "electrode",
     ),
     "shorted_pair": _network(
         "The electrodes that channel `index` drives touch each other; all others see that.",
-        _shorted,
+        _short_electrodes,
         "channel",
     ),
     "swapped_electrodes": _network(
-        "The wires of electrodes `index` and the next are swapped.", _swapped, "electrode"
+        "The wires of electrodes `index` and the next are swapped.", _swap_electrodes, "electrode"
     ),
     "contact_loss": _network(
         "Electrode `index` loses contact slowly: its resistance grows frame by frame.",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from eitskin.closeable import Closeable
 from eitskin.errors import DeviceError
 from eitskin.hardware.boards.port import remedy
-from eitskin.hardware.virtual.fault import Unplugged
+from eitskin.hardware.virtual.fault import UnpluggedError
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 
 _POLL = 0.05  # s, longest wait of a read, as of a real port
@@ -68,8 +68,8 @@ class MemoryLine(Closeable):
     def connect(self, uri: str) -> "MemoryPort":
         """Port at the host's end; raises DeviceError while the cable is pulled or the port held."""
         if not self.plugged:
-            if self.remaining() or not self.firmware.plugged_in:
-                raise unplugged(uri)
+            if self.remaining() or not self.firmware.can_reconnect:
+                raise unplugged_error(uri)
             self.start()
         if self.firmware.holds_port:
             raise DeviceError(f"{uri}: cannot open the port: {remedy(OSError(errno.EBUSY, ''))}")
@@ -138,7 +138,7 @@ class MemoryLine(Closeable):
         began = self._clock()
         try:
             self._outgoing += self.firmware.frame()
-        except Unplugged as pulled:
+        except UnpluggedError as pulled:
             self._outgoing += pulled.sent
             self.plugged = False
             self._back_at = self._clock() + (pulled.back_after or 0.0)
@@ -147,7 +147,7 @@ class MemoryLine(Closeable):
         start = self._due if self.period else self.now()
         self._due = start + self.period + self.firmware.delay
         if self.period:  # the board's clock goes on while a frame is simulated
-            self.firmware.fall_behind(max(0.0, duration - self.period))
+            self.firmware.delay_clock(max(0.0, duration - self.period))
 
 
 class MemoryPort:
@@ -185,6 +185,6 @@ class MemoryPort:
         return self._line
 
 
-def unplugged(uri: str) -> DeviceError:
+def unplugged_error(uri: str) -> DeviceError:
     """Error of a virtual board whose cable is out."""
     return DeviceError(f"{uri}: the virtual board is unplugged; clear its faults")

@@ -10,7 +10,7 @@ from typing import Self
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.hardware.boards.port import SerialPort, open_port
-from eitskin.hardware.virtual.memory_line import MemoryLine, unplugged
+from eitskin.hardware.virtual.memory_line import MemoryLine, unplugged_error
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 
 _CHUNK = 4096  # bytes
@@ -46,7 +46,7 @@ class PseudoTerminal(Closeable):
         self._locked = self._refused = False
         self._closing = threading.Lock()
         self._thread: threading.Thread | None = None
-        self._plug_in()
+        self._create_terminal()
         self._wake_read, self._wake_write = os.pipe()
 
     @property
@@ -64,17 +64,17 @@ class PseudoTerminal(Closeable):
         try:
             while not self._stopped:
                 if not self.path:
-                    self._plug_in()
+                    self._create_terminal()
                 self._serve_cable()
-                self._hang_up()
+                self._close_terminal()
                 self._wait_for_cable()
         finally:
-            self._hang_up()
+            self._close_terminal()
 
     def connect(self, uri: str) -> SerialPort:
         """Port at the host's end; raises DeviceError while the cable is pulled."""
         if not self.path:
-            raise unplugged(uri)
+            raise unplugged_error(uri)
         return open_port(self.path, uri)
 
     def wake(self) -> None:
@@ -91,7 +91,7 @@ class PseudoTerminal(Closeable):
             os.write(self._wake_write, b"x")
         if self._thread is not None:
             self._thread.join()
-        self._hang_up()
+        self._close_terminal()
         os.close(self._wake_read)
         os.close(self._wake_write)
 
@@ -100,7 +100,7 @@ class PseudoTerminal(Closeable):
         self.start()
         return self
 
-    def _plug_in(self) -> None:
+    def _create_terminal(self) -> None:
         """Make a terminal, and point the link to it."""
         try:
             import tty
@@ -119,14 +119,14 @@ class PseudoTerminal(Closeable):
             try:
                 _point(self._link, self.path)
             except OSError as error:
-                self._hang_up()
+                self._close_terminal()
                 raise ConfigurationError(
                     f"cannot make {self._link} lead to the virtual board: "
                     f"{error.strerror or error}; choose a path that is free, in a folder that can "
                     "be written"
                 ) from error
 
-    def _hang_up(self) -> None:
+    def _close_terminal(self) -> None:
         link = self._link
         if self._ends and link and link.is_symlink() and link.readlink() == Path(self.path):
             link.unlink()  # unless another board has taken over the link
@@ -174,10 +174,10 @@ class PseudoTerminal(Closeable):
         with selectors.DefaultSelector() as selector:
             selector.register(self._wake_read, selectors.EVENT_READ)
             while not self._stopped:
-                left = self.line.remaining()
-                if self.firmware.plugged_in and not left:
+                remaining = self.line.remaining()
+                if self.firmware.can_reconnect and not remaining:
                     return
-                if selector.select(left or None):
+                if selector.select(remaining or None):
                     os.read(self._wake_read, _CHUNK)
 
     def _lock(self, wanted: bool) -> None:
@@ -187,7 +187,7 @@ class PseudoTerminal(Closeable):
             import fcntl
 
             # A lock belongs to an open file: a host's lock is another than this one. While a host
-            # has the port it cannot be locked here, and nothing tells when it lets go.
+            # has the port it cannot be locked here, and nothing shows when it lets go.
             with contextlib.suppress(BlockingIOError):
                 fcntl.flock(
                     self._host_end, (fcntl.LOCK_EX | fcntl.LOCK_NB) if wanted else fcntl.LOCK_UN

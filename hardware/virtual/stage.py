@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from eitskin.bounds import require_seed
 from eitskin.config import read_toml, toml_table
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.files import read_text
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.fault_table import read_faults
@@ -147,7 +148,7 @@ class SimulatedSensor:
         flat = self._instrument.transfer_impedance(self.solve(Scene()), self.protocol)
         full_scale = float(np.abs(flat).max())
         self._session = self._instrument.session(self.protocol, full_scale, self._generator(0))
-        # A scene that stays is one matrix, whose measurements need not be computed anew.
+        # A scene that stays is one matrix, whose measurements need not be computed again.
         self._last: tuple[NDArray[np.inexact], Complex] | None = None
 
     def measure(self, impedance: NDArray[np.inexact], now: int) -> Measured:
@@ -158,8 +159,8 @@ class SimulatedSensor:
             now: number of the frame, counted from the session's start.
         """
         if self._last is None or self._last[0] is not impedance:
-            both = self._instrument.terminal_impedances(impedance, self.protocol)
-            self._last = (impedance, both)
+            impedances = self._instrument.terminal_impedances(impedance, self.protocol)
+            self._last = (impedance, impedances)
         times = np.array([now * self._period])
         terminals = self._last[1][None]
         measured, status = self._session.measure(terminals, times, self._generator(1, now))
@@ -169,7 +170,7 @@ class SimulatedSensor:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
 
 
-REMEMBERED = 4096
+MAX_REMEMBERED = 4096
 """Number of newest frames whose scene is remembered."""
 
 Matrix = NDArray[np.inexact]
@@ -178,6 +179,7 @@ Solve = Callable[[Scene], Matrix]
 Solved = tuple[Scene, Matrix]
 
 
+@old_names(measured="impedance_at_frame")
 class Stage:
     """Scene and faults of a virtual board; may be changed from any thread.
 
@@ -234,16 +236,16 @@ class Stage:
         """
         # Solved here, so that the board's own thread never waits for a solution.
         steps = scenes.steps if isinstance(scenes, Script) else ()
-        known = {step.scene: self._solved(step.scene) for step in steps}
+        solutions = {step.scene: self._solve_locked(step.scene) for step in steps}
         first = self.frames
 
-        def solved(now: int) -> Solved:
+        def solve_frame(now: int) -> Solved:
             scene = scenes(now - first)
-            return scene, known[scene] if scene in known else self._solved(scene)
+            return scene, solutions[scene] if scene in solutions else self._solve_locked(scene)
 
-        self._source = solved
+        self._source = solve_frame
 
-    def measured(self, now: int) -> Matrix:
+    def impedance_at_frame(self, now: int) -> Matrix:
         """Impedance matrix of frame `now`, counted since the board was made, (n, n) [ohm]."""
         self._newest, impedance = self._source(now)
         return impedance
@@ -252,7 +254,7 @@ class Stage:
         """Remember the newest scene as the truth of the frame with this number."""
         self._truth[number] = self._newest
         self._truth.move_to_end(number)
-        if len(self._truth) > REMEMBERED:
+        if len(self._truth) > MAX_REMEMBERED:
             self._truth.popitem(last=False)
 
     def truth(self, number: int) -> Scene | None:
@@ -272,8 +274,8 @@ class Stage:
             fault = self._injected.popleft()
             fault.frame = self.requests if Hook.REPLY in fault.kind.effects else self.frames
             self._faults += (fault,)
-        if any(fault.over(self.frames) for fault in self._faults):
-            self._faults = tuple(f for f in self._faults if not f.over(self.frames))
+        if any(fault.is_over(self.frames) for fault in self._faults):
+            self._faults = tuple(f for f in self._faults if not f.is_over(self.frames))
         return self._faults
 
     @property
@@ -293,6 +295,6 @@ class Stage:
         self._cleared = True
         self.changed()
 
-    def _solved(self, scene: Scene) -> Matrix:
+    def _solve_locked(self, scene: Scene) -> Matrix:
         with self._solving:
             return self._solve(scene)

@@ -36,7 +36,7 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
 SPEEDS = ("real", "max")
-LONGEST_PERIOD = 3600.0  # s
+MAX_PERIOD = 3600.0  # s
 
 
 def virtual_firmware(
@@ -67,8 +67,8 @@ def virtual_firmware(
         faults: faults as text, "name@frame:index,...", or as `Fault`s.
         simulator: simulator of the sensor; one of `sensor` when omitted.
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
-        protocol: measurements of a frame, or their name or CSV file as for `Protocol.named`; all
-            pairs of electrodes when omitted.
+        protocol: measurements of a frame, or their name or CSV file as for `Protocol.from_name`;
+            all pairs of electrodes when omitted.
         fixture: what bends the sensor, or the path of its TOML file; the default clamp when
             omitted.
         mechanics: materials, or the path of their TOML file; gel in Ecoflex when omitted.
@@ -76,21 +76,20 @@ def virtual_firmware(
 
     Raises ConfigurationError for an option out of range.
     """
-    if period is not None and not 1e-6 <= period <= LONGEST_PERIOD:
+    if period is not None and not 1e-6 <= period <= MAX_PERIOD:
         raise ConfigurationError(
-            f"period must be from 1e-06 to {LONGEST_PERIOD:g} s, as the wire can say it, got "
-            f"{period}"
+            f"period must be from 1e-06 to {MAX_PERIOD:g} s, as the wire can say it, got {period}"
         )
-    given = (sensor, protocol, fixture, mechanics)
+    arguments = (sensor, protocol, fixture, mechanics)
     if simulator is None:
-        simulator = _simulator(resolution, *given)
-    elif any(each is not None for each in given):
+        simulator = _simulator(resolution, *arguments)
+    elif any(each is not None for each in arguments):
         raise ConfigurationError(
             "a simulator has its own sensor, protocol, fixture and mechanics; give the simulator "
             "or those"
         )
     if isinstance(instrument, str):
-        instrument = Instrument.named(instrument)
+        instrument = Instrument.from_name(instrument)
     elif instrument is None and np.isfinite(snr_db):
         instrument = Instrument(snr_db)
     simulated = SimulatedSensor(simulator, instrument, seed, period)
@@ -213,12 +212,12 @@ def _simulator(
 ) -> Simulator:
     """Simulator of objects or of files that describe them."""
     if resolution not in get_args(Resolution):
-        known = ", ".join(get_args(Resolution))
-        raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
+        choices = ", ".join(get_args(Resolution))
+        raise ConfigurationError(f"resolution must be one of {choices}, got {resolution!r}")
     design = SensorDesign.from_toml(sensor) if isinstance(sensor, str | Path) else sensor
     design = design or SensorDesign.reference()
     if isinstance(protocol, str):
-        protocol = Protocol.named(protocol, len(design.electrodes))
+        protocol = Protocol.from_name(protocol, len(design.electrodes))
     paths = [Path(each) if isinstance(each, str | Path) else None for each in (fixture, mechanics)]
     fixed = read_fixed(*paths)
     return Simulator(

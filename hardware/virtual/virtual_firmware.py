@@ -63,8 +63,8 @@ class VirtualFirmware:
         self._decoder = Decoder()
         self._seq = self._left = self.number = self._started = 0
         self._late = 0.0
-        self._table = Table.of(protocol)
-        self.info = Info.of(
+        self._table = Table.from_protocol(protocol)
+        self.info = Info.from_protocol(
             protocol,
             firmware="eitskin-virtual",
             uid=b"eitskin-0000",
@@ -78,14 +78,14 @@ class VirtualFirmware:
     @property
     def holds_port(self) -> bool:
         """Whether another program has the port open."""
-        return self._changed(Hook.PORT_HELD, False)
+        return self._apply_faults(Hook.PORT_HELD, False)
 
     @property
-    def plugged_in(self) -> bool:
+    def can_reconnect(self) -> bool:
         """Whether the cable, once pulled, may be put back."""
-        return not self._changed(Hook.STAYS_OUT, False)
+        return not self._apply_faults(Hook.STAYS_OUT, False)
 
-    def boots_from(self, count: int) -> None:
+    def set_boot_count(self, count: int) -> None:
         """Set the boot count to `count`, modulo 2**32."""
         self.info = dataclasses.replace(self.info, boot_count=count % 2**32)
 
@@ -93,7 +93,7 @@ class VirtualFirmware:
         """Boot, and give the bytes sent on boot."""
         self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
         self._start()
-        return self._send(self._changed(Hook.INFO, self.info)) + self._send(
+        return self._send(self._apply_faults(Hook.INFO, self.info)) + self._send(
             Event(0, 0, f"boot {self.info.boot_count}")
         )
 
@@ -104,28 +104,30 @@ class VirtualFirmware:
     def frame(self) -> bytes:
         """Bytes of the next frame; raises `Unplugged` for a fault that pulls the cable."""
         now, faults = self.stage.frames, self.stage.active
-        if self._changed(Hook.REBOOTS, False, now, faults):
+        if self._apply_faults(Hook.REBOOTS, False, now, faults):
             self.stage.frames += 1
             return self.boot()
-        network = self._changed(Hook.NETWORK, self.stage.measured(now), now, faults)
+        network = self._apply_faults(Hook.NETWORK, self.stage.impedance_at_frame(now), now, faults)
         impedance, status = self._measure(network, now)
         self.stage.record_truth(self.number)
         data = FrameData(
             number=self.number,
             time=(now - self._started) * self.info.period + self._late,
             duration=min(len(self._protocol) * MEASUREMENT_TIME, self.info.period),
-            impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
-            status=self._changed(Hook.STATUS, status, now, faults),
+            impedance=self._apply_faults(
+                Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults
+            ),
+            status=self._apply_faults(Hook.STATUS, status, now, faults),
         )
         packets = frame_packets(data, self._seq)
         self._seq += len(packets)
         self.skip()
-        self.delay = self._changed(Hook.DELAY, 0.0, now, faults)
+        self.delay = self._apply_faults(Hook.DELAY, 0.0, now, faults)
         self._late += self.delay
-        sent = self._changed(Hook.PACKET, b"".join(map(encode, packets)), now, faults)
-        return self._changed(Hook.LINE, sent, now)
+        sent = self._apply_faults(Hook.PACKET, b"".join(map(encode, packets)), now, faults)
+        return self._apply_faults(Hook.LINE, sent, now)
 
-    def fall_behind(self, seconds: float) -> None:
+    def delay_clock(self, seconds: float) -> None:
         """Let the clock of later frames show time in which none was measured [s]."""
         self._late += seconds
 
@@ -140,14 +142,14 @@ class VirtualFirmware:
     def _start(self) -> None:
         self._decoder = Decoder()
         self._seq = self._left = 0
-        self.number = self._changed(Hook.FIRST_NUMBER, 0)
+        self.number = self._apply_faults(Hook.FIRST_NUMBER, 0)
         self._started, self._late, self.delay = self.stage.frames, 0.0, 0.0
-        self.streaming = self._changed(Hook.STREAMS, False)
+        self.streaming = self._apply_faults(Hook.STREAMS, False)
 
     def _reply(self, packet: Packet) -> bytes:
-        reply = self._changed(Hook.REPLY, self._answer(packet), self.stage.requests)
+        reply = self._apply_faults(Hook.REPLY, self._answer(packet), self.stage.requests)
         self.stage.requests += 1
-        return self._changed(Hook.LINE, reply)
+        return self._apply_faults(Hook.LINE, reply)
 
     def _answer(self, packet: Packet) -> bytes:
         try:
@@ -156,7 +158,7 @@ class VirtualFirmware:
             return self._acknowledge(packet, AckStatus.MALFORMED)
         match message:
             case Hello():
-                return self._packed(self._changed(Hook.INFO, self.info))
+                return self._pack(self._apply_faults(Hook.INFO, self.info))
             case GetTable(first):
                 return self._table_answer(packet, first)
             case Start(frames):
@@ -173,25 +175,25 @@ class VirtualFirmware:
         """Answer to GET_TABLE: the table of version 1, or its rows from `first` on."""
         rows = len(self._table.rows)
         if first is None and rows <= PER_PACKET:
-            return self._packed(self._table)
+            return self._pack(self._table)
         if first is None:
             return self._acknowledge(packet, AckStatus.FAILED)
         if first < rows:
-            return self._packed(TablePart.of(self._table, first))
+            return self._pack(TablePart.from_table(self._table, first))
         return self._acknowledge(packet, AckStatus.MALFORMED)
 
     def _acknowledge(self, packet: Packet, status: AckStatus) -> bytes:
-        return self._packed(Ack(packet.seq, packet.type, status))
+        return self._pack(Ack(packet.seq, packet.type, status))
 
-    def _packed(self, message: Message) -> bytes:
+    def _pack(self, message: Message) -> bytes:
         sent = encode(pack(message, self._seq))
         self._seq += 1
         return sent
 
     def _send(self, message: Message) -> bytes:
-        return self._changed(Hook.LINE, self._packed(message))
+        return self._apply_faults(Hook.LINE, self._pack(message))
 
-    def _changed(
+    def _apply_faults(
         self, hook: Hook, value: T, now: int | None = None, faults: Sequence[Fault] | None = None
     ) -> T:
         """Value after the faults at `hook`; frame and faults are the newest when omitted."""

@@ -23,8 +23,8 @@ from eitskin.simulator.mechanics.turning_plates import TurningPlates
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9  # [m]
-_ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
+_TOLERANCE = 1e-9  # [m]
+_PLANE_DECIMALS = 10  # decimals, in m, by which nodes of one plane agree
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Slab:
 
     Attributes:
         length, width, thickness: of the gel [m].
-        encapsulated_thickness: of the whole stack [m].
+        encapsulated_thickness: encapsulated thickness of the whole stack [m].
     """
 
     length: float
@@ -42,7 +42,7 @@ class Slab:
     encapsulated_thickness: float
 
     @classmethod
-    def of(cls, design: SensorDesign) -> "Slab":
+    def from_design(cls, design: SensorDesign) -> "Slab":
         """Slab of a design; raises ConfigurationError for outlines that are not rectangular."""
         outline = design.outline
         if not isinstance(outline, Rectangle):
@@ -64,12 +64,12 @@ class BentStack(Deformation):
     """Equilibrium of a clamped stack, a Deformation of gel and encapsulation.
 
     Attributes:
-        angle_deg: between the plates.
-        displacement: of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
+        angle_deg: angle between the plates.
+        displacement: displacement of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
         pressure: mean stress of the mixed form in that quarter [Pa].
         centre: middle of the sensor at mid-layer [m].
         energy: stored in the whole sensor [J].
-        moment: of each plate about the axis, the derivative of the energy by the angle in
+        moment: moment of each plate about the axis, the derivative of the energy by the angle in
             radians [N m].
     """
 
@@ -80,7 +80,7 @@ class BentStack(Deformation):
     energy: float
     moment: float
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions, and gradients that jump between cells of the mesh, slightly."""
         place, sides = self._quarter(points)
         moved = place + self.displacement(place)
@@ -98,10 +98,10 @@ class BentStack(Deformation):
         sides[..., 2] = 1.0
         x = sides * x
         _, Y, Z = self.displacement.lines
-        outside = (x[..., 1] > Y[-1] + _SAME) | (np.abs(x[..., 2]) > Z[-1] + _SAME)
+        outside = (x[..., 1] > Y[-1] + _TOLERANCE) | (np.abs(x[..., 2]) > Z[-1] + _TOLERANCE)
         if np.any(outside):
             raise ConfigurationError(
-                f"{int(outside.sum())} of {outside.size} points lie beside the bent sensor of "
+                f"{int(outside.sum())} of {outside.size} points lie outside the bent sensor of "
                 f"width {2 * Y[-1]:g} m and thickness {2 * Z[-1]:g} m"
             )
         return x, sides
@@ -146,13 +146,13 @@ class ClampedStack:
                 [m].
         """
         clamp, self._mechanics = clamp or Clamp(), mechanics or Mechanics()
-        slab = design if isinstance(design, Slab) else Slab.of(design)
+        slab = design if isinstance(design, Slab) else Slab.from_design(design)
         self._clamp, self.half_sizes = clamp, slab.half_sizes
         self.lines = lines or clamped_lines(slab, clamp, self._mechanics, grading)
-        self.solid = self._meshed()
+        self.solid = self._mesh_solid()
         x, y, z = self.half_sizes.tolist()
         self._centre = (x, y, z)
-        self._plates = self._supported()
+        self._plates = self._plate_support()
 
     def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
         """Equilibria at angles [deg], each from the nearest ones solved before.
@@ -162,7 +162,7 @@ class ClampedStack:
         for angle in angles_deg:
             yield self._result(angle, self._plates.equilibrium(angle))
 
-    def _meshed(self) -> Solid:
+    def _mesh_solid(self) -> Solid:
         mesh = skfem.MeshHex.init_tensor(*self.lines)
         middles = mesh.p[:, mesh.t].mean(axis=1).T
         gel = np.all(np.abs(middles) < self.half_sizes, axis=1)
@@ -172,18 +172,18 @@ class ClampedStack:
     def _on_plate(self, x: Array) -> NDArray[np.bool_]:
         """Whether points (3, ...) [m] lie on a held face."""
         up = self.lines[2][-1]
-        below, above = x[2] < _SAME - up, x[2] > up - _SAME
+        below, above = x[2] < _TOLERANCE - up, x[2] > up - _TOLERANCE
         face = below if self._clamp.faces == "bottom" else below | above
-        held: NDArray[np.bool_] = face & (x[0] > 0.5 * self._clamp.span - _SAME)
+        held: NDArray[np.bool_] = face & (x[0] > 0.5 * self._clamp.span - _TOLERANCE)
         return held
 
-    def _supported(self) -> TurningPlates:
+    def _plate_support(self) -> TurningPlates:
         """Plate of the quarter; where it is compliant, the bond has traction = gap / compliance."""
         solid, compliance = self.solid, self._clamp.compliance
         X = solid.nodes
         plate = np.flatnonzero(self._on_plate(X.T))
         moved = [] if compliance else [(3 * plate[:, None] + np.arange(3)).ravel()]
-        mirrored = [3 * np.flatnonzero(X[:, axis] < _SAME) + axis for axis in (0, 1)]
+        mirrored = [3 * np.flatnonzero(X[:, axis] < _TOLERANCE) + axis for axis in (0, 1)]
         fixed = np.unique(np.concatenate([*moved, *mirrored]))
         bond = None
         if compliance:
@@ -195,12 +195,12 @@ class ClampedStack:
 
     def _result(self, angle_deg: float, x: Array) -> BentStack:
         solid = self.solid
-        order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
+        order = np.lexsort(solid.nodes.round(_PLANE_DECIMALS).T[::-1])
         shape = tuple(2 * len(line) - 1 for line in self.lines)
         return BentStack(
             angle_deg,
             QuadraticField(self.lines, solid.displacement(x)[order].reshape(*shape, 3)),
-            CornerField.of(solid.mesh, self.lines, solid.cell_mean_stress(x)),
+            CornerField.from_corner_values(solid.mesh, self.lines, solid.cell_mean_stress(x)),
             self._centre,
             4.0 * self._plates.energy(angle_deg),  # of four quarters
             4.0 * self._plates.moment(angle_deg),
@@ -247,7 +247,7 @@ def _heights(gel: float, stack: float, grading: Grading, faces: Literal["both", 
     """
     layers, around = grading.layers, stack - gel
     even = np.linspace(-gel, gel, layers + 1)
-    if around < _SAME:
+    if around < _TOLERANCE:
         return even
     largest = max(min(grading.coarsest, around / layers), grading.finest)
     held = graded_lines(around, {0.0}, (), replace(grading, coarsest=largest))

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.geometry.design.sensor import Plates, SensorDesign, Support
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
-from eitskin.simulator.deformation.field import CubicSplines, Field, powers_of
+from eitskin.simulator.deformation.field import CubicSplines, Field, field_powers
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, cut_weights
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
@@ -47,7 +47,7 @@ _THICKNESS, _MODULUS = 0.012, 20e3
 _SPAN, _OFFSET, _THICKER, _STIFFER = 0.04, 0.08, 0.06, 1.4
 _REACH = 1.5  # steps from the nominal value within which its two neighbours serve
 _TOLERANCE = 1e-6  # singular values of displacements, relative to the largest, that tables keep
-_FEWEST = 4
+_MIN_NODES = 4
 _SAME = 1e-9  # [m]
 
 
@@ -62,12 +62,12 @@ class BentLayer(Deformation):
     Attributes:
         field: displacements, from the middle along x and y and from the bottom face.
         centre: middle of the layer [m], (3,).
-        half_sizes: of the layer [m], (3,).
-        thickness: of the whole stack [m].
-        angle_deg: between the plates.
+        half_sizes: half sizes of the layer [m], (3,).
+        thickness: thickness of the whole stack [m].
+        angle_deg: angle between the plates.
         energy: stored in the whole sensor [J].
-        moment: of each plate about the axis, the derivative of the energy by the angle in radians
-            [N m].
+        moment: moment of each plate about the axis, the derivative of the energy by the angle in
+            radians [N m].
     """
 
     field: Field
@@ -78,29 +78,29 @@ class BentLayer(Deformation):
     energy: float
     moment: float
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients, continuous everywhere."""
-        return self.after(points, np.broadcast_to(np.eye(3), (*np.shape(points), 3)))
+        return self.map_deformed(points, np.broadcast_to(np.eye(3), (*np.shape(points), 3)))
 
-    def after(self, points: Points, gradients: Gradients) -> tuple[Points, Gradients]:
+    def map_deformed(self, points: Points, gradients: Gradients) -> tuple[Points, Gradients]:
         """Positions and gradients of points that have moved already, by the chain rule."""
         x = np.asarray(points, dtype=float) - self.centre
         outside = np.abs(x[..., 2]) > 0.5 * self.thickness + _SAME
         outside |= np.abs(x[..., 1]) > self.half_sizes[1] + 0.5 * self.thickness
         if np.any(outside):
             raise ConfigurationError(
-                f"{int(outside.sum())} of {outside.size} points lie beside the bent sensor, whose "
+                f"{int(outside.sum())} of {outside.size} points lie outside the bent sensor, whose "
                 f"gel is {2 * self.half_sizes[1]:g} m wide and whose stack is {self.thickness:g} m "
                 "thick; a rolled sensor needs a kinematic fixture, Hinge(...) or FreeArc(...)"
             )
-        if kernels := compiled("eitskin.simulator.deformation.kernels"):
+        if kernels := compiled_kernels("eitskin.simulator.deformation.kernels"):
             places, F = np.array(points, dtype=float, order="C"), np.array(gradients, order="C")
             box = np.stack([self.centre, self.half_sizes])
-            kernels.bend(box, *powers_of(self.field), places.reshape(-1, 3), F.reshape(-1, 9))
+            kernels.bend(box, *field_powers(self.field), places.reshape(-1, 3), F.reshape(-1, 9))
             return places, F
         inside = np.clip(x, -self.half_sizes, self.half_sizes)
         columns = inside.reshape(-1, 1, 3) + np.array([0.0, 0.0, self.half_sizes[2]])
-        moved = self.field.moved(columns).reshape(12, *x.shape[:-1])
+        moved = self.field.displacement_and_gradient(columns).reshape(12, *x.shape[:-1])
         positions: Points = self.centre + x + np.moveaxis(moved[:3], 0, -1)
         slope, beyond = moved[3:].reshape(3, 3, *x.shape[:-1]), x - inside
         if np.any(beyond):
@@ -109,7 +109,7 @@ class BentLayer(Deformation):
         return positions, np.moveaxis(slope, (0, 1), (-2, -1)) @ gradients
 
 
-def _mirrored(nodes: Sequence[Array], values: Array) -> Field:
+def _mirror_quarter(nodes: Sequence[Array], values: Array) -> Field:
     """Field of the displacements (nx, ny, nz, 3) of the nodes of a quarter, mirrored to all."""
     for axis in range(2):
         # u_x is odd and the others are even along x; likewise u_y along y.
@@ -118,7 +118,7 @@ def _mirrored(nodes: Sequence[Array], values: Array) -> Field:
         odd = np.moveaxis(values, axis, 0)[..., axis]
         odd[:half] *= -1.0
         odd[half] = 0.0
-    x, y = (CubicSplines(np.concatenate([-each[:0:-1], each])) for each in nodes[:2])
+    x, y = (CubicSplines(np.concatenate([-node[:0:-1], node])) for node in nodes[:2])
     top = float(nodes[2][-1])
     return Field.from_values(values, (x, y), 2.0 * top, nodes[2] / top)
 
@@ -148,31 +148,31 @@ class BendTable:
                 "fixture=Hinge(...) or fixture=FreeArc(...)"
             )
 
-    def at(self, angle_deg: float) -> BentLayer:
+    def bent_layer(self, angle_deg: float) -> BentLayer:
         """Layer bent by an angle within the tables [deg].
 
         Raises ConfigurationError for an angle outside.
         """
         self.check(angle_deg)
-        summed = _summed(self)
+        summed = _sum_fields(self)
         values = np.tensordot(summed.weights(angle_deg), summed.values, axes=1)
         energy, moment = summed.energy(angle_deg), np.degrees(summed.energy(angle_deg, 1))
         x, y, z, centre, thickness = (
             summed.sizes[name] for name in ("x", "y", "z", "centre", "thickness")
         )
-        field, ends = _mirrored((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
+        field, ends = _mirror_quarter((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
         sizes = centre, ends, float(thickness)
         return BentLayer(field, *sizes, angle_deg, float(energy), float(moment))
 
 
-class _Summed(NamedTuple):
+class _FieldSum(NamedTuple):
     """Weighted sum of tables: at the solved angles and between, (angles, nx, ny, nz, 3).
 
     Attributes:
         weights: spline of the weights of the solved angles [deg].
         values: displacements of the nodes [m].
         energy: spline over the angle [deg], whose slope is the moment.
-        sizes: of the bent layer [m].
+        sizes: sizes of the bent layer [m].
     """
 
     weights: CubicSpline
@@ -182,7 +182,7 @@ class _Summed(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _summed(bends: BendTable) -> _Summed:
+def _sum_fields(bends: BendTable) -> _FieldSum:
     angles, (first, _) = bends.angles_deg, bends.tables[0]
     values = sum(weight * table.evaluate(angle=angles)[0] for table, weight in bends.tables)
     energy, moment = (
@@ -193,7 +193,7 @@ def _summed(bends: BendTable) -> _Summed:
         name: np.asarray(sum(weight * table.sizes[name] for table, weight in bends.tables))
         for name in first.sizes
     }
-    return _Summed(
+    return _FieldSum(
         CubicSpline(angles, np.eye(len(angles))),
         np.asarray(values),
         CubicHermiteSpline(angles, energy, np.radians(moment)),
@@ -214,29 +214,29 @@ def tabulate_bends(
     Raises SolidError where fewer than four angles can be reached.
     """
     angles = np.unique(np.asarray(angles_deg, dtype=float))
-    if len(angles) < _FEWEST or not angles[0] <= 0.0 <= angles[-1]:
+    if len(angles) < _MIN_NODES or not angles[0] <= 0.0 <= angles[-1]:
         raise ConfigurationError(
             f"a table of bends needs four angles or more, on both sides of 0, got {angles_deg}"
         )
-    found: dict[float, BentStack] = {}
+    stacks: dict[float, BentStack] = {}
     for path in (angles[angles >= 0.0], angles[angles < 0.0][::-1]):
         try:
             for bent in stack.equilibria(path.tolist()):
-                found[bent.angle_deg] = bent
-                report(len(found), len(angles))
+                stacks[bent.angle_deg] = bent
+                report(len(stacks), len(angles))
         except SolidError:
-            if len(found) < _FEWEST:
+            if len(stacks) < _MIN_NODES:
                 raise
-    solved = [found[angle] for angle in sorted(found)]
+    solved = [stacks[angle] for angle in sorted(stacks)]
     nodes = [
         np.interp(np.arange(2 * len(line) - 1) / 2.0, np.arange(len(line)), line)
         for line in stack.lines
     ]
     inside = [
-        np.abs(each) < half + _SAME for each, half in zip(nodes, stack.half_sizes, strict=True)
+        np.abs(node) < half + _SAME for node, half in zip(nodes, stack.half_sizes, strict=True)
     ]
     values = np.stack([bent.displacement.values for bent in solved])
-    x, y, z = (each[within] for each, within in zip(nodes, inside, strict=True))
+    x, y, z = (node[within] for node, within in zip(nodes, inside, strict=True))
     return SolutionTable.from_solutions(
         [Axis("angle", "spline", np.array([bent.angle_deg for bent in solved]))],
         values[:, inside[0]][:, :, inside[1]][:, :, :, inside[2]],
@@ -268,7 +268,7 @@ def bend(
         SolidError: where even small bends of the clamped sensor have no stable equilibrium.
     """
     if isinstance(fixture, Clamp):
-        return bend_table(design, fixture, mechanics, grid).at(angle.angle_deg)
+        return bend_table(design, fixture, mechanics, grid).bent_layer(angle.angle_deg)
     return fixture.flexure(design, angle)
 
 
@@ -285,7 +285,7 @@ def equilibrium(design: SensorDesign, clamp: Clamp, mechanics: Mechanics, angle:
 @lru_cache(maxsize=64)
 def check_clamp(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> None:
     """Raise ConfigurationError for a sensor that cannot be clamped."""
-    clamped_lines(Slab.of(design), clamp, mechanics)
+    clamped_lines(Slab.from_design(design), clamp, mechanics)
 
 
 @lru_cache(maxsize=16)
@@ -295,7 +295,7 @@ def bend_table(
     """Bend table of a clamped sensor; the first time takes half a minute."""
     weighted = [(case.table(), each) for case, each in _cases(design, clamp, mechanics, grid)]
     common = reduce(np.intersect1d, (table.nodes("angle") for table, _ in weighted))
-    return BendTable(tuple((table.restricted(common), weight) for table, weight in weighted))
+    return BendTable(tuple((table.restrict(common), weight) for table, weight in weighted))
 
 
 @lru_cache(maxsize=64)
@@ -344,7 +344,7 @@ class _Case:
         """Table of the case, solved where it is not stored."""
         table = load_or_solve(self.problem(), _from_arrays)
         length, modulus = self._scales
-        return table.scaled(length, modulus * length**3, length)
+        return table.rescale(length, modulus * length**3, length)
 
     def _solve(self, report: Report) -> Arrays:
         log.info("solving the bends of a clamped sensor, which takes half a minute")
@@ -352,7 +352,7 @@ class _Case:
         stack = ClampedStack(self.slab, self.clamp, self.mechanics, lines=(x, y, z))
         length, modulus = self._scales
         table = tabulate_bends(stack, ANGLES_DEG, report)
-        return table.scaled(1.0 / length, 1.0 / (modulus * length**3), 1.0 / length).arrays()
+        return table.rescale(1.0 / length, 1.0 / (modulus * length**3), 1.0 / length).arrays()
 
     @property
     def _scales(self) -> tuple[float, float]:
@@ -369,10 +369,10 @@ def _cases(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid
 ) -> Iterator[tuple[_Case, float]]:
     """Solved stacks on the nominal mesh, stretched, and their weights in the table of a design."""
-    clamp, slab = on_support(clamp, design.support), Slab.of(design)
+    clamp, slab = on_support(clamp, design.support), Slab.from_design(design)
     gel, around = mechanics.gel.shear_modulus, slab.encapsulated_thickness / slab.thickness
 
-    def varied(
+    def vary_case(
         span: float, offset: float, thickness: float, ratio: float
     ) -> tuple[Slab, Clamp, Mechanics]:
         law = dataclasses.replace(mechanics.encapsulation, shear_modulus=ratio * gel)
@@ -385,18 +385,18 @@ def _cases(
 
     ratio = mechanics.encapsulation.shear_modulus / gel
     wanted = clamp.span, clamp.offset, slab.thickness, ratio
-    given = grid.span, grid.offset, grid.thickness, grid.ratio
-    nominal = [own if one is None else one for own, one in zip(wanted, given, strict=True)]
+    axes = grid.span, grid.offset, grid.thickness, grid.ratio
+    nominal = [own if one is None else one for own, one in zip(wanted, axes, strict=True)]
     sizes = _SPAN * nominal[0], _OFFSET * around * nominal[2], _THICKER * nominal[2]
     positions = [(a - b) / size for a, b, size in zip(wanted, nominal, sizes, strict=False)]
     positions.append(math.log(ratio / nominal[3]) / math.log(_STIFFER))
     middles = [round(t) if abs(t) > _REACH else 0 for t in positions]  # specimens share nodes
     stencils = [range(middle - 1, middle + 2) for middle in middles]
-    x, y, z = clamped_lines(*varied(*nominal))
+    x, y, z = clamped_lines(*vary_case(*nominal))
     ends = float(slab.half_sizes[0]), float(x[-1])
     for steps, weight in cut_weights(positions, stencils).items():
         values = [b + n * size for b, n, size in zip(nominal, steps, sizes, strict=False)]
         values.append(nominal[3] * _STIFFER ** steps[3])
         along = np.interp(x, [0.0, 0.5 * nominal[0], *ends], [0.0, 0.5 * values[0], *ends])
         lines = along, y, z * (values[2] / nominal[2])
-        yield _Case(*varied(*values), tuple(tuple(line.tolist()) for line in lines)), weight
+        yield _Case(*vary_case(*values), tuple(tuple(line.tolist()) for line in lines)), weight

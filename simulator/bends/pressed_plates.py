@@ -34,7 +34,7 @@ from eitskin.simulator.deformation.contact import BentState, ContactFrame, DentF
 from eitskin.simulator.deformation.corrections import load_table
 from eitskin.simulator.deformation.field import CubicSplines, Field
 from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
-from eitskin.simulator.deformation.indentation_tables import Indentations, Solved, solve_each
+from eitskin.simulator.deformation.indentation_tables import Indentations, PressFields, solve_each
 from eitskin.simulator.deformation.node_sums import (
     BOTH_MIRRORED,
     DIRECT,
@@ -61,7 +61,8 @@ _VERSION = 1
 ANGLES_DEG = (-20.0, 0.0, 25.0, 50.0)
 _PARTS = (0.45, 1.0)  # solved depths over the deepest of a place
 # Deepest dent over the thickness of the stack, on a plate and in the middle between plates, where
-# the stack sinks several times as deep as it is dented, and how it changes beside the plate's edge.
+# the stack sinks several times as deep as it is dented, and how it changes next to the plate's
+# edge.
 _DEEPEST, _IN_GAP, _BESIDE, _WITHIN = 0.32, 0.08, 0.1, 0.3
 # Solved places over the thickness: from the edge of a plate outwards, between places in the gap,
 # and beyond the least distance from a side.
@@ -70,13 +71,13 @@ _ON_PLATE, _BETWEEN, _FROM_SIDE = (
     0.56,
     (0.0, 0.5, 1.2, 2.1, 3.2, 4.5, 6.5),
 )
-_APART = 0.4  # least distance of places from the middle over the thickness
+_MIN_PLACE_OFFSET = 0.4  # least distance of places from the middle over the thickness
 _FINENESS = Fineness(ends=0.0, sides=0.25, layers=1, rims=0.3, growth=1.5)
-# Nodes of fields over the thickness: in the gap and up to a distance beside it, and beyond.
+# Nodes of fields over the thickness: in the gap and up to a distance next to it, and beyond.
 _FINE, _NEAR, _COARSE, _ACROSS, _DEGREE = 0.35, 1.8, 0.65, 13, 2
 _TOLERANCE = 1e-3  # singular values, relative to the largest, that the table keeps
 _MINUTES = 15
-_BEYOND = 0.02  # of the deepest dent, by which another may be deeper
+_DEPTH_MARGIN = 0.02  # of the deepest dent, by which another may be deeper
 _WORKERS = os.cpu_count() or 1
 
 
@@ -85,8 +86,9 @@ class PlatesCase:
     """Sensor on plates and its indenter, about which a table is solved.
 
     Attributes:
-        design: on the support `Plates`, of rectangular outline; its electrodes do not matter.
-        clamp: of the plates.
+        design: design on the support `Plates`, of rectangular outline; its electrodes do not
+            matter.
+        clamp: clamp of the plates.
         mechanics: materials.
         indenter: rigid body that presses.
     """
@@ -125,21 +127,21 @@ class PlatesCase:
         return outline
 
     @property
-    def about(self) -> Indentations:
+    def indentations(self) -> Indentations:
         """Stack and indenter of all presses."""
         stack = self.mechanics.stack(self.design)
         return Indentations(stack, self.mechanics, self.design.support, self.indenter)
 
     def axes(self) -> tuple[Axis, ...]:
         """Solved places, angles and parts of the deepest dent."""
-        outline, about = self.outline, self.about
+        outline, about = self.outline, self.indentations
         edge, H = 0.5 * (outline.length - self.clamp.span), about.thickness
         inside = math.ceil((0.5 * outline.length - edge) / (_BETWEEN * H))
         along = edge - H * np.array(_ON_PLATE)[::-1]
         along = along[along > about.least] if along[-1] > about.least else np.array([about.least])
         x = np.concatenate([along, np.linspace(edge, 0.5 * outline.length, inside + 1)])
         across, middle = about.least + H * np.array(_FROM_SIDE), 0.5 * outline.width
-        y = np.append(across[across < middle - _APART * H], middle)
+        y = np.append(across[across < middle - _MIN_PLACE_OFFSET * H], middle)
         return (
             Axis("x", "mirrored", x),
             Axis("y", "mirrored", y),
@@ -167,7 +169,7 @@ class PlatesCase:
         return CubicSplines(x), CubicSplines(outline.width * turned)
 
     def _solve(self, report: Report) -> Arrays:
-        axes, about = self.axes(), self.about
+        axes, about = self.axes(), self.indentations
         shape = [len(axis.nodes) for axis in axes]
         places = [(float(x), float(y)) for x in axes[0].nodes for y in axes[1].nodes]
         log.info("solving presses on plates, about %d minutes of one core", _MINUTES)
@@ -183,24 +185,24 @@ class PlatesCase:
         return table.arrays()
 
 
-def solve_place(case: PlatesCase, place: tuple[float, float]) -> Solved:
+def solve_place(case: PlatesCase, place: tuple[float, float]) -> PressFields:
     """Fields d over the depth of presses at a place [m], (angles, parts, nx, ny, nz, 4)."""
-    about, (x, y), outline = case.about, place, case.outline
+    about, (x, y), outline = case.indentations, place, case.outline
     dents = about.to_depths([part * case.deepest(x) / about.thickness for part in _PARTS]).dents
     body, middle = about.mesh(outline, [place], _FINENESS), 0.5 * outline.length
 
-    def solved(
-        stack: FiniteStack, frame: ContactFrame | None, near: Sequence[Correction]
+    def solve_dents(
+        stack: FiniteStack, frame: ContactFrame | None, neighbours: Sequence[Correction]
     ) -> list[Correction]:
-        found = list(near[:0])
+        found = list(neighbours[:0])
         for k, dent in enumerate(dents):
-            start = near[k].unknowns if near else None
+            start = neighbours[k].unknowns if neighbours else None
             if k and start is None:
                 start = found[-1].unknowns * dent.depth / dents[k - 1].depth
             found.append(stack.correction([DentField(x, y, case.indenter, dent, frame)], start))
         return found
 
-    rigid = solved(FiniteStack(dataclasses.replace(body, gap=(middle, middle))), None, [])
+    rigid = solve_dents(FiniteStack(dataclasses.replace(body, gap=(middle, middle))), None, [])
     bent: dict[float, list[Correction]] = {}
     frames: dict[float, tuple[ContactFrame | None, ContactFrame | None]] = {}
     for angle in sorted(ANGLES_DEG, key=abs):
@@ -209,37 +211,37 @@ def solve_place(case: PlatesCase, place: tuple[float, float]) -> Solved:
         if angle:
             state = bend_table.equilibrium(*fixed)
             shapes = state, bend_table.bend(*fixed)
-            top, gel = (ContactFrame.at(shape, x, y, about.stack) for shape in shapes)
+            top, gel = (ContactFrame.from_bent_top(shape, x, y, about.stack) for shape in shapes)
             frames[angle] = top, gel
         near = bent[min(bent, key=lambda each: abs(each - angle))] if bent else []
-        bent[angle] = solved(FiniteStack(body, 1, state), frames[angle][0], near)
+        bent[angle] = solve_dents(FiniteStack(body, 1, state), frames[angle][0], near)
     fields, extra = [], []
     for angle, (k, dent) in product(ANGLES_DEG, enumerate(dents)):
         there, here = bent[angle][k], rigid[k]
-        turned = [DentField(x, y, case.indenter, dent, each) for each in frames[angle]]
+        turned = [DentField(x, y, case.indenter, dent, frame) for frame in frames[angle]]
         values = partial(_difference, there, here, turned)
         field = Field.from_function(values, case.bases(), about.height, _DEGREE)
         fields.append(field.coefficients / dent.depth)
         extra.append((there.sunk[0] - here.sunk[0]) / dent.depth)
     shape = len(ANGLES_DEG), len(_PARTS)
     every = np.array(fields)
-    return Solved(every.reshape(*shape, *every.shape[1:]), np.reshape(extra, shape))
+    return PressFields(every.reshape(*shape, *every.shape[1:]), np.reshape(extra, shape))
 
 
 def _difference(
-    there: Correction, here: Correction, frames: Sequence[DentField], points: Array
+    pressed: Correction, flat: Correction, frames: Sequence[DentField], points: Array
 ) -> Array:
     """d [m] and its mean stress [Pa], (..., 4), at points of the gel (..., 3) [m]."""
-    values = there.in_gel(points)
-    rigid = here.in_gel(points)
+    values = pressed.in_gel(points)
+    rigid = flat.in_gel(points)
     bent, gel = frames
     if gel.frame is not None:
-        rigid[..., :3] = gel.frame.turned(rigid[..., :3])
-        over_base = (points + np.array([0.0, 0.0, there.bottom])).reshape(-1, 3)
+        rigid[..., :3] = gel.frame.rotate_vectors(rigid[..., :3])
+        over_base = (points + np.array([0.0, 0.0, pressed.bottom])).reshape(-1, 3)
         for dent, sign in ((bent, 1.0), (gel, -1.0)):
-            at = dent.at(over_base)
-            both = np.concatenate([at.displacement, at.mean_stress[:, None]], axis=1)
-            values += sign * both.reshape(values.shape)
+            at = dent.evaluate(over_base)
+            stacked = np.concatenate([at.displacement, at.mean_stress[:, None]], axis=1)
+            values += sign * stacked.reshape(values.shape)
     return np.asarray(values - rigid)
 
 
@@ -248,11 +250,11 @@ class PlateBend:
     """Sensor on plates at one angle, as touches press it.
 
     Attributes:
-        design: on the support `Plates`, of rectangular outline.
-        clamp: of the plates.
+        design: design on the support `Plates`, of rectangular outline.
+        clamp: clamp of the plates.
         mechanics: materials.
         grid: nominal values about which tables are solved.
-        angle_deg: between the plates; 0 where they are flat.
+        angle_deg: angle between the plates; 0 where they are flat.
     """
 
     design: SensorDesign
@@ -282,7 +284,7 @@ class PlateBend:
         """Whether a dent at x to a depth [m] is within the table."""
         case = self._case(indenter)
         in_angle = ANGLES_DEG[0] <= self.angle_deg <= ANGLES_DEG[-1]
-        return in_angle and depth <= self._deepest(case, x) * (1.0 + _BEYOND)
+        return in_angle and depth <= self._deepest(case, x) * (1.0 + _DEPTH_MARGIN)
 
     def check(self, indenter: Indenter, x: float, depth: float) -> None:
         """Raise ConfigurationError for a dent at x to a depth [m] that the table does not reach."""
@@ -327,7 +329,9 @@ class PlateBend:
         return np.asarray(extra * depth / higher)
 
     def _case(self, indenter: Indenter) -> PlatesCase:
-        return nominal_case(self.design, self.clamp, self.mechanics, indenter.corrected, self.grid)
+        return nominal_case(
+            self.design, self.clamp, self.mechanics, indenter.correction_indenter, self.grid
+        )
 
     def _deepest(self, case: PlatesCase, x: float) -> float:
         """Deepest tabulated dent at x of this sensor [m]."""
@@ -361,9 +365,9 @@ def held_by_plates(
 
 
 @lru_cache(maxsize=16)
-def _bend(held: PlateBend) -> Deformation:
-    fixed = held.design, held.clamp, held.mechanics, Bend(held.angle_deg)
-    return bend_table.bend(*fixed, held.grid)
+def _bend(plate_bend: PlateBend) -> Deformation:
+    fixed = plate_bend.design, plate_bend.clamp, plate_bend.mechanics, Bend(plate_bend.angle_deg)
+    return bend_table.bend(*fixed, plate_bend.grid)
 
 
 @lru_cache(maxsize=64)

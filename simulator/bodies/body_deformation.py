@@ -17,12 +17,12 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.bodies.clamped_body import ClampedBody
 from eitskin.simulator.bodies.pressed_body import (
-    MOST_TOUCHES,
+    MAX_TOUCHES,
     BodyPress,
     PressedBody,
-    require_above,
+    require_over_body,
 )
-from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField, surface_of
+from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField, require_surface
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, load_or_solve
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -35,7 +35,7 @@ _VERSION = 2
 _MAX_KEPT = 16  # solutions in memory, each of some megabytes
 
 
-def bent_by(
+def solve_bend(
     design: SensorDesign, fixture: Fixture, mechanics: Mechanics, bend: Bend
 ) -> Deformation:
     """Deformation of a body by a fixture; clamped bodies are solved in a minute or more.
@@ -55,9 +55,9 @@ def bent_by(
     span, offset, angle = fixture.span, fixture.offset, bend.angle_deg
 
     def solve() -> Arrays:
-        return _field_arrays(_clamped(design, span, offset, mechanics).bent(angle))
+        return _field_arrays(_clamped_body(design, span, offset, mechanics).solve_angle(angle))
 
-    field, _ = _loaded(_problem("bend", design, mechanics, [span, offset, angle], solve))
+    field, _ = _load_solution(_problem("bend", design, mechanics, [span, offset, angle], solve))
     return field
 
 
@@ -79,12 +79,14 @@ def pressed_body(
         [t.x, t.y, t.force if t.depth is None else None, t.depth, indenter_samples(t.indenter)]
         for t in touches
     ]
-    field, numbers = _loaded(_problem("press", design, mechanics, described, solve))
+    field, numbers = _load_solution(_problem("press", design, mechanics, described, solve))
     return PressedBody(field=field, **numbers)
 
 
 @lru_cache(maxsize=2)
-def _clamped(design: SensorDesign, span: float, offset: float, mechanics: Mechanics) -> ClampedBody:
+def _clamped_body(
+    design: SensorDesign, span: float, offset: float, mechanics: Mechanics
+) -> ClampedBody:
     return ClampedBody(design, span, offset, mechanics)
 
 
@@ -96,7 +98,7 @@ def _problem(
     solve: Callable[[], Arrays],
 ) -> Problem:
     """Solution of a body under loads."""
-    points, faces = surface_of(design).triangles()
+    points, faces = require_surface(design).triangles()
     described = {
         "version": _VERSION,
         "kind": kind,
@@ -114,14 +116,14 @@ def _field_arrays(field: TetrahedralField) -> Arrays:
 
 
 @lru_cache(maxsize=_MAX_KEPT)
-def _loaded(problem: Problem) -> tuple[TetrahedralField, Arrays]:
+def _load_solution(problem: Problem) -> tuple[TetrahedralField, Arrays]:
     """Field and numbers of a solution."""
     arrays = load_or_solve(problem, dict)
     field = {f.name: arrays.pop(f"field {f.name}") for f in fields(TetrahedralField)}
     return TetrahedralField(**field), arrays
 
 
-def pressed_by(
+def solve_presses(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
 ) -> PressedBody | None:
     """Body under the touches of a scene; None where all dents have faded.
@@ -129,7 +131,7 @@ def pressed_by(
     A body that creeps under a force has the shape of an elastic one under a greater force, as the
     slabs of `viscoelasticity` have; a fading dent is that of a smaller one.
     """
-    felt = tuple(one for one in _elastic(touches, design, mechanics) if one is not None)
+    felt = tuple(touch for touch in _elastic(touches, design, mechanics) if touch is not None)
     return pressed_body(design, felt, mechanics) if felt else None
 
 
@@ -137,8 +139,8 @@ def pressed_body_touches(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
 ) -> tuple[PressedTouch, ...]:
     """Depth, contact and pressure of each touch on a body."""
-    solved = pressed_by(touches, design, mechanics)
-    felt = [one is not None for one in _elastic(touches, design, mechanics)]
+    solved = solve_presses(touches, design, mechanics)
+    felt = [touch is not None for touch in _elastic(touches, design, mechanics)]
     rows = iter(range(sum(felt)))
     return tuple(
         _result(touch, touches, mechanics, solved, next(rows) if there else None)
@@ -148,12 +150,12 @@ def pressed_body_touches(
 
 def require_pressable(surface: Surface, touches: tuple[Touch, ...]) -> None:
     """Raise ConfigurationError for touches that a body cannot have."""
-    if len(touches) > MOST_TOUCHES:
+    if len(touches) > MAX_TOUCHES:
         raise ConfigurationError(
-            f"a body is pressed by at most {MOST_TOUCHES} touches at once, got {len(touches)}"
+            f"a body is pressed by at most {MAX_TOUCHES} touches at once, got {len(touches)}"
         )
     for touch in touches:
-        require_above(surface, touch)
+        require_over_body(surface, touch)
         if isinstance(touch.indenter, Footprint):
             raise ConfigurationError(
                 "a body from a surface file is pressed by bodies of revolution, got a footprint; "
@@ -190,21 +192,21 @@ def _result(
     touch: Touch,
     touches: tuple[Touch, ...],
     mechanics: Mechanics,
-    solved: PressedBody | None,
+    pressed_body: PressedBody | None,
     row: int | None,
 ) -> PressedTouch:
     """Result of one touch, number `row` of the solution; none where its dent has faded."""
     force = depth = radius = peak = thinning = 0.0
-    if solved is not None and row is not None:
-        elastic = float(solved.forces[row])
-        depth, thinning = float(solved.depths[row]), float(solved.thinnings[row])
+    if pressed_body is not None and row is not None:
+        elastic = float(pressed_body.forces[row])
+        depth, thinning = float(pressed_body.depths[row]), float(pressed_body.thinnings[row])
         acting = elastic if touch.depth is not None else touch.force
         if touch.depth is not None and touch.held is not None:
             acting *= float(mechanics.gel_relaxation.relaxation(touch.held))
         if not touch.released:
             force = acting
-            radius = math.sqrt(float(solved.contact_areas[row]) / math.pi)
-            peak = float(solved.peak_pressures[row]) * force / elastic
+            radius = math.sqrt(float(pressed_body.contact_areas[row]) / math.pi)
+            peak = float(pressed_body.peak_pressures[row]) * force / elastic
     return PressedTouch(
         touch=touch,
         force=force,

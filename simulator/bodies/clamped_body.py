@@ -16,8 +16,8 @@ from eitskin.simulator.bodies.tetrahedral_solid import (
     TetrahedralField,
     TetrahedralSolid,
     body_grading,
-    meshed,
-    surface_of,
+    mesh_body,
+    require_surface,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.turning_plates import TurningPlates
@@ -25,12 +25,13 @@ from eitskin.simulator.mechanics.turning_plates import TurningPlates
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SAME = 1e-9  # [m]
-_GRIPPED = math.cos(math.radians(45.0))  # |n_z| of faces that the plates hold, at least
+_TOLERANCE = 1e-9  # [m]
+_MIN_GRIPPED_NORMAL = math.cos(math.radians(45.0))  # |n_z| of faces that the plates hold, at least
 _PER_THICKNESS = 4.0  # cells through the body at the edges of the plates
-_MOVED = 0.5  # of an edge length, by which corners are moved onto the edges of the plates
-_LONGEST_STEP = 10.0  # of the angle, at first [deg]
-_THINNEST = 0.2  # of its volume that a cell keeps when its corners are moved
+# of an edge length, by which corners are moved onto the edges of the plates
+_MAX_CORNER_SHIFT = 0.5
+_MAX_STEP = 10.0  # of the angle, at first [deg]
+_MIN_CELL_VOLUME = 0.2  # of its volume that a cell keeps when its corners are moved
 
 
 class ClampedBody:
@@ -42,7 +43,7 @@ class ClampedBody:
 
     Attributes:
         body: the meshed body.
-        plates: that hold it; with all equilibria, their energies and moments.
+        plates: plates that hold it; with all equilibria, their energies and moments.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class ClampedBody:
         Args:
             design: the sensor, with a surface as outline.
             span: free length between the plates [m].
-            offset: of the hinge axis below the middle of the body [m].
+            offset: offset of the hinge axis below the middle of the body [m].
             mechanics: materials; only the gel's law and bulk ratio are used.
             grading: finest at the edges of the plates, `layers` is not used; a quarter of the
                 body's smaller extent along y and z when omitted.
@@ -67,7 +68,7 @@ class ClampedBody:
             ConfigurationError: for a plane outline, a span that leaves nothing to clamp, or a body
                 that needs too many cells.
         """
-        surface, self._centre = surface_of(design), np.array(design.centre)
+        surface, self._centre = require_surface(design), np.array(design.centre)
         if not 0.0 < span < surface.length:
             raise ConfigurationError(
                 f"the span must be above 0 and below the body's length of {surface.length:g} m, "
@@ -77,17 +78,17 @@ class ClampedBody:
         smaller = min(surface.width, surface.height)
         grading = grading or body_grading(design, smaller / _PER_THICKNESS)
         finest = grading.finest
-        mesh = meshed(design, grading, self._plate_edges(surface, finest))
+        mesh = mesh_body(design, grading, self._plate_edges(surface, finest))
         for side in (-1.0, 1.0):
-            mesh = _with_corners_on(mesh, self._centre[0] + side * self._half_span, finest)
+            mesh = _snap_corners_to_plane(mesh, self._centre[0] + side * self._half_span, finest)
         self.body = TetrahedralSolid(mesh, mechanics or Mechanics())
-        held = {side: self._held(side) for side in (-1.0, 1.0)}
-        both = np.concatenate([*held.values()])
-        fixed: Indices = np.sort((3 * both[:, None] + np.arange(3)).ravel())
-        axis, longest = self._centre - np.array([0.0, 0.0, offset]), _LONGEST_STEP
+        held = {side: self._clamped_nodes(side) for side in (-1.0, 1.0)}
+        nodes = np.concatenate([*held.values()])
+        fixed: Indices = np.sort((3 * nodes[:, None] + np.arange(3)).ravel())
+        axis, longest = self._centre - np.array([0.0, 0.0, offset]), _MAX_STEP
         self.plates = TurningPlates(self.body.solid, held, axis, fixed, None, longest)
 
-    def bent(self, angle_deg: float) -> TetrahedralField:
+    def solve_angle(self, angle_deg: float) -> TetrahedralField:
         """Deformation by an angle between the plates [deg].
 
         Raises SolidError, naming the angle reached, where no stable equilibrium is found.
@@ -100,25 +101,25 @@ class ClampedBody:
         ends = self._centre[0] + self._half_span * np.array([-1.0, 1.0])
         return _sections(points[faces], ends.tolist(), 2.0 * finest)
 
-    def _held(self, side: float) -> Indices:
+    def _clamped_nodes(self, side: float) -> Indices:
         """Nodes held by the plate at small or at large x, of the side -1 or 1."""
         body = self.body
-        gripped = np.abs(body.normals[:, 2]) > _GRIPPED
+        gripped = np.abs(body.normals[:, 2]) > _MIN_GRIPPED_NORMAL
         along = side * (body.middles[:, 0] - self._centre[0])
-        near = body.solid.nodes_of(body.facets[gripped & (along > self._half_span)])
+        near = body.solid.facet_nodes(body.facets[gripped & (along > self._half_span)])
         x = side * (body.solid.nodes[near, 0] - self._centre[0])
-        found: Indices = near[x > self._half_span - _SAME]
-        if len(found) < 3:
+        nodes: Indices = near[x > self._half_span - _TOLERANCE]
+        if len(nodes) < 3:
             raise ConfigurationError(
                 f"the plates with a span of {2 * self._half_span:g} m find no face of the body "
                 "to hold, looking up or down to within 45 deg; choose a shorter span"
             )
-        return found
+        return nodes
 
 
 def _sections(corners: Array, planes: Sequence[float], spacing: float) -> Array:
     """Points (k, 3) [m], `spacing` apart, on sections of triangles (n, 3, 3) by planes of x."""
-    found = []
+    sections = []
     for x in planes:
         side = np.sign(corners[..., 0] - x)
         for triangle in corners[(side.min(axis=1) < 0.0) & (side.max(axis=1) > 0.0)]:
@@ -128,11 +129,11 @@ def _sections(corners: Array, planes: Sequence[float], spacing: float) -> Array:
                 if min(a[0], b[0]) <= x <= max(a[0], b[0]) and a[0] != b[0]
             ]
             count = 2 + math.ceil(float(np.linalg.norm(ends[0] - ends[-1])) / spacing)
-            found.append(np.linspace(ends[0], ends[-1], count))
-    return np.concatenate(found)
+            sections.append(np.linspace(ends[0], ends[-1], count))
+    return np.concatenate(sections)
 
 
-def _with_corners_on(mesh: skfem.MeshTet, x: float, finest: float) -> skfem.MeshTet:
+def _snap_corners_to_plane(mesh: skfem.MeshTet, x: float, finest: float) -> skfem.MeshTet:
     """Mesh with the boundary corners nearest to a plane of x [m] moved onto the plane.
 
     Corners are moved along x only, and only where all cells around them keep a good part of their
@@ -140,14 +141,14 @@ def _with_corners_on(mesh: skfem.MeshTet, x: float, finest: float) -> skfem.Mesh
     """
     points, cells = mesh.p.copy(), mesh.t
     rim = mesh.boundary_nodes()
-    near = rim[np.abs(points[0, rim] - x) < _MOVED * finest]
+    near = rim[np.abs(points[0, rim] - x) < _MAX_CORNER_SHIFT * finest]
     whole = _volumes(points, cells)
     for node in near[np.argsort(np.abs(points[0, near] - x))]:
         around = np.any(cells == node, axis=0)
         before = points[0, node]
         points[0, node] = x
-        kept = _volumes(points, cells[:, around]) / whole[around]
-        if kept.min() < _THINNEST:
+        volume_ratios = _volumes(points, cells[:, around]) / whole[around]
+        if volume_ratios.min() < _MIN_CELL_VOLUME:
             points[0, node] = before
     return skfem.MeshTet(points, cells)
 

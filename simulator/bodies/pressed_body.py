@@ -16,8 +16,8 @@ from eitskin.simulator.bodies.tetrahedral_solid import (
     TetrahedralField,
     TetrahedralSolid,
     body_grading,
-    meshed,
-    surface_of,
+    mesh_body,
+    require_surface,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-MOST_TOUCHES = 4
+MAX_TOUCHES = 4
 _PER_RADIUS = 4.0  # cells along the radius of an indenter, under the indenter
 # Pressure over entry into the indenter, relative to shear modulus over radius of contact. More
 # would lock the cells that the rim cuts.
@@ -37,13 +37,14 @@ _FIRST_RADIUS, _FIRST_POINTS = 0.4, 12  # of the contact at the start, in radii 
 _SHALLOW = 0.02  # depth of the first presses, over the radius of the indenter
 _STARTS = 4  # attempts at the first presses, each half as deep
 _FIRST_STEP, _REMEDY = 0.15, "Press it less, or with a larger indenter"
-_NEAR = 2.0  # radii of an indenter within which the body may touch it
+_CONTACT_REACH = 2.0  # radii of an indenter within which the body may touch it
 _UPWARD = 0.05  # least upward part of the normals of faces that an indenter may touch
 # Boundary within these parts of the body's height from its lowest point rests on the base: where
 # the body has a level face there, and where not.
 _LEVEL, _SOCKET = 1e-3, 0.05
 _FLAT = 0.01  # of its bounding box, that a level face fills at least
-_HIDDEN = 0.02  # of the body's height, by which touched faces may lie below the highest one
+# of the body's height, by which touched faces may lie below the highest one
+_MAX_HIDDEN_DEPTH = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,10 +53,10 @@ class PressedBody:
 
     Attributes:
         field: displacement and mean stress of the body, a Deformation.
-        forces: on each indenter [N].
-        depths: of the indenters below the positions where they first touch the body [m].
-        contact_areas: on the deformed face [m2].
-        peak_pressures: on the deformed face, at the quadrature points [Pa].
+        forces: forces on each indenter [N].
+        depths: depths of the indenters below the positions where they first touch the body [m].
+        contact_areas: contact areas on the deformed face [m2].
+        peak_pressures: peak pressures on the deformed face, at the quadrature points [Pa].
         thinnings: 1 - height over undeformed height of the body on each axis.
     """
 
@@ -96,24 +97,24 @@ class BodyPress:
                 radius when omitted.
 
         Raises:
-            ConfigurationError: for a plane outline, touches beside the body, or a body that needs
+            ConfigurationError: for a plane outline, touches next to the body, or a body that needs
                 too many cells.
         """
-        if not 1 <= len(touches) <= MOST_TOUCHES:
+        if not 1 <= len(touches) <= MAX_TOUCHES:
             raise ConfigurationError(
-                f"a body is pressed by one to {MOST_TOUCHES} touches, got {len(touches)}"
+                f"a body is pressed by one to {MAX_TOUCHES} touches, got {len(touches)}"
             )
-        surface, self._mechanics = surface_of(design), mechanics or Mechanics()
+        surface, self._mechanics = require_surface(design), mechanics or Mechanics()
         self._points, self._faces = surface.triangles()
         self._bounds = surface.bounds
         self.touches = tuple(touches)
         for touch in self.touches:
-            require_above(surface, touch)
+            require_over_body(surface, touch)
         self._lowest = [self._first_contact(touch) for touch in self.touches]
         smallest = min(t.indenter.rims[1] for t in self.touches)
         grading = grading or body_grading(design, smallest / _PER_RADIUS)
-        near = np.concatenate([self._under(t, grading.finest) for t in self.touches])
-        self.body = TetrahedralSolid(meshed(design, grading, near), self._mechanics)
+        near = np.concatenate([self._points_below(t, grading.finest) for t in self.touches])
+        self.body = TetrahedralSolid(mesh_body(design, grading, near), self._mechanics)
         base = self._base()
         self._fixed: Indices = np.sort((3 * base[:, None] + np.arange(3)).ravel())
         self._contacts = [self._contact(number) for number in range(len(self.touches))]
@@ -129,8 +130,8 @@ class BodyPress:
         """
         deep = np.array([np.nan if t.depth is None else t.depth for t in self.touches])
         held, final = np.isfinite(deep), np.array([t.force for t in self.touches])
-        x, shallow = self._started(deep)
-        contacts = [contact.advanced(x) for contact in self._contacts]
+        x, shallow = self._shallow_start(deep)
+        contacts = [contact.advance(x) for contact in self._contacts]
         carried = np.array([contact.force(x) for contact in contacts])
 
         def path(t: float) -> Load:
@@ -141,7 +142,7 @@ class BodyPress:
         x, (_, *balanced) = follow(terms, x, path, _FIRST_STEP, remedy=_REMEDY)
         return self._result(x, [cast("PenaltyContact", contact) for contact in balanced])
 
-    def _started(self, deep: Array) -> tuple[Array, Array]:
+    def _shallow_start(self, deep: Array) -> tuple[Array, Array]:
         """Unknowns of shallow presses, and their depths (touches,) [m]; `deep` are those wanted.
 
         They are made shallower, down to mere contact, where cells turn inside out.
@@ -165,11 +166,11 @@ class BodyPress:
                 failed = error
         raise failed
 
-    def _load(self, held: Flags, depths: Array, forces: Array) -> Load:
+    def _load(self, at_depth: Flags, depths: Array, forces: Array) -> Load:
         """Load of touches (touches,) that are held at depths [m], and of forces [N] on others."""
         unknowns = self.body.solid.unknowns
-        fixed = np.append(self._fixed, unknowns + np.flatnonzero(held))
-        values = np.append(np.zeros(len(self._fixed)), depths[held])
+        fixed = np.append(self._fixed, unknowns + np.flatnonzero(at_depth))
+        values = np.append(np.zeros(len(self._fixed)), depths[at_depth])
         return Load(fixed, values, np.append(np.zeros(unknowns), forces))
 
     def _first_contact(self, touch: Touch) -> float:
@@ -180,7 +181,7 @@ class BodyPress:
         rise = touch.indenter.profile(np.linalg.norm(net - axis, axis=1))[0]
         return float(np.nanmax(z - rise))
 
-    def _under(self, touch: Touch, finest: float) -> Array:
+    def _points_below(self, touch: Touch, finest: float) -> Array:
         """Points on the body under the indenter, two finest sizes apart, (k, 3) [m]."""
         radius = touch.indenter.rims[1]
         steps = np.arange(-radius, radius + finest, 2.0 * finest)
@@ -203,7 +204,7 @@ class BodyPress:
         area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
         flat = area > _FLAT * float(extent[0] * extent[1])
         limit = low + (_LEVEL if flat else _SOCKET) * extent[2]
-        nodes = body.solid.nodes_of(body.facets)
+        nodes = body.solid.facet_nodes(body.facets)
         held: Indices = nodes[body.solid.nodes[nodes, 2] <= limit]
         return held
 
@@ -212,13 +213,13 @@ class BodyPress:
         body, touch = self.body, self.touches[number]
         centre, radius = np.array([touch.x, touch.y]), touch.indenter.rims[1]
         chosen = body.normals[:, 2] > _UPWARD
-        chosen &= np.linalg.norm(body.middles[:, :2] - centre, axis=1) < _NEAR * radius
+        chosen &= np.linalg.norm(body.middles[:, :2] - centre, axis=1) < _CONTACT_REACH * radius
         top = np.full(len(chosen), np.inf)
         top[chosen] = heights(self._points[self._faces], body.middles[chosen, :2])
-        slack = _HIDDEN * float(self._bounds[1, 2] - self._bounds[0, 2])
+        slack = _MAX_HIDDEN_DEPTH * float(self._bounds[1, 2] - self._bounds[0, 2])
         chosen &= ~(body.middles[:, 2] < top - slack)  # true where no height was found
         stiffness = _CONTACT_STIFFNESS * self._mechanics.gel.shear_modulus / radius
-        return PenaltyContact.of_face(
+        return PenaltyContact.from_facets(
             body.solid,
             body.facets[chosen],
             touch.indenter,
@@ -258,8 +259,8 @@ def _net() -> Array:
     return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
 
 
-def require_above(surface: Surface, touch: Touch) -> None:
-    """Raise ConfigurationError for a touch beside the body."""
+def require_over_body(surface: Surface, touch: Touch) -> None:
+    """Raise ConfigurationError for a touch next to the body."""
     points, faces = surface.triangles()
     if np.isnan(heights(points[faces], np.array([[touch.x, touch.y]]))).any():
         (x, y, _), (end, far, _) = surface.bounds.tolist()
@@ -271,23 +272,23 @@ def require_above(surface: Surface, touch: Touch) -> None:
 
 
 def heights(triangles: Array, places: Array) -> Array:
-    """Greatest height of triangles (n, 3, 3) above places (k, 2) [m], (k,); NaN beside them."""
-    found = np.full(len(places), np.nan)
+    """Greatest height of triangles (n, 3, 3) above places (k, 2) [m], (k,); NaN next to them."""
+    heights_found = np.full(len(places), np.nan)
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     doubled = _cross(b - a, c - a)
     low, high = triangles[..., :2].min(axis=1), triangles[..., :2].max(axis=1)
     slack = 1e-9 * float(np.ptp(triangles[..., :2]))
     for k, place in enumerate(places):
         near = np.all((low <= place + slack) & (high >= place - slack), axis=1) & (doubled != 0.0)
-        one = _cross(place - a[near, :2], c[near] - a[near]) / doubled[near]
+        first_weight = _cross(place - a[near, :2], c[near] - a[near]) / doubled[near]
         other = _cross(b[near] - a[near], place - a[near, :2]) / doubled[near]
-        inside = (one >= -1e-9) & (other >= -1e-9) & (one + other <= 1.0 + 1e-9)
+        inside = (first_weight >= -1e-9) & (other >= -1e-9) & (first_weight + other <= 1.0 + 1e-9)
         if inside.any():
             first = a[near, 2][inside]
-            z = first + one[inside] * (b[near, 2][inside] - first)
+            z = first + first_weight[inside] * (b[near, 2][inside] - first)
             z += other[inside] * (c[near, 2][inside] - first)
-            found[k] = z.max()
-    return found
+            heights_found[k] = z.max()
+    return heights_found
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 _CELLS = 1200.0  # tetrahedra of a body far from clamps and touches, about
 _GROWTH = 0.7  # of their size, per distance from clamps and touches
 _PER_CUBE = 8.5  # tetrahedra in a cube of their edge length
-_MOST_CELLS = 20_000  # about 2 GB of memory and 20 s for each step of Newton's method
+_MAX_CELLS = 20_000  # about 2 GB of memory and 20 s for each step of Newton's method
 # Edges of a tetrahedron in the order of its edge functions.
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 _FEW, _MANY = 12, 200  # cells tried around a point, by the distance of their middles
@@ -42,7 +42,7 @@ class TetrahedralSolid:
         solid: the meshed body.
         facets: numbers of the boundary facets of the mesh.
         normals: their outward unit normals, (facets, 3).
-        middles: of these facets, (facets, 3) [m].
+        middles: middles of these facets, (facets, 3) [m].
     """
 
     def __init__(self, mesh: skfem.MeshTet, mechanics: Mechanics) -> None:
@@ -51,9 +51,9 @@ class TetrahedralSolid:
         Raises ConfigurationError for more cells than memory and time allow.
         """
         count = mesh.t.shape[1]
-        if count > _MOST_CELLS:
+        if count > _MAX_CELLS:
             raise ConfigurationError(
-                f"the body needs {count} tetrahedra for its bend or touches, at most {_MOST_CELLS} "
+                f"the body needs {count} tetrahedra for its bend or touches, at most {_MAX_CELLS} "
                 "are solved; use larger indenters, fewer touches, or a simpler surface"
             )
         self.solid = Solid(mesh, (mechanics.gel,), None, "solid", mechanics.bulk_ratio)
@@ -73,7 +73,7 @@ class TetrahedralSolid:
         )
 
 
-def surface_of(design: SensorDesign) -> Surface:
+def require_surface(design: SensorDesign) -> Surface:
     """Surface of a body; raises ConfigurationError for plane outlines."""
     if not isinstance(design.outline, Surface):
         raise ConfigurationError(
@@ -84,16 +84,16 @@ def surface_of(design: SensorDesign) -> Surface:
 
 def body_grading(design: SensorDesign, finest: float) -> Grading:
     """Default sizes of the tetrahedra of a body, `finest` [m] at clamps and touches."""
-    points, faces = surface_of(design).triangles()
+    points, faces = require_surface(design).triangles()
     a, b, c = points[faces].swapaxes(0, 1)
     volume = float(np.sum(a * np.cross(b, c))) / 6.0
     coarsest = (_PER_CUBE * volume / _CELLS) ** (1.0 / 3.0)
     return Grading(finest=min(finest, coarsest), coarsest=coarsest, growth=_GROWTH)
 
 
-def meshed(design: SensorDesign, grading: Grading, near: Array) -> skfem.MeshTet:
-    """Tetrahedra of a body, finest at points `near` (k, 3) [m]."""
-    points, cells = tetrahedral_body(design, grading, near)
+def mesh_body(design: SensorDesign, grading: Grading, fine_points: Array) -> skfem.MeshTet:
+    """Tetrahedra of a body, finest at points `fine_points` (k, 3) [m]."""
+    points, cells = tetrahedral_body(design, grading, fine_points)
     return skfem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(cells.T))
 
 
@@ -115,11 +115,11 @@ class TetrahedralField(Deformation):
     values: Array
     stress: Array
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
         flat = np.asarray(points, dtype=float).reshape(-1, 3)
         moved, F = np.empty_like(flat), np.empty((len(flat), 3, 3))
-        for part, cells, place in self._located(flat):
+        for part, cells, place in self._locate_points(flat):
             values = self.values[cells]
             slopes = self._inverse[cells]  # of the coordinates 1 to 3
             moved[part] = flat[part] + np.einsum("na,nai->ni", _shapes(place), values)
@@ -131,12 +131,12 @@ class TetrahedralField(Deformation):
     def mean_stress(self, points: Points) -> Array:
         """Mean stress [Pa] at undeformed points (..., 3) [m], (...), positive in tension."""
         flat = np.asarray(points, dtype=float).reshape(-1, 3)
-        found = np.empty(len(flat))
-        for part, cells, place in self._located(flat):
-            found[part] = np.einsum("na,na->n", place, self.stress[self.cells[cells]])
-        return found.reshape(np.shape(points)[:-1])
+        mean_stress = np.empty(len(flat))
+        for part, cells, place in self._locate_points(flat):
+            mean_stress[part] = np.einsum("na,na->n", place, self.stress[self.cells[cells]])
+        return mean_stress.reshape(np.shape(points)[:-1])
 
-    def _located(self, points: Array) -> Iterator[tuple[slice, Indices, Array]]:
+    def _locate_points(self, points: Array) -> Iterator[tuple[slice, Indices, Array]]:
         """Chunks of points, their cells (k,), and barycentric coordinates (k, 4) there."""
         for start in range(0, len(points), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
@@ -167,8 +167,8 @@ class TetrahedralField(Deformation):
     def _coordinates(self, points: Array, cells: Indices) -> Array:
         """Barycentric coordinates (..., 4) of points (..., 3) in cells (...)."""
         away = points - self.points[self.cells[cells, 0]]
-        rest = np.einsum("...bJ,...J->...b", self._inverse[cells], away)
-        return np.concatenate([1.0 - rest.sum(axis=-1, keepdims=True), rest], axis=-1)
+        coordinates = np.einsum("...bJ,...J->...b", self._inverse[cells], away)
+        return np.concatenate([1.0 - coordinates.sum(axis=-1, keepdims=True), coordinates], axis=-1)
 
     @cached_property
     def _size(self) -> float:

@@ -23,12 +23,12 @@ from eitskin.simulator.scene.indenters import Cylinder, Footprint, Indenter
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_BESIDE = 1e-4  # [m]; gradients of a solution in boxes jump between them
+_GRADIENT_OFFSET = 1e-4  # [m]; gradients of a solution in boxes jump between them
 _AXIS = 1e-9  # [m]
 _SHALLOW = 0.05  # depth of a flat punch over the thickness of the stack
 _ON_ROUNDING = 0.25  # of the rounding of an edge, that is not touched
-_CENTRED = 0.02  # distance of a punch's middle from its force, over its size
-_AT_ONCE = 8_000  # points, so that gathered splines stay small
+_MAX_OFF_CENTRE = 0.02  # distance of a punch's middle from its force, over its size
+_CHUNK_POINTS = 8_000  # points, so that gathered splines stay small
 _PARTS = 12  # of a facet that the rim may cut, along each side, with 2 x 2 points each
 
 
@@ -64,7 +64,7 @@ class ContactFrame:
         x, y: flat position of the axis [m].
         place: bent position of the touched point [m], (3,).
         rotation: R, its columns the tangents along x and y and the normal, (3, 3).
-        stretches: of the top along both tangents, (2,).
+        stretches: stretches of the top along both tangents, (2,).
     """
 
     x: float
@@ -74,10 +74,12 @@ class ContactFrame:
     stretches: Array
 
     @classmethod
-    def at(cls, bent: BentState | Deformation, x: float, y: float, stack: Stack) -> "ContactFrame":
+    def from_bent_top(
+        cls, bent: BentState | Deformation, x: float, y: float, stack: Stack
+    ) -> "ContactFrame":
         """Frame of the top of a bent stack under (x, y) [m]."""
         top = stack.levels[-1] - stack.levels[stack.gel]
-        beside = _BESIDE * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+        beside = _GRADIENT_OFFSET * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
         touched = np.array([x, y, top])
         around = np.concatenate([touched[:2] + beside, np.full((4, 1), top)], axis=1)
         F = bent.gradient(around).mean(axis=0)
@@ -92,12 +94,12 @@ class ContactFrame:
         """Normal of the bent top, (3,)."""
         return np.asarray(self.rotation[:, 2])
 
-    def stretched(self, points: Array) -> Array:
+    def stretch_points(self, points: Array) -> Array:
         """Points (..., 3) [m] with their distances from the axis as in the bent top."""
         axis = np.array([self.x, self.y, 0.0])
         return np.asarray(axis + (points - axis) * self._scale)
 
-    def turned(self, vectors: Array) -> Array:
+    def rotate_vectors(self, vectors: Array) -> Array:
         """Vectors (..., 3) of a dent in the directions of the bent top."""
         return np.asarray(vectors @ self.rotation.T)
 
@@ -109,11 +111,11 @@ class ContactFrame:
         """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the turned dent by flat areas."""
         return np.asarray(self.rotation @ stress * (np.prod(self._scale) / self._scale))
 
-    def flattened(self, points: Array) -> Array:
+    def flatten_points(self, points: Array) -> Array:
         """Positions (n, 3) [m] of points (n, 3) of the top that is pressed flat."""
-        away = self.stretched(points) - np.array([self.x, self.y, 0.0])
+        away = self.stretch_points(points) - np.array([self.x, self.y, 0.0])
         away[:, 2] = 0.0
-        return np.asarray(self.place + self.turned(away))
+        return np.asarray(self.place + self.rotate_vectors(away))
 
     @property
     def _scale(self) -> Array:
@@ -155,9 +157,9 @@ class DentField:
 
     Attributes:
         x, y: position of the axis [m].
-        indenter: that presses.
+        indenter: indenter that presses.
         press: the axisymmetric solution.
-        frame: of a bent stack, to which the dent is turned; None on a flat one.
+        frame: frame of a bent stack, to which the dent is turned; None on a flat one.
     """
 
     x: float
@@ -180,9 +182,9 @@ class DentField:
         """Distance of points (..., 2) from the axis within the contact to its rim [m]."""
         return np.asarray(self.contact_radius - np.linalg.norm(away, axis=-1))
 
-    def held(self, away: Array) -> Array:
+    def constraint_projections(self, away: Array) -> Array:
         """Projections (..., 3, 3) on the directions in which points are held; (3, 3) for all."""
-        return _held(self.indenter, away, np.linalg.norm(away, axis=-1))
+        return _constraint_projections(self.indenter, away, np.linalg.norm(away, axis=-1))
 
     @property
     def contact_radius(self) -> float:
@@ -190,26 +192,26 @@ class DentField:
         moved = self.press.r + self.press.displacement[:, -1, 0]
         return float(np.interp(self.press.contact_radius, moved, self.press.r))
 
-    def at(self, points: Array) -> FieldValues:
+    def evaluate(self, points: Array) -> FieldValues:
         """Values at points (n, 3), heights over the base of the stack [m]."""
-        return self.turned(self.level(points))
+        return self.rotate_values(self.level(points))
 
     def level(self, points: Array) -> FieldValues:
         """Values at points (n, 3) in directions of the flat stack, as the dent was solved."""
         if self.frame is not None:
-            points = self.frame.stretched(points)
+            points = self.frame.stretch_points(points)
         parts = [
-            self._part(points[start : start + _AT_ONCE])
-            for start in range(0, max(len(points), 1), _AT_ONCE)
+            self._part(points[start : start + _CHUNK_POINTS])
+            for start in range(0, max(len(points), 1), _CHUNK_POINTS)
         ]
         return FieldValues(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
-    def turned(self, level: FieldValues) -> FieldValues:
+    def rotate_values(self, level: FieldValues) -> FieldValues:
         """Values of the flat stack turned to the frame."""
         if self.frame is None:
             return level
         u, G, p = level
-        return FieldValues(self.frame.turned(u), self.frame.gradient(G), p)
+        return FieldValues(self.frame.rotate_vectors(u), self.frame.gradient(G), p)
 
     def nominal(self, stress: Array) -> Array:
         """Stress [Pa] (..., 3, 3) of the dent as solved, turned to its frame."""
@@ -246,16 +248,16 @@ class DentField:
 
     def _mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], (n,): linear over the height within each layer."""
-        found = np.empty(len(r))
-        layer = self.press.stack.layer_at(z)
+        mean_stress = np.empty(len(r))
+        layer = self.press.stack.layer_number(z)
         for k, (heights, spline) in enumerate(_splines(self.press).stressed):
             here = np.flatnonzero(layer == k)
             cell = np.clip(np.searchsorted(heights, z[here]) - 1, 0, len(heights) - 2)
             t = (z[here] - heights[cell]) / np.diff(heights)[cell]
             values = spline(r[here])
             rows = np.arange(len(here))
-            found[here] = (1.0 - t) * values[rows, cell] + t * values[rows, cell + 1]
-        return found
+            mean_stress[here] = (1.0 - t) * values[rows, cell] + t * values[rows, cell + 1]
+        return mean_stress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,9 +267,9 @@ class PunchedArea:
     Attributes:
         x, y: where its force acts [m].
         indenter: its footprint.
-        force: on it [N].
-        thickness: of the stack [m].
-        frame: of a bent stack; None on a flat one.
+        force: force on it [N].
+        thickness: thickness of the stack [m].
+        frame: frame of a bent stack; None on a flat one.
     """
 
     x: float
@@ -314,11 +316,11 @@ class PunchedArea:
         """Distance of points (..., 2) from its place within the footprint to its edge [m]."""
         return self.indenter.depth_inside(away @ self.indenter.rotation) - self.inset
 
-    def held(self, away: Array) -> Array:  # noqa: ARG002
+    def constraint_projections(self, away: Array) -> Array:  # noqa: ARG002
         """Directions in which all points are held, (3, 3)."""
         return np.diag([*[float(self.indenter.rough)] * 2, 1.0])
 
-    def require_on(self, outline: PlaneOutline, margin: float) -> None:
+    def require_room(self, outline: PlaneOutline, margin: float) -> None:
         """Raise ConfigurationError for a punch that overhangs the stack or would tilt."""
         corners = self.indenter.outline @ self.indenter.rotation.T + np.array([self.x, self.y])
         if not outline.contains(corners, -margin).all():
@@ -327,7 +329,7 @@ class PunchedArea:
                 f"{1e3 * margin:g} mm beyond the gel; press farther in"
             )
         middle = self.indenter.middle
-        if np.linalg.norm(middle) > _CENTRED * self.contact_radius:
+        if np.linalg.norm(middle) > _MAX_OFF_CENTRE * self.contact_radius:
             raise ConfigurationError(
                 "a flat punch whose force acts off its middle tilts, which is not solved in 3D: "
                 f"its corners are about {np.round(middle, 6).tolist()} m; place them about their "
@@ -355,10 +357,10 @@ def held_contact(
     Args:
         solid: the body.
         facets: boundary facets of its mesh that the contact may reach.
-        dent: of the indenter.
+        dent: dent of the indenter.
         within: the rim of the undeformed contact, by which the springs end before it [m].
-        stiffness: of the springs [Pa/m].
-        numbers: of the contact, among those of the solid, and of all of these.
+        stiffness: stiffness of the springs [Pa/m].
+        numbers: numbers of the contact, among those of the solid, and of all of these.
         given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
     """
     number, contacts = numbers
@@ -369,7 +371,7 @@ def held_contact(
     face = Face(solid, facets, _composite_rule(), solid.unknowns + number, turn[:, 2])
     away = (face.points[..., :2] - np.array([dent.x, dent.y])) * stretches
     face.weights *= dent.inside(away) > within
-    held = stiffness * (turn @ dent.held(away) @ turn.T)
+    held = stiffness * (turn @ dent.constraint_projections(away) @ turn.T)
     at_rest = np.zeros(size)
     if given is not None:
         g = given(face.points.reshape(-1, 3)).reshape(face.points.shape)
@@ -385,12 +387,12 @@ def _composite_rule() -> tuple[Array, Array]:
     return points, np.full(points.shape[1], 1.0 / points.shape[1])
 
 
-def _held(indenter: Indenter, away: Array, r: Array) -> Array:
+def _constraint_projections(indenter: Indenter, distances: Array, r: Array) -> Array:
     """Projections (facets, q, 3, 3) on the directions in which points are held; (3, 3) for all."""
     if indenter.rough:
         return np.eye(3)
     slope = indenter.profile(r)[1]
-    sideways = -(slope / np.maximum(r, 1e-12))[..., None] * away
+    sideways = -(slope / np.maximum(r, 1e-12))[..., None] * distances
     normal = np.concatenate([sideways, np.ones_like(r)[..., None]], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     projections: Array = normal[..., :, None] * normal[..., None, :]

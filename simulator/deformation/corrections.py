@@ -26,10 +26,10 @@ from eitskin.simulator.deformation.node_sums import (
     MIRRORED_X,
     MIRRORED_Y,
     NodeSums,
-    functions_from,
+    basis_values,
     sum_of,
 )
-from eitskin.simulator.deformation.outline_sides import SideFade, sides_of
+from eitskin.simulator.deformation.outline_sides import SideFade, sides_in_reach
 from eitskin.simulator.deformation.press_table import indenter_samples
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid, StackGrid
 from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report, load_or_solve
@@ -41,11 +41,11 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.floating]
 Indices = NDArray[np.int64]
 
-# Over the thickness of the stack: length of a rectangle, so that its ends do not feel each other,
+# Over the thickness of the stack: length of a rectangle, so that its ends do not affect each other,
 # radius of a disc, so that there are several distances from the rim, and extent of other outlines.
 _SHORTEST, _SMALLEST, _NARROWEST = 8.0, 1.0, 2.0
-_BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
-_SAME = 1e-9  # [m]
+_DEPTH_MARGIN = 0.02  # of the deepest solved press, by which another may be deeper
+_TOLERANCE = 1e-9  # [m]
 _NODES, _FEWEST = 0.18, 12  # of sums along each side, over the thickness of the stack
 _WORKERS = os.cpu_count() or 1
 _Straight = Rectangle | Polygon
@@ -139,7 +139,7 @@ class TabledSensor:
         kinds = ("strip", "end") if has_strip(self.design) else ()
         return [self.problem(kind, stack) for kind in kinds]
 
-    def varied(self, stack: Stack) -> Problem:
+    def stack_table(self, stack: Stack) -> Problem:
         """Table of single presses that is interpolated between stacks."""
         return self.problem("disc" if isinstance(self.design.outline, Disc) else "side", stack)
 
@@ -153,7 +153,7 @@ class TabledSensor:
 
         On a rectangle with tables of its own, differences to the solved stack suffice.
         """
-        base, weights = StackGrid.around(self.design, self.mechanics, grid).base_and_weights()
+        base, weights = StackGrid.from_design(self.design, self.mechanics, grid).base_and_weights()
         if has_strip(self.design):
             weights[base] = weights.get(base, 0.0) - 1.0
             weights = {} if len(weights) == 1 else weights
@@ -162,11 +162,11 @@ class TabledSensor:
 
 def _solve(
     solve: Callable[..., SolutionTable],
-    about: Indentations,
+    case: Indentations,
     sizes: tuple[float, ...],
     report: Report,
 ) -> Arrays:
-    return solve(about, *sizes, report, _WORKERS).arrays()
+    return solve(case, *sizes, report, _WORKERS).arrays()
 
 
 @lru_cache(maxsize=64)
@@ -184,10 +184,10 @@ def correction_problems(
     """
     if not is_tabulable(design):
         return ()
-    sensor = TabledSensor(on_even_base(design), mechanics, indenter.corrected)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter.correction_indenter)
     base, weights = sensor.stacks(grid)
-    found = [*sensor.singles(base), *(sensor.varied(stack) for stack in weights)]
-    return (*found, *(sensor.pairs(base) if pairs else ()))
+    problems = [*sensor.singles(base), *(sensor.stack_table(stack) for stack in weights)]
+    return (*problems, *(sensor.pairs(base) if pairs else ()))
 
 
 @lru_cache(maxsize=64)
@@ -195,13 +195,13 @@ def corrections(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> "Corrections":
     """Corrections on a design that `is_tabulable`; those not stored take minutes to solve."""
-    sensor = TabledSensor(on_even_base(design), mechanics, indenter.corrected)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter.correction_indenter)
     base, weights = sensor.stacks(grid)
     return Corrections(
         design,
         tuple(map(load_table, sensor.singles(base))),
-        None if has_strip(design) and not weights else load_table(sensor.varied(base)),
-        tuple((load_table(sensor.varied(stack)), each) for stack, each in weights.items()),
+        None if has_strip(design) and not weights else load_table(sensor.stack_table(base)),
+        tuple((load_table(sensor.stack_table(stack)), each) for stack, each in weights.items()),
         mechanics.gel.shear_modulus,
     )
 
@@ -211,7 +211,7 @@ def load_table(problem: Problem) -> SolutionTable:
     return load_or_solve(problem, SolutionTable.from_arrays)
 
 
-def sums_on(design: SensorDesign, scenes: int, components: int) -> NodeSums:
+def rectangle_sums(design: SensorDesign, scenes: int, components: int) -> NodeSums:
     """Sums for corrections of scenes on a long rectangle, whose nodes are denser towards its sides.
 
     Components are the displacement and, as the fourth, the mean stress, as cubics over the height.
@@ -231,9 +231,9 @@ class Corrections:
     """Corrections of presses on one sensor by tables of solved stacks.
 
     Attributes:
-        design: of the sensor.
+        design: design of the sensor.
         strip: tables of a strip and of its end, for a long rectangle; else none.
-        base: table beside one side or on a disc of the solved stack next to the sensor's; None
+        base: table next to one side or on a disc of the solved stack next to the sensor's; None
             where the strip's suffice.
         varied: such tables of solved stacks with weights, which add up to 1, or with a strip to 0.
         modulus: shear modulus of the gel; that of the tables when omitted [Pa].
@@ -260,15 +260,15 @@ class Corrections:
         """Raise ConfigurationError for a depth [m] beyond the tables."""
         higher = self.design.thickness / self.first.size("height")
         deepest = higher * float(self.first.nodes("depth")[-1])
-        if depth > deepest * (1.0 + _BEYOND):
+        if depth > deepest * (1.0 + _DEPTH_MARGIN):
             raise ConfigurationError(
                 f"touches are tabulated to a depth of {1e3 * deepest:.2f} mm, got "
                 f"{1e3 * depth:.2f} mm; press less, or solve scenes with touch_model='solved'"
             )
 
-    def at(self, x: float, y: float, depth: float) -> PressCorrection:
+    def correct_press(self, x: float, y: float, depth: float) -> PressCorrection:
         """Correction of one press at (x, y) to a depth [m], as of `evaluate`."""
-        sums = sums_on(self.design, 1, 4) if self.strip else None
+        sums = rectangle_sums(self.design, 1, 4) if self.strip else None
         fields, extra = self.evaluate(np.array([[x, y, depth]]), np.zeros(1, int), sums)
         summed = sums.fields(self.design.thickness, self.scales) if sums else []
         return PressCorrection([*summed, *fields[0]], float(extra[0]))
@@ -290,9 +290,11 @@ class Corrections:
         if self.strip and isinstance(outline, Rectangle):
             scenes = np.zeros(len(places), int) if scenes is None else scenes
             extra = self._on_strip(outline, places, scenes, sums)
-            return [[] for _ in places], extra + self._beside_rectangle(places, scenes, sums)
-        one = self._on_disc if isinstance(outline, Disc) else self._beside_sides
-        found = [one(*place) for place in places.tolist()]
+            return [[] for _ in places], extra + self._rectangle_side_corrections(
+                places, scenes, sums
+            )
+        press = self._on_disc if isinstance(outline, Disc) else self._straight_side_correction
+        found = [press(*place) for place in places.tolist()]
         return [each.fields for each in found], np.array([each.extra_depth for each in found])
 
     def _on_strip(
@@ -307,7 +309,7 @@ class Corrections:
         amounts, extra = table.amounts([1.0], height, **pressed)
         if sums:
             bases = tables.strip_bases(H, outline.width)
-            along = functions_from(bases[0], sums.nodes[0], x)
+            along = basis_values(bases[0], sums.nodes[0], x)
             sums.add(table.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)
         distance = np.stack([x, outline.length - x])
         far, near = np.nonzero(distance < end.nodes("distance_to_end")[-1])
@@ -322,8 +324,10 @@ class Corrections:
             sums.add(table.modes, amounts, along, across, scenes[near], image)
         return extra
 
-    def _beside_rectangle(self, places: Array, scenes: Indices, sums: NodeSums | None) -> Array:
-        """Corrections beside the sides in reach, each of which is as one without ends.
+    def _rectangle_side_corrections(
+        self, places: Array, scenes: Indices, sums: NodeSums | None
+    ) -> Array:
+        """Corrections next to the sides in reach, each of which is as one without ends.
 
         A right corner throws back all of a side's field; the share of its images is left out, since
         all this is a difference to a solved strip.
@@ -349,18 +353,20 @@ class Corrections:
         for upright in (0, 1):  # along y the components along x and y change places
             here = np.flatnonzero(side // 2 == upright)
             s, p, nodes = side[here], press[here], sums.nodes
-            own = functions_from(along, nodes[upright], foot[s, p])
+            own = basis_values(along, nodes[upright], foot[s, p])
             factors = [own, inward.dense(nodes[1 - upright])]
-            modes, factors = (table.turned, factors[::-1]) if upright else (table.modes, factors)
+            modes, factors = (
+                (table.transposed_modes, factors[::-1]) if upright else (table.modes, factors)
+            )
             if len(here):
                 sums.add(modes, amounts[here], factors[0], factors[1], scenes[p], images[s])
         return extra
 
-    def _beside_sides(self, x: float, y: float, depth: float) -> PressCorrection:
-        """Sum of corrections beside the sides in reach, each without ends but for its fade."""
+    def _straight_side_correction(self, x: float, y: float, depth: float) -> PressCorrection:
+        """Sum of corrections next to the sides in reach, each without ends but for its fade."""
         base, outline = self.first, self.design.outline
         reach = float(base.nodes("distance_to_side")[-1])
-        sides = list(sides_of(outline, x, y, reach)) if isinstance(outline, _Straight) else []
+        sides = list(sides_in_reach(outline, x, y, reach)) if isinstance(outline, _Straight) else []
         thickness = self.design.encapsulated_thickness
         sides += [image for side in sides for image in side.corner_images(reach, thickness)]
         if not sides:
@@ -379,7 +385,7 @@ class Corrections:
             fade = SideFade(side, middle, thickness)
             parts = side.share * coefficients
             fields.append(Field(bases, self.design.thickness, parts, frame, fade))
-            sunk += more * fade.at_press() if side.ends else 0.0
+            sunk += more * fade.press_fraction() if side.ends else 0.0
         return PressCorrection(fields, sunk)
 
     def _on_disc(self, x: float, y: float, depth: float) -> PressCorrection:
@@ -387,15 +393,15 @@ class Corrections:
         radius, height = 0.5 * self.design.outline.length, self.design.thickness
         distance = math.dist((x, y), (radius, radius))
         cos, sin = 1.0, 0.0
-        if distance > _SAME:
+        if distance > _TOLERANCE:
             cos, sin = (x - radius) / distance, (y - radius) / distance
         frame, fields, extra = Frame(radius, radius, cos, sin), [], 0.0
         pressed = {"distance_to_side": np.array([radius - distance]), "depth": np.array([depth])}
         for table, weight in self.varied:
             # A press beyond the middle is one on this side, turned by half a turn.
-            both = sum_of(table, (table,), 4, (DIRECT, BOTH_MIRRORED))
-            amounts, more = both.amounts([weight], height, **pressed)
-            coefficients = both.fields(amounts)[0] * self.scales
+            mirror_sums = sum_of(table, (table,), 4, (DIRECT, BOTH_MIRRORED))
+            amounts, more = mirror_sums.amounts([weight], height, **pressed)
+            coefficients = mirror_sums.fields(amounts)[0] * self.scales
             splines = CubicSplines(table.sizes["nodes"])
             fields.append(Field((splines, splines), height, coefficients, frame))
             extra += float(more[0])

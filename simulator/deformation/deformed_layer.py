@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift
 from eitskin.geometry.deformation.kinematics import (
     WHOLE_TENSOR,
@@ -28,9 +28,9 @@ class DeformedLayer:
     """Deformed layer in flat coordinates.
 
     Attributes:
-        design: of the sensor.
-        deformation: of the flat layer; None where the layer stays flat.
-        piezoresistivity: of the gel.
+        design: design of the sensor.
+        deformation: deformation of the flat layer; None where the layer stays flat.
+        piezoresistivity: piezoresistivity of the gel.
         mean_stress: function of flat points, positive in tension [Pa]; zero when omitted.
         shift: map from a nominal sensor, on whose points all else is then given; none when omitted.
     """
@@ -57,7 +57,7 @@ class DeformedLayer:
         At flat points x (..., 3) [m].
         """
         own = x if self.shift is None else self.shift.positions(x)
-        sigma = self.design.conductivity_at(own)
+        sigma = self.design.evaluate_conductivity(own)
         factors = self._gradients(x)
         if not factors:
             unit: Array = sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -65,15 +65,15 @@ class DeformedLayer:
         if self.deformation is not None and self.piezoresistivity != Piezoresistivity():
             stress = self.mean_stress(own) if self.mean_stress else 0.0
             sigma = sigma * self.piezoresistivity.factor(np.linalg.det(factors[0]), stress)
-        kernels = compiled(KERNELS)
-        found = np.empty((*sigma.shape, 6))
+        kernels = compiled_kernels(KERNELS)
+        entries = np.empty((*sigma.shape, 6))
         if kernels is not None:
             first, *shift = (np.ascontiguousarray(F).reshape(-1, 9) for F in factors)
             after = shift[0] if shift else np.empty((0, 9))
-            if not kernels.pull_back(first, after, sigma.ravel(), found.reshape(-1, 6)):
-                return found
-        np.multiply(sigma[..., None], pulled_back_entries(reduce(np.matmul, factors)), out=found)
-        return found
+            if not kernels.pull_back(first, after, sigma.ravel(), entries.reshape(-1, 6)):
+                return entries
+        np.multiply(sigma[..., None], pulled_back_entries(reduce(np.matmul, factors)), out=entries)
+        return entries
 
     def _gradients(self, x: Array) -> list[Array]:
         """Gradients (..., 3, 3) whose product is that of the map from nominal to deformed points.

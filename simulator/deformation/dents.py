@@ -7,11 +7,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points
 from eitskin.simulator.deformation.contact import ContactFrame
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.press_table import TabulatedDent, powers_of
+from eitskin.simulator.deformation.press_table import TabulatedDent, dent_powers
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class ColumnField(Protocol):
         """Displacement [m] and mean stress [Pa], (4, h, n)."""
         ...
 
-    def moved(self, columns: Array) -> Array:
+    def displacement_and_gradient(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n)."""
         ...
 
@@ -39,10 +39,10 @@ class PlacedDent:
     y: float
     dent: TabulatedDent
 
-    def moved(self, columns: Array) -> Array:
+    def displacement_and_gradient(self, columns: Array) -> Array:
         """Displacement [m] and its derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
         moved, heights = np.zeros((12, columns.shape[1], len(columns))), columns[..., 2]
-        near, (dx, dy), r = self._around(columns)
+        near, (dx, dy), r = self._columns_near(columns)
         motion = np.moveaxis(self.dent.motion(r, heights[near]), (1, 2, 0), (0, 1, 2))
         u, w, u_z, w_z, u_r, w_r = motion
         # Only the direction (c, s) depends on the azimuth.
@@ -53,21 +53,21 @@ class PlacedDent:
         moved[..., near] = np.stack([c * u, s * u, w, *across, *along, c * w_r, s * w_r, w_z])
         return moved
 
-    def add_to(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
+    def accumulate(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
         """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
         dent, place = self.dent, (float(self.x), float(self.y))
         kernels.add_dent(
-            place, dent.thickness, dent.profile.x, powers_of(dent), _HAIR, points, places, F
+            place, dent.thickness, dent.profile.x, dent_powers(dent), _HAIR, points, places, F
         )
 
     def values(self, columns: Array) -> Array:
         """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3)."""
-        near, _, r = self._around(columns)
+        near, _, r = self._columns_near(columns)
         stress = np.zeros((1, columns.shape[1], len(columns)))
         stress[0, :, near] = self.dent.mean_stress(r, columns[near, :, 2])
-        return np.concatenate([self.moved(columns)[:3], stress])
+        return np.concatenate([self.displacement_and_gradient(columns)[:3], stress])
 
-    def _around(self, columns: Array) -> tuple[NDArray[np.bool_], tuple[Array, Array], Array]:
+    def _columns_near(self, columns: Array) -> tuple[NDArray[np.bool_], tuple[Array, Array], Array]:
         """Columns in reach, their offsets along x and y, and their distances from the axis [m].
 
         Points on the axis are moved aside by a hair.
@@ -87,33 +87,34 @@ class Dents(Deformation):
 
     Attributes:
         presses: the dents.
-        corrections: of the dents in the finite stack; displacement [m] and mean stress [Pa].
+        corrections: corrections of the dents in the finite stack; displacement [m] and mean stress
+            [Pa].
     """
 
     presses: tuple[PlacedDent, ...]
     corrections: tuple[ColumnField, ...] = ()
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        if kernels := compiled(KERNELS):
-            return self._mapped_by(kernels, points)
+        if kernels := compiled_kernels(KERNELS):
+            return self._map_with_kernels(kernels, points)
         columns, shape = _columns(points), points.shape[:-1]
         moved = np.zeros((12, columns.shape[1], len(columns)))
         for field in (*self.corrections, *self.presses):
-            moved += field.moved(columns)
+            moved += field.displacement_and_gradient(columns)
         moved[3::4] += 1.0  # the diagonal of F
         moved = moved.swapaxes(-2, -1)
         positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
         return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
 
-    def _mapped_by(self, kernels: ModuleType, points: Points) -> tuple[Points, Gradients]:
+    def _map_with_kernels(self, kernels: ModuleType, points: Points) -> tuple[Points, Gradients]:
         flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         places, F = flat.copy(), np.tile(np.eye(3).ravel(), (len(flat), 1))
         for field in (*self.corrections, *self.presses):
             if isinstance(field, Field | PlacedDent):
-                field.add_to(kernels, flat, places, F)
+                field.accumulate(kernels, flat, places, F)
             else:
-                moved = field.moved(flat[:, None])[:, 0].T
+                moved = field.displacement_and_gradient(flat[:, None])[:, 0].T
                 places, F = places + moved[:, :3], F + moved[:, 3:]
         return places.reshape(points.shape), F.reshape(*points.shape, 3)
 
@@ -133,7 +134,7 @@ class BentPresses(Deformation):
     All displacements are added up.
 
     Attributes:
-        bend: of the untouched layer.
+        bend: bend of the untouched layer.
         presses: dents with their frames.
         correction: displacement [m] and mean stress [Pa], without dents of its own.
     """
@@ -142,16 +143,16 @@ class BentPresses(Deformation):
     presses: tuple[tuple[ContactFrame, TabulatedDent], ...]
     correction: Dents
 
-    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+    def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
-        positions, F = self.bend.mapped(points)
-        corrected, slope = self.correction.mapped(points)
+        positions, F = self.bend.map_points(points)
+        corrected, slope = self.correction.map_points(points)
         positions = positions + (corrected - points)
         F = F + (slope - np.eye(3))
         for frame, dents in self._dents():
-            stretched = frame.stretched(points)
-            pressed, slope = dents.mapped(stretched)
-            positions = positions + frame.turned(pressed - stretched)
+            stretched = frame.stretch_points(points)
+            pressed, slope = dents.map_points(stretched)
+            positions = positions + frame.rotate_vectors(pressed - stretched)
             F = F + frame.gradient(slope - np.eye(3))
         return positions, F
 
@@ -159,7 +160,7 @@ class BentPresses(Deformation):
         """Mean stress by the presses [Pa] at flat points (..., 3) [m], (...)."""
         stress = self.correction.mean_stress(points)
         for frame, dents in self._dents():
-            stress = stress + dents.mean_stress(frame.stretched(points))
+            stress = stress + dents.mean_stress(frame.stretch_points(points))
         return stress
 
     def _dents(self) -> list[tuple[ContactFrame, Dents]]:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 _DEGREE = 3
 _UPRIGHT = 4  # polynomials over the height that the kernel takes
-_SAME = 1e-9
+_KNOT_TOLERANCE = 1e-9
 _VALUE = (0, 0)  # orders of derivatives by x and y
 
 
@@ -100,7 +100,7 @@ class Polynomials:
     def dense(self, x: Array) -> Array:
         """All polynomials at points (m,), (m, count)."""
         s = (2.0 * x - self.low - self.high) / (self.high - self.low)
-        outside = np.abs(s) > 1.0 + _SAME
+        outside = np.abs(s) > 1.0 + _KNOT_TOLERANCE
         s = np.clip(s, -1.0, 1.0)
         if self.stretch:
             s = np.arcsinh(s * math.sinh(self.stretch)) / self.stretch
@@ -139,8 +139,8 @@ class Field:
 
     Attributes:
         bases: along x and y of the frame.
-        height: of the box, from 0 [m].
-        coefficients: of k components, (nx, ny, nz, k).
+        height: height of the box, from 0 [m].
+        coefficients: coefficients of k components, (nx, ny, nz, k).
         frame: about the middle of the box, at whose sides the field ends. None for the sensor's
             own, in which the bases say what is beyond.
         fade: factor of the field; 1 when omitted.
@@ -180,14 +180,14 @@ class Field:
     def on_grid(self, x: Array, y: Array, z: Array) -> Array:
         """All components (nx, ny, nz, k) on a grid of the sensor's own frame [m]."""
         along, across = (basis.dense(at) for basis, at in zip(self.bases, (x, y), strict=True))
-        heights = self._over_height(z)[0]
+        heights = self._height_polynomials(z)[0]
         return np.asarray(
             np.einsum(
                 "ai,bj,cl,ijlk->abck", along, across, heights, self.coefficients, optimize=True
             )
         )
 
-    def turned(self, rotation: Array) -> "Field":
+    def rotate(self, rotation: Array) -> "Field":
         """The field whose displacements (3,) are turned by a rotation (3, 3) at their places."""
         if self.frame is not None:
             c, s = self.frame.cos, self.frame.sin
@@ -201,7 +201,7 @@ class Field:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
         x, y, within = self._in_frame(columns)
         sums = self._in_plane(x, y, self.coefficients, _VALUE)
-        heights, _ = self._over_height(columns[..., 2])
+        heights, _ = self._height_polynomials(columns[..., 2])
         values = np.einsum("nzk,nhz->khn", sums[:, 0], heights) * within
         if self.frame is not None:
             c, s = self.frame.cos, self.frame.sin
@@ -210,7 +210,7 @@ class Field:
             values *= self.fade.weight(x, y)[0]
         return np.asarray(values)
 
-    def moved(self, columns: Array) -> Array:
+    def displacement_and_gradient(self, columns: Array) -> Array:
         """Displacements [m] and their derivatives by x, y, z, (12, h, n), at columns (n, h, 3)."""
         moved = self._moved_plainly(columns)
         if self.fade is not None:
@@ -224,10 +224,10 @@ class Field:
             moved[:3] *= weight
         return moved
 
-    def add_to(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
+    def accumulate(self, kernels: ModuleType, points: Array, places: Array, F: Array) -> None:
         """Add the displacement to places (n, 3) [m], and its gradient to F (n, 9), at points."""
         if self.fade is not None or self.coefficients.shape[2] > _UPRIGHT:
-            moved = self.moved(points[:, None])[:, 0].T
+            moved = self.displacement_and_gradient(points[:, None])[:, 0].T
             places += moved[:, :3]
             F += moved[:, 3:]
             return
@@ -235,17 +235,17 @@ class Field:
         if self.frame is not None:
             frame, half = self.frame, (self.bases[0].ends[1], self.bases[1].ends[1])
         kernels.add_field(
-            tuple(map(float, frame)), half, self.height, *powers_of(self), points, places, F
+            tuple(map(float, frame)), half, self.height, *field_powers(self), points, places, F
         )
 
     def _moved_plainly(self, columns: Array) -> Array:
         x, y, within = self._in_frame(columns)
         places, orders = (x[within], y[within]), (_VALUE, (1, 0), (0, 1))
         sums = self._in_plane(*places, self.coefficients[..., :3], *orders)
-        heights, rates = self._over_height(columns[within, :, 2])
+        heights, rates = self._height_polynomials(columns[within, :, 2])
         parts = ((0, heights), (1, heights), (2, heights), (0, rates))
-        found = [np.einsum("nzk,nhz->khn", sums[:, part], height) for part, height in parts]
-        u, G = found[0], np.stack(found[1:], axis=1)
+        terms = [np.einsum("nzk,nhz->khn", sums[:, part], height) for part, height in parts]
+        u, G = terms[0], np.stack(terms[1:], axis=1)
         if self.frame is not None:
             c, s = self.frame.cos, self.frame.sin
             Q = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -280,10 +280,10 @@ class Field:
         if orders != (_VALUE,):
             raise TypeError("only splines have slopes; `NodeSums` makes them of polynomials")
         lines = along.dense(x), across.dense(y)
-        found = np.einsum("ni,nj,ijzk->nzk", *lines, coefficients, optimize=True)
-        return np.asarray(found[:, None])
+        powers = np.einsum("ni,nj,ijzk->nzk", *lines, coefficients, optimize=True)
+        return np.asarray(powers[:, None])
 
-    def _over_height(self, z: Array) -> tuple[Array, Array]:
+    def _height_polynomials(self, z: Array) -> tuple[Array, Array]:
         """Legendre polynomials (..., nz) at heights z (...), and their derivatives [1/m]."""
         degree = self.coefficients.shape[2] - 1
         s = np.clip(2.0 * z / self.height - 1.0, -1.0, 1.0)
@@ -294,7 +294,7 @@ class Field:
 
 
 @lru_cache(maxsize=16)  # cells and contacts of a mesh, and scenes of one bend, follow each other
-def powers_of(field: Field) -> tuple[Array, Array, Array]:
+def field_powers(field: Field) -> tuple[Array, Array, Array]:
     """Knots along x and y, and coefficients (nx, ny, 12) of the powers 0 to 3 of the level.
 
     Levels go from -1 to 1 over the height; each power has the three components of the

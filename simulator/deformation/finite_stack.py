@@ -73,7 +73,7 @@ _TOLERANCE = 1e-2  # of the last correction; the error is its square
 _NEGLIGIBLE = 1e-4
 _FIRST_STEP, _REMEDY = 0.25, "Press it less, or farther from its edge"
 # Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
-_MOST_UNKNOWNS = 250_000
+_MAX_UNKNOWNS = 250_000
 _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _MAX_SCENES = 64  # in memory
 
@@ -87,7 +87,7 @@ class Correction:
         mean_stress: function of points, q in the gel [Pa], heights over the base.
         bottom: height of the gel's lower face over the base [m].
         sunk: by which each indenter sinks deeper than in the unbounded stack, (presses,) [m].
-        unknowns: of the solid, from which a neighbouring correction may start.
+        unknowns: unknowns of the solid, from which a neighbouring correction may start.
     """
 
     displacement: QuadraticField
@@ -98,7 +98,7 @@ class Correction:
 
     def in_gel(self, points: Array) -> Array:
         """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
-        over_base = self._over_base(points)
+        over_base = self._heights_from_base(points)
         return np.concatenate(
             [self.displacement(over_base), self.mean_stress(over_base)[..., None]], axis=-1
         )
@@ -107,14 +107,14 @@ class Correction:
         """c [m] and q [Pa], (4, h, n), at columns of points (n, h, 3) [m]."""
         return np.ascontiguousarray(self.in_gel(columns).transpose(2, 1, 0))
 
-    def moved(self, columns: Array) -> Array:
+    def displacement_and_gradient(self, columns: Array) -> Array:
         """c and its derivatives by x, y, z, (12, h, n), at columns of points (n, h, 3) [m]."""
-        points = self._over_base(columns)
+        points = self._heights_from_base(columns)
         slopes = self.displacement.derivative(points).reshape(*columns.shape[:2], 9)
         moved: Array = np.concatenate([self.displacement(points), slopes], axis=-1)
         return moved.transpose(2, 1, 0)
 
-    def _over_base(self, points: Array) -> Array:
+    def _heights_from_base(self, points: Array) -> Array:
         return np.asarray(points + np.array([0.0, 0.0, self.bottom]))
 
 
@@ -144,7 +144,7 @@ class DentedSolid(Solid):
         self._given_stress = mean_stress.reshape(self.weights.shape)
         self._last = None
 
-    def residual_of(
+    def state_residual(
         self,
         gradient: Array,
         mean_stress: Array,
@@ -161,7 +161,7 @@ class DentedSolid(Solid):
             cells = law_of_cell == k
             G, p = gradient.reshape(*shape, 3, 3)[cells], mean_stress.reshape(shape)[cells]
             P[cells], dilation[cells] = self.stress_and_dilation(k, G, p)
-        return self._integrated(nominal(P) if nominal else P, dilation, self.unknowns)
+        return self._integrate(nominal(P) if nominal else P, dilation, self.unknowns)
 
     def stress_and_dilation(self, law: int, gradient: Array, p: Array) -> tuple[Array, Array]:
         """First Piola-Kirchhoff stress [Pa] and volume error of a state G (..., 3, 3), p (...)."""
@@ -173,8 +173,8 @@ class DentedSolid(Solid):
         dilation = J - 1.0 - p / ((self.bulk_ratio - self.direct_ratio) * mu)
         return self.laws[law].stress(F) + mean[..., None, None] * H, dilation
 
-    def _strained(self, x: Array) -> StrainState:
-        moved = super()._strained(x)
+    def _evaluate_strain(self, x: Array) -> StrainState:
+        moved = super()._evaluate_strain(x)
         F = moved.F + self._gradient
         H = cofactor(F)
         J = determinant(F, H)
@@ -189,22 +189,22 @@ class FiniteStack:
         solid: the meshed stack about the dents.
     """
 
-    def __init__(self, body: StackMesh, presses: int = 1, bent: BentState | None = None) -> None:
+    def __init__(self, body: StackMesh, presses: int = 1, bend: BentState | None = None) -> None:
         """Number the unknowns of a number of presses on a mesh that is refined for them.
 
-        The stack is pressed in its state `bent`, or flat. Raises ConfigurationError for more
+        The stack is pressed in its state `bend`, or flat. Raises ConfigurationError for more
         unknowns than memory is allowed for.
         """
-        self.body, self._bent = body, bent
+        self.body, self._bent = body, bend
         self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
-        if self.solid.unknowns > _MOST_UNKNOWNS:
+        if self.solid.unknowns > _MAX_UNKNOWNS:
             raise ConfigurationError(
                 f"the stack under these presses needs {self.solid.unknowns} unknowns, of which "
-                f"{_MOST_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
+                f"{_MAX_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
                 "model a smaller part of the sensor"
             )
         self._size = self.solid.unknowns + presses
-        held = self.solid.nodes_of(body.facets("held"))
+        held = self.solid.facet_nodes(body.facets("held"))
         base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
         self._fixed = _unknowns(held)
         self._loose = _unknowns(np.setdiff1d(base, held))
@@ -225,12 +225,12 @@ class FiniteStack:
         """
         areas: list[DentField | PunchedArea] = [*dents, *punches]
         contacts = [
-            self._held(area, [dent for dent in dents if dent is not area], number)
+            self._contact_constraint(area, [dent for dent in dents if dent is not area], number)
             for number, area in enumerate(areas)
         ]
         terms = self.solid, *contacts
         pressing = [0.0] * len(dents) + [area.force for area in punches]
-        forces = np.append(self._dented(dents), pressing)
+        forces = np.append(self._assemble_dent_load(dents), pressing)
         scale = _NEGLIGIBLE * max(area.depth for area in areas)
         solve = partial(newton, tolerance=_TOLERANCE, scale=scale, chords=True)
         none = np.zeros(self._size)
@@ -255,28 +255,28 @@ class FiniteStack:
     def _load(self, forces: Array) -> Load:
         return Load(self._fixed, np.zeros(len(self._fixed)), forces)
 
-    def reaction(self, found: Correction) -> Array:
+    def reaction(self, correction: Correction) -> Array:
         """Force of the support against the presses of the last correction [N], (3,).
 
         That against the bend is left out, since on a coarse mesh it does not add up to zero.
         """
-        forces = self.solid.forces(found.unknowns)[: self.solid.unknowns] - self._bend
-        held = self.solid.nodes_of(self.body.facets("held"))
+        forces = self.solid.forces(correction.unknowns)[: self.solid.unknowns] - self._bend
+        held = self.solid.facet_nodes(self.body.facets("held"))
         return np.asarray(self.solid.displacement(forces)[held].sum(axis=0))
 
-    def _dented(self, dents: Sequence[DentField]) -> Array:
+    def _assemble_dent_load(self, dents: Sequence[DentField]) -> Array:
         """Forces (unknowns,) in equilibrium with the dents; sets the state of the solid."""
         points = self.solid.points.reshape(-1, 3)
         heights = self.body.mesh.p[2, self.body.mesh.t].mean(axis=0)
-        laws = self.body.law_of_layer_at(heights)
+        laws = self.body.layer_materials(heights)
         G, p = np.zeros((len(points), 3, 3)), np.zeros(len(points))
         load = np.zeros(self.solid.unknowns)
         for dent in dents:
             level = dent.level(points)
-            load += self.solid.residual_of(level.gradient, level.mean_stress, laws, dent.nominal)
+            load += self.solid.state_residual(level.gradient, level.mean_stress, laws, dent.nominal)
             if not self.body.free:  # a free base is held at the sides
                 load -= self._tractions(dent)
-            _, gradient, stress = dent.turned(level)
+            _, gradient, stress = dent.rotate_values(level)
             G += gradient
             p += stress
         # Reactions of the base sum to the force; tractions from the dent's stresses leave 4 % out.
@@ -284,7 +284,7 @@ class FiniteStack:
         if self._bent is not None:
             here = self._in_design(points)
             bend, pressure = self._bent.gradient(here) - np.eye(3), self._bent.mean_stress(here)
-            self._bend = self.solid.residual_of(bend, pressure, self.body.law_of_cell)
+            self._bend = self.solid.state_residual(bend, pressure, self.body.law_of_cell)
             load += self._bend
             G += bend
             p += pressure
@@ -295,7 +295,7 @@ class FiniteStack:
         """Nodal forces (unknowns,) of a dent's tractions on the sides."""
         sides = Face(self.solid, self.body.facets("sides"), 6)
         _, G, p = dent.level(sides.points.reshape(-1, 3))
-        laws = self.body.law_of_layer_at(sides.points[..., 2]).ravel()
+        laws = self.body.layer_materials(sides.points[..., 2]).ravel()
         P = np.empty_like(G)
         for k in range(len(self.body.laws)):
             here = laws == k
@@ -304,17 +304,17 @@ class FiniteStack:
         traction = np.einsum("fqij,fqj->fqi", stress, sides.normals)
         return sides.forces(traction, self.solid.unknowns)
 
-    def _held(
+    def _contact_constraint(
         self, dent: DentField | PunchedArea, others: Sequence[DentField], number: int
     ) -> LinearSprings:
         frame = dent.frame
 
-        def given(points: Array) -> Array:
-            moved = sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
+        def constraint_springs(points: Array) -> Array:
+            moved = sum((other.evaluate(points).displacement for other in others), np.zeros((1, 3)))
             if self._bent is None or frame is None:
                 return moved
             bent = self._bent.positions(self._in_design(points))
-            return np.asarray(moved + bent - frame.flattened(points))
+            return np.asarray(moved + bent - frame.flatten_points(points))
 
         mesh, top = self.body.mesh, self.body.facets("top")
         stretches = np.ones(2) if frame is None else frame.stretches
@@ -334,7 +334,7 @@ class FiniteStack:
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
         numbers = number, self._size - self.solid.unknowns
-        moves = given if others or frame is not None else None
+        moves = constraint_springs if others or frame is not None else None
         within = 0.0 if isinstance(dent, PunchedArea) and dent.is_aligned else radius - held
         return held_contact(self.solid, top[near], dent, within, stiffness, numbers, moves)
 
@@ -353,7 +353,7 @@ class FiniteStack:
         moved = _on_grid(solid.nodes, solid.displacement(x), middles)
         return Correction(
             displacement=QuadraticField(lines, moved),
-            mean_stress=_of_gel(pressures, lines),
+            mean_stress=_gel_interpolator(pressures, lines),
             bottom=self.body.stack.levels[self.body.stack.gel],
             sunk=x[solid.unknowns :].copy(),
             unknowns=x,
@@ -369,28 +369,28 @@ def _unknowns(nodes: Indices) -> Indices:
 def _on_grid(points: Array, values: Array, lines: Sequence[Array]) -> Array:
     """Values (n, k) at points (n, 3) of a grid, as (nx, ny, nz, k).
 
-    Where the grid has no node, beside a body that does not fill it, stands the nearest node's value
-    of the same height.
+    Where the grid has no node, next to a body that does not fill it, stands the nearest node's
+    value of the same height.
     """
     numbers = [
         np.searchsorted(0.5 * (line[1:] + line[:-1]), points[:, axis])
         for axis, line in enumerate(lines)
     ]
-    found = np.full((*(len(line) for line in lines), values.shape[1]), np.nan)
-    found[tuple(numbers)] = values
-    filled = np.zeros(found.shape[:2], dtype=bool)
+    grid_values = np.full((*(len(line) for line in lines), values.shape[1]), np.nan)
+    grid_values[tuple(numbers)] = values
+    filled = np.zeros(grid_values.shape[:2], dtype=bool)
     filled[numbers[0], numbers[1]] = True
     if not filled.all():
         plane = np.stack(np.meshgrid(lines[0], lines[1], indexing="ij"), axis=-1)
         nearest = cKDTree(plane[filled]).query(plane[~filled])[1]
-        found[~filled] = found[filled][nearest]
-    return found
+        grid_values[~filled] = grid_values[filled][nearest]
+    return grid_values
 
 
-def _of_gel(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:
+def _gel_interpolator(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:
     """Interpolator of values on the grid, which are NaN outside the gel."""
-    known = np.isfinite(values)
-    axes = [np.flatnonzero(known.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    inside_gel = np.isfinite(values)
+    axes = [np.flatnonzero(inside_gel.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     inside = tuple(slice(found[0], found[-1] + 1) for found in axes)
     grid = [line[part] for line, part in zip(lines, inside, strict=True)]
     return RegularGridInterpolator(grid, values[inside], bounds_error=False, fill_value=None)
@@ -401,7 +401,7 @@ def solved_presses(
     design: SensorDesign,
     mechanics: Mechanics,
     presses: tuple[Touch, ...],
-    bent: BentState | None = None,
+    bend: BentState | None = None,
 ) -> Correction:
     """Correction of presses on a design, flat or bent, solved in 3D; seconds to some minutes.
 
@@ -417,11 +417,11 @@ def solved_presses(
     punches: list[PunchedArea] = []
     for press in presses:
         x, y, depth, indenter = press.x, press.y, press.depth, press.indenter
-        frame = None if bent is None else ContactFrame.at(bent, x, y, stack)
+        frame = None if bend is None else ContactFrame.from_bent_top(bend, x, y, stack)
         along, across = (1.0, 1.0) if frame is None else frame.stretches.tolist()
         if isinstance(indenter, Footprint):
             punches.append(PunchedArea(x, y, indenter, press.force, stack.levels[-1], frame))
-            punches[-1].require_on(design.outline, mechanics.margin)
+            punches[-1].require_room(design.outline, mechanics.margin)
             low, high = punches[-1].bounds
             middle, half = 0.5 * (low + high), 0.5 * (high - low)
             radius, (along, across) = float(half.max()), (half.max() / half).tolist()
@@ -434,7 +434,7 @@ def solved_presses(
         contacts.append(Contact(x, y, indenter.rims[1], (along, across)))
         dents.append(DentField(x, y, indenter, _dent(stack, indenter, depth), frame))
     body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
-    found = FiniteStack(body, len(presses), bent).correction(dents, None, punches)
+    found = FiniteStack(body, len(presses), bend).correction(dents, None, punches)
     order = np.argsort([isinstance(press.indenter, Footprint) for press in presses], kind="stable")
     return replace(found, sunk=found.sunk[np.argsort(order)])
 

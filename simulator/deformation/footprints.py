@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 _PIXEL, _PER_WIDTH, _MAX_PIXELS = 1.0 / 16.0, 12, 320  # over the thickness; across a punch; in all
 _REACH = 4.0  # of the field beyond the punch, over the thickness
 _SUBPIXELS = 8  # along a pixel, of which the covered ones are counted
-_APART = 0.9  # between the cylinders that stand for a punch, over their diameter
-_LEAST_SHARE = 0.02  # of the force, that a cylinder takes
+_SPACING = 0.9  # between the cylinders that stand for a punch, over their diameter
+_MIN_SHARE = 0.02  # of the force, that a cylinder takes
 _LEVELS = 4  # over the height of the gel
 _TOUCHING = 4  # number of the tabulated depth at which a cylinder's whole end touches
 
@@ -38,8 +38,8 @@ class Cylinders(NamedTuple):
 
     Attributes:
         indenter: each of them.
-        places: in the frame of the footprint's length, (n, 2) [m].
-        shares: of the force, (n,).
+        places: places in the frame of the footprint's length, (n, 2) [m].
+        shares: shares of the force, (n,).
     """
 
     indenter: Cylinder
@@ -51,7 +51,7 @@ class Punch(NamedTuple):
     """Flat punch as cylinders and a field.
 
     Attributes:
-        footprint: of the punch.
+        footprint: footprint of the punch.
         dents: cylinders whose dents make that of the punch.
         corrected: default cylinders whose corrections make those of the punch.
         area: over that of the cylinder of the dents.
@@ -76,13 +76,13 @@ class Punch(NamedTuple):
         force = self.area * dent.force
         places = cylinders.places @ self.footprint.rotation.T + np.array([touch.x, touch.y])
         return [
-            (Touch(x, y, indenter=cylinders.indenter), table.at_force(share * force))
+            (Touch(x, y, indenter=cylinders.indenter), table.dent_from_force(share * force))
             for (x, y), share in zip(places.tolist(), cylinders.shares.tolist(), strict=True)
         ]
 
     def shape(self, touch: Touch, dent: TabulatedDent, table: PressTable) -> Field:
         """Field of the shape, as much stiffer as the dent at the mean pressure is."""
-        first = table.at_depth(float(table.depths[_TOUCHING]))
+        first = table.dent_from_depth(float(table.depths[_TOUCHING]))
         stiffening = dent.depth / dent.force * first.force / first.depth
         (cos, _), (sin, _) = self.footprint.rotation.tolist()
         return replace(
@@ -104,21 +104,21 @@ def _solve_punch(stack: Stack, footprint: Footprint) -> Punch:
     extents = np.ptp(corners, axis=0)
     half = float(np.abs(corners).max()) + _REACH * H
     size = max(min(_PIXEL * H, extents.min() / _PER_WIDTH), 2.0 * half / _MAX_PIXELS)
-    face, cylinder = LayeredFace(stack, half, size), footprint.tabled
+    face, cylinder = LayeredFace(stack, half, size), footprint.table_indenter
     x = face.x[:, None] + size * ((np.arange(_SUBPIXELS) + 0.5) / _SUBPIXELS - 0.5)
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)  # pixels and subpixels mixed
     points = points.reshape(len(face.x), _SUBPIXELS, len(face.x), _SUBPIXELS, 2)
-    pressed = face.pressed(
+    pressed = face.solve_punch(
         (footprint.depth_inside(points) > 0.0).mean(axis=(1, 3)), footprint.rough
     )
     disc = (np.hypot(*np.moveaxis(points, -1, 0)) < cylinder.radius).mean(axis=(1, 3))
-    alone = face.pressed(disc, footprint.rough)
+    alone = face.solve_punch(disc, footprint.rough)
     pressure, long = -pressed.tractions[2], int(extents[1] > extents[0])
     side_by_side = np.where(np.arange(2) == long, footprint.count, 1)
     places, shares = _split(face, pressure, corners, side_by_side)
     steps = np.rint(places / size).astype(int)
-    default = footprint.corrected
-    rows = np.maximum(np.rint(extents / (2.0 * _APART * default.radius)), 1).astype(int)
+    default = footprint.correction_indenter
+    rows = np.maximum(np.rint(extents / (2.0 * _SPACING * default.radius)), 1).astype(int)
     tractions = pressed.tractions - np.sum(
         [
             share * np.roll(alone.tractions, step, axis=(1, 2))
@@ -157,7 +157,7 @@ def _split(
     force, *moments = (
         np.bincount(cell, (pressure * arm).ravel(), int(counts.prod())) for arm in (1.0, x, y)
     )
-    chosen = force > _LEAST_SHARE * force.sum()
+    chosen = force > _MIN_SHARE * force.sum()
     places = np.stack(moments, axis=1)[chosen] / force[chosen, None]
     return places, force[chosen] / force[chosen].sum()
 
@@ -166,10 +166,10 @@ class DentedTouch(NamedTuple):
     """Touch with its dent in the unbounded stack.
 
     Attributes:
-        touch: of the scene.
-        dent: of its body of revolution, of the cylinder at the mean pressure of a flat punch; None
-            where it has faded.
-        force: on the indenter [N].
+        touch: touch of the scene.
+        dent: dent of its body of revolution, of the cylinder at the mean pressure of a flat punch;
+            None where it has faded.
+        force: force on the indenter [N].
         punch: where the indenter is a flat punch.
     """
 
@@ -206,9 +206,9 @@ def dent_touch(touch: Touch, depth: float, sensor: PressedSensor) -> DentedTouch
         shape = punch(mechanics.stack(sensor.design), touch.indenter)
     area, deeper = (1.0, 1.0) if shape is None else (shape.area, shape.depth)
     if touch.depth is None:
-        first = table.at_force(touch.force / area)
+        first = table.dent_from_force(touch.force / area)
     else:
-        first = table.at_depth(depth / deeper)
+        first = table.dent_from_depth(depth / deeper)
     force = area * first.force
     if touch.held is None:
         return DentedTouch(touch, first, force, shape)
@@ -222,7 +222,7 @@ def dent_touch(touch: Touch, depth: float, sensor: PressedSensor) -> DentedTouch
     else:
         elastic = relaxation.elastic_force_at_depth(prony, force, touch.held, touch.released)
         acting = force * float(prony.relaxation(touch.held))
-    dent = table.at_force(elastic / area) if elastic > 0.0 else None
+    dent = table.dent_from_force(elastic / area) if elastic > 0.0 else None
     return DentedTouch(touch, dent, 0.0 if touch.released else acting, shape)
 
 

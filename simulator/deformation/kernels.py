@@ -40,7 +40,7 @@ def functions(t: Array, x: float, cell: int, values: Array) -> int:
 
 
 @kernel("i8(f8[::1], f8[::1], f8[:,:,::1], i8, i8, f8, f8, f8[:,::1], f8[:,::1])")
-def sum_up(
+def sum_field_powers(
     tx: Array,
     ty: Array,
     coefficients: Array,
@@ -73,7 +73,7 @@ def sum_up(
 
 
 @kernel("void(f8[:,::1], f8, f8, f8[::1], f8[:,::1])")
-def over_height(sums: Array, z: float, rate: float, u: Array, slope: Array) -> None:
+def evaluate_level(sums: Array, z: float, rate: float, u: Array, slope: Array) -> None:
     """Set displacement u (3,) and slopes (3, 3) at a level z that grows with the height by rate."""
     for k in range(3):
         s0, s1, s2, s3 = sums[0, k], sums[0, 3 + k], sums[0, 6 + k], sums[0, 9 + k]
@@ -105,9 +105,10 @@ def add_field(
         frame: x, y [m], cosine and sine of the angle of the field's frame.
         half: half the length and width of the field's box, beyond which there is nothing; infinite
             where the field keeps the values of its ends [m].
-        height: of the box [m].
+        height: height of the box [m].
         tx, ty: knots of the splines.
-        coefficients: of the powers 0 to 3 of the level, of three components, (nx, ny, 12).
+        coefficients: coefficients of the powers 0 to 3 of the level, of three components, (nx, ny,
+            12).
         points: undeformed.
         places, gradients: added to.
     """
@@ -124,24 +125,24 @@ def add_field(
             inside = abs(at_x) < half[0] and abs(at_y) < half[1]
             if inside:
                 at_x, at_y = min(max(at_x, ends[0]), ends[1]), min(max(at_y, ends[2]), ends[3])
-                cells = sum_up(
+                cells = sum_field_powers(
                     tx, ty, coefficients, cells // 65536, cells % 65536, at_x, at_y, values, sums
                 )
         if not inside:
             continue
         level = min(max(2.0 * points[n, 2] / height - 1.0, -1.0), 1.0)
-        over_height(sums, level, 2.0 / height, u, slope)
+        evaluate_level(sums, level, 2.0 / height, u, slope)
         places[n, 0] += c * u[0] - s * u[1]
         places[n, 1] += s * u[0] + c * u[1]
         places[n, 2] += u[2]
         # The gradient Q G Q^T: rows turned first, then columns.
         for k in range(3):
-            one, other = slope[0, k], slope[1, k]
-            slope[0, k], slope[1, k] = c * one - s * other, s * one + c * other
+            slope_x, slope_y = slope[0, k], slope[1, k]
+            slope[0, k], slope[1, k] = c * slope_x - s * slope_y, s * slope_x + c * slope_y
         for k in range(3):
-            one, other = slope[k, 0], slope[k, 1]
-            gradients[n, 3 * k] += c * one - s * other
-            gradients[n, 3 * k + 1] += s * one + c * other
+            slope_x, slope_y = slope[k, 0], slope[k, 1]
+            gradients[n, 3 * k] += c * slope_x - s * slope_y
+            gradients[n, 3 * k + 1] += s * slope_x + c * slope_y
             gradients[n, 3 * k + 2] += slope[k, 2]
 
 
@@ -159,9 +160,9 @@ def add_dent(
     """Add the displacement of a dent and its derivatives.
 
     Args:
-        place: of the axis, x and y [m].
-        height: of the layer [m].
-        knots: of the piecewise cubics in r, (m + 1,) [m].
+        place: place of the axis, x and y [m].
+        height: height of the layer [m].
+        knots: knots of the piecewise cubics in r, (m + 1,) [m].
         pieces: coefficients of u and w, of the powers 0 to 5 of the level each, of the powers of r
             from the highest, (m, 4, 12).
         least: distance to which points on the axis are moved aside [m].
@@ -245,10 +246,10 @@ def bend(
             beyond[k] -= at[k]
         if at[0] != before_x or at[1] != before_y:
             before_x, before_y = at[0], at[1]
-            cells = sum_up(
+            cells = sum_field_powers(
                 tx, ty, coefficients, cells // 65536, cells % 65536, at[0], at[1], values, sums
             )
-        over_height(sums, rate * at[2], rate, u, slope)
+        evaluate_level(sums, rate * at[2], rate, u, slope)
         for k in range(3):
             more = slope[k, 0] * beyond[0] + slope[k, 1] * beyond[1] + slope[k, 2] * beyond[2]
             places[n, k] += u[k] + more
@@ -266,7 +267,7 @@ def pull_back(gradients: Array, shift: Array, conductivity: Array, entries: Arra
     Args:
         gradients: F, (n, 9); times those of a shift (n, 9) where there is one, else (0, 9).
         conductivity: sigma, (n,) [S/m].
-        entries: of n tensors, (n, 6).
+        entries: entries of n tensors, (n, 6).
     """
     F, a, wrong = np.empty(9), np.empty(9), 0
     for n in range(len(gradients)):

@@ -26,7 +26,7 @@ class NodeSums:
 
     Attributes:
         nodes: along x and y, (nx,) and (ny,) [m].
-        values: at the nodes, (scenes, nx, nz, k, ny).
+        values: values at the nodes, (scenes, nx, nz, k, ny).
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class NodeSums:
 
         Args:
             modes: coefficients (r, nx', nz', k, ny').
-            amounts: of the modes in each field, (n, r).
+            amounts: amounts of the modes in each field, (n, r).
             along: values at the nodes of the functions along x, (nx, nx') of all fields or
                 (n, nx, nx') of each.
             across: likewise along y, (ny, ny') or (n, ny, ny').
@@ -73,23 +73,25 @@ class NodeSums:
             fields = product_in_blocks(amounts[rows], modes.reshape(len(modes), -1))
             fields = fields.reshape(-1, *modes.shape[1:])
             own = (each[rows] if each.ndim == 3 else None for each in (along, across))
-            fields = _placed(fields, *own)
+            fields = _combine_fields(fields, *own)
             total = total if total.size else np.zeros((len(slots), *fields.shape[1:]), np.float32)
             for place, field in zip(slot[rows].tolist(), fields, strict=True):
                 total[place] += field
-        total = _placed(total, *(each if each.ndim == 2 else None for each in (along, across)))
+        total = _combine_fields(
+            total, *(each if each.ndim == 2 else None for each in (along, across))
+        )
         levels = modes.shape[2]
-        for one, place in enumerate(slots.tolist()):
-            image = mirror(total[one], (place // 2 % 2, place % 2))
+        for row, place in enumerate(slots.tolist()):
+            image = mirror(total[row], (place // 2 % 2, place % 2))
             self.values[place // 4, :, :levels] += image
 
     def fields(self, height: float, scales: Array) -> list[Field]:
         """Sums of all scenes, with components (k,) times scales, on a box of a height [m]."""
         splines = CubicSplines(self.nodes[0]), CubicSplines(self.nodes[1])
-        total = _placed(self.values, *(each.fit.astype(np.float32) for each in splines))
+        total = _combine_fields(self.values, *(spline.fit.astype(np.float32) for spline in splines))
         total *= scales.astype(np.float32)[: self.components, None]
-        found = np.ascontiguousarray(np.moveaxis(total, -1, 2), dtype=np.float64)
-        return [Field(splines, height, each) for each in found]
+        fields = np.ascontiguousarray(np.moveaxis(total, -1, 2), dtype=np.float64)
+        return [Field(splines, height, each) for each in fields]
 
 
 def mirror(fields: Numbers, axes: tuple[int, int], polynomials: bool = False) -> Numbers:
@@ -109,13 +111,13 @@ def mirror(fields: Numbers, axes: tuple[int, int], polynomials: bool = False) ->
     return fields * signs
 
 
-def functions_from(basis: Basis, nodes: Array, origins: Array) -> Numbers:
+def basis_values(basis: Basis, nodes: Array, origins: Array) -> Numbers:
     """Values at nodes (m,) of the functions of a basis that begins at each origin, (n, m, k)."""
     values = basis.dense((nodes - origins[:, None]).ravel())
     return values.reshape(len(origins), len(nodes), -1).astype(np.float32)
 
 
-def _placed(fields: Numbers, along: Numbers | None, across: Numbers | None) -> Numbers:
+def _combine_fields(fields: Numbers, along: Numbers | None, across: Numbers | None) -> Numbers:
     """Fields (n, nx', nz, k, ny') by values of their functions along x and y, where given."""
     n, nx, *between, ny = fields.shape
     if along is not None:
@@ -133,7 +135,7 @@ class TableSum:
     functions of the base.
 
     Attributes:
-        modes: of all tables and of all their images, (modes, nx, nz, k, ny).
+        modes: modes of all tables and of all their images, (modes, nx, nz, k, ny).
     """
 
     def __init__(
@@ -147,13 +149,13 @@ class TableSum:
         for table in tables:
             own = np.array([1.0, 1.0, 1.0 / table.size("height"), 1.0 / table.size("modulus")])
             coefficients = (table.modes * (table.scales * own).astype(np.float32))[..., :components]
-            coefficients = np.moveaxis(_resampled(coefficients, table, base), 2, -1)
+            coefficients = np.moveaxis(_resample_splines(coefficients, table, base), 2, -1)
             polynomials = "along" not in base.sizes and "nodes" not in base.sizes
             modes += [mirror(coefficients, image, polynomials) for image in images]
         self.modes = np.concatenate(modes).astype(np.float32)
 
     @cached_property
-    def turned(self) -> Numbers:
+    def transposed_modes(self) -> Numbers:
         """Modes with x and y changed for each other, (modes, ny, nz, k, nx)."""
         order = [1, 0, *range(2, self.modes.shape[3])]
         return np.ascontiguousarray(self.modes.swapaxes(1, 4)[:, :, :, order])
@@ -176,16 +178,16 @@ class TableSum:
 
     def fields(self, amounts: Array) -> Numbers:
         """Coefficients (t, nx, ny, nz, k) of amounts of the modes (t, modes)."""
-        found = product_in_blocks(amounts, self.modes.reshape(len(self.modes), -1))
-        return np.moveaxis(found.reshape(-1, *self.modes.shape[1:]), -1, 2)
+        fields = product_in_blocks(amounts, self.modes.reshape(len(self.modes), -1))
+        return np.moveaxis(fields.reshape(-1, *self.modes.shape[1:]), -1, 2)
 
 
 # Sums are as large as all their tables, and those of a nominal sensor serve all its specimens.
 sum_of = lru_cache(maxsize=32)(TableSum)
 
 
-def _resampled(coefficients: Numbers, table: SolutionTable, base: SolutionTable) -> Numbers:
-    """Coefficients (t, nx, ny, nz, k) of a table beside a side, on the splines of another."""
+def _resample_splines(coefficients: Numbers, table: SolutionTable, base: SolutionTable) -> Numbers:
+    """Coefficients (t, nx, ny, nz, k) of a table next to a side, on the splines of another."""
     if table is base or (
         np.array_equal(table.sizes["along"], base.sizes["along"])
         and np.array_equal(table.sizes["inward"], base.sizes["inward"])

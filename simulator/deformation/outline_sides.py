@@ -1,4 +1,4 @@
-"""Sides of an outline, as presses see them, and the fade of a field beside one that ends."""
+"""Sides of an outline, as presses see them, and the fade of a field next to one that ends."""
 
 import math
 from collections.abc import Iterator
@@ -26,7 +26,8 @@ class SideEnd(NamedTuple):
     """End of a side, as a press sees it.
 
     Attributes:
-        inward: from the end to the foot of the press, along the side; negative beyond the end [m].
+        inward: inward from the end to the foot of the press, along the side; negative beyond the
+            end [m].
         way: 1 for the end that comes last counter-clockwise, else -1.
         image: share of what lies beyond the end that a convex corner throws back.
         stiff: 1 at a re-entrant right angle, 0 where the rim goes straight on or turns inwards.
@@ -42,11 +43,11 @@ class Side(NamedTuple):
     """Side of an outline, as a press sees it.
 
     Attributes:
-        foot: of the press on the line through the side, (x, y) [m].
+        foot: foot of the press on the line through the side, (x, y) [m].
         along: unit vector, counter-clockwise.
         aside: distance of the press from that line [m].
         ends: those at which the rest of the line is missing.
-        share: of the correction beside the line that is added.
+        share: share of the correction next to the line that is added.
     """
 
     foot: tuple[float, float]
@@ -70,9 +71,9 @@ class Side(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideFade:
-    """Fade of the correction beside a straight line, of which only one side of an outline exists.
+    """Fade of the correction next to a straight line, of which only one side of an outline exists.
 
-    Beside a line without ends the correction is that of the table. Tractions on the part of the
+    Next to a line without ends the correction is that of the table. Tractions on the part of the
     line that is missing have no counterpart. A place on the line counts for a point at a distance
     y by a bell about its foot x whose width b grows with y, and is loaded by a press by another
     about its foot x_p of width a. Their product has its middle at m = (x a^2 + x_p b^2) / (a^2 +
@@ -82,9 +83,9 @@ class SideFade:
     less than a straight side does, by r^2 / (r^2 + d^2) at a distance r.
 
     Attributes:
-        side: of the outline.
+        side: side of the outline.
         below: distance of the line from the origin of the field's frame [m].
-        thickness: of the stack [m].
+        thickness: thickness of the stack [m].
     """
 
     side: Side
@@ -107,7 +108,7 @@ class SideFade:
                 weight = part * weight
         return weight, slopes
 
-    def at_press(self) -> float:
+    def press_fraction(self) -> float:
         """Part of the field that is left at the press itself."""
         weight, _ = self.weight(np.zeros(1), np.array([self.side.aside - self.below]))
         return float(weight[0])
@@ -134,7 +135,9 @@ class SideFade:
         return 1.0 - d2 / total, rates
 
 
-def sides_of(outline: Polygon | Rectangle, x: float, y: float, reach: float) -> Iterator[Side]:
+def sides_in_reach(
+    outline: Polygon | Rectangle, x: float, y: float, reach: float
+) -> Iterator[Side]:
     """Sides within a reach of a press at (x, y) [m].
 
     A side that turns its back to a press, which stands beyond its end, is loaded as it would be in

@@ -14,7 +14,7 @@ from eitskin.simulator.deformation.corrections import (
     TabledSensor,
     load_table,
     on_even_base,
-    sums_on,
+    rectangle_sums,
 )
 from eitskin.simulator.deformation.field import Field, Frame
 from eitskin.simulator.deformation.node_sums import (
@@ -23,7 +23,7 @@ from eitskin.simulator.deformation.node_sums import (
     MIRRORED_X,
     MIRRORED_Y,
     NodeSums,
-    functions_from,
+    basis_values,
     sum_of,
 )
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
@@ -36,7 +36,7 @@ Indices = NDArray[np.int64]
 Place = tuple[float, float, float]
 """Position and depth (x, y, depth) of a press [m]."""
 
-_SAME = 1e-9  # [m]
+_TOLERANCE = 1e-9  # [m]
 
 
 @lru_cache(maxsize=64)
@@ -57,7 +57,7 @@ class PairCorrections:
     """Change of two presses by each other on one sensor.
 
     Attributes:
-        design: of the sensor.
+        design: design of the sensor.
         wide: table on a wide stack.
         sides: table of what the sides add; None where they are left out.
         modulus: shear modulus of the gel; that of the tables when omitted [Pa].
@@ -68,12 +68,12 @@ class PairCorrections:
     sides: SolutionTable | None = None
     modulus: float | None = None
 
-    def at(self, first: Place, second: Place) -> PressCorrection:
+    def correct_pair(self, first: Place, second: Place) -> PressCorrection:
         """Change by presses (x, y, depth) [m], and by how much deeper each sinks [m].
 
-        No fields where the presses do not feel each other.
+        No fields where the presses do not affect each other.
         """
-        sums = sums_on(self.design, 1, 4) if self.sides else None
+        sums = rectangle_sums(self.design, 1, 4) if self.sides else None
         places = np.array([first]), np.array([second])
         ((field,), extra) = self.evaluate(*places, np.zeros(1, int), sums)
         if field is None:
@@ -92,7 +92,7 @@ class PairCorrections:
     ) -> tuple[list[Field | None], Array]:
         """Changes by pairs of presses (x, y, depth), (n, 3) [m] each.
 
-        Returns a field of each, None where the presses do not feel each other, and by how much
+        Returns a field of each, None where the presses do not affect each other, and by how much
         deeper each of its presses sinks [m], (n,). To the sums of `scenes` goes the sides' part.
         """
         apart = np.hypot(*(second - first)[:, :2].T)
@@ -104,7 +104,7 @@ class PairCorrections:
         angle = np.arctan2(*(second - first)[felt, 1::-1].T)
         middle, deep = 0.5 * (first + second)[felt, :2], (first * second)[felt, 2]
         apart = apart[felt]
-        found, numbers = self.wide.evaluate(axis_distance=apart, product=deep)
+        amounts, numbers = self.wide.evaluate(axis_distance=apart, product=deep)
         extra[felt] = numbers["extra_depth"]
         wide = self.wide
         height = self.design.thickness
@@ -115,7 +115,7 @@ class PairCorrections:
             bases = pair_tables.pair_bases(nearest, wide.size("thickness"))
             at_x, at_y = middle[k].tolist()
             frame = Frame(at_x, at_y, math.cos(angle[k]), math.sin(angle[k]))
-            fields[number] = Field(bases, height, found[k] * scales, frame)
+            fields[number] = Field(bases, height, amounts[k] * scales, frame)
         if self.sides is not None and sums is not None and scenes is not None:
             near = np.flatnonzero(apart < self.sides.nodes("axis_distance")[-1])
             pairs = middle[near], apart[near], angle[near], deep[near]
@@ -126,7 +126,7 @@ class PairCorrections:
 def _add_of_sides(
     table: SolutionTable,
     middle: Array,
-    apart: Array,
+    spacing: Array,
     angle: Array,
     deep: Array,
     scenes: Indices,
@@ -134,8 +134,8 @@ def _add_of_sides(
 ) -> None:
     """Add what the sides of a strip add to pairs about their middles, of products of depths."""
     width = table.size("width")
-    low = pair_tables.lowest_middle(table.size("least"), apart, angle)
-    place = (middle[:, 1] - low) / np.maximum(0.5 * width - low, _SAME)
+    low = pair_tables.lowest_middle(table.size("least"), spacing, angle)
+    place = (middle[:, 1] - low) / np.maximum(0.5 * width - low, _TOLERANCE)
     # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
     # pair is the same at the same distance from the other side.
     images = DIRECT, BOTH_MIRRORED, MIRRORED_X, MIRRORED_Y
@@ -143,11 +143,11 @@ def _add_of_sides(
     amounts, _ = every.amounts(
         [1.0],
         table.size("height"),
-        axis_distance=apart,
+        axis_distance=spacing,
         direction=angle,
         place=np.clip(place, 0.0, 2.0),
     )
     amounts *= (deep / table.size("depth") ** 2)[:, None]
     bases = pair_tables.pair_side_bases(table.size("thickness"), width)
-    along = functions_from(bases[0], sums.nodes[0], middle[:, 0])
+    along = basis_values(bases[0], sums.nodes[0], middle[:, 0])
     sums.add(every.modes, amounts, along, bases[1].dense(sums.nodes[1]), scenes)

@@ -1,4 +1,4 @@
-"""Tables of pairs of indentations: what is solved on a wide stack and beside sides."""
+"""Tables of pairs of indentations: what is solved on a wide stack and next to sides."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -17,8 +17,8 @@ from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
 from eitskin.simulator.deformation.indentation_tables import (
     Bases,
     Indentations,
-    Solved,
-    faded,
+    PressFields,
+    fade_at_box,
     solve_each,
     tabulate,
 )
@@ -48,32 +48,32 @@ _PAIR_STRIP = 9.0  # half of the mesh along x
 _COUNTS_BESIDE, _FINER = (16, 14, 3), 2  # polynomials, and how many are cut off
 
 
-def solve_pair(about: Indentations, report: Report, workers: int = 1) -> SolutionTable:
+def solve_pair(case: Indentations, report: Report, workers: int = 1) -> SolutionTable:
     """Change of displacement and mean stress by a second press on a wide stack.
 
     Pairs are solved with equal indenters and depths. To leading order the change is bilinear in
     both depths, so that unequal ones are scaled by their product. Fields are in the frame of the
     pair, x from press to press.
     """
-    about = about.to_depths(_PAIR_DEPTHS)
-    apart = _pair_axis(about)
-    solved = solve_each(partial(_on_wide, about), report, workers, apart.nodes[:-1].tolist())
-    product_axis = Axis("product", "bilinear", about.depth_axis.nodes)
-    return tabulate(about, [apart, product_axis], solved)
+    case = case.to_depths(_PAIR_DEPTHS)
+    apart = _pair_axis(case)
+    solved = solve_each(partial(_on_wide, case), report, workers, apart.nodes[:-1].tolist())
+    product_axis = Axis("product", "bilinear", case.depth_axis.nodes)
+    return tabulate(case, [apart, product_axis], solved)
 
 
-def _pair_axis(about: Indentations) -> Axis:
+def _pair_axis(case: Indentations) -> Axis:
     """Distances between the axes of solved pairs, and one at which nothing changes [m]."""
-    H = about.thickness
-    solved = 2.0 * about.indenter.rims[1] + H * np.array(_APART)
+    H = case.thickness
+    solved = 2.0 * case.indenter.rims[1] + H * np.array(_APART)
     nodes = np.append(solved, solved[-1] + _PAIR_VANISHED * H)
     return Axis("axis_distance", "logarithmic", nodes)
 
 
-def pair_bases(apart: float, thickness: float) -> Bases:
+def pair_bases(spacing: float, thickness: float) -> Bases:
     """Splines along x and y, from the middle between presses at a distance [m]."""
     halves = []
-    for axis, (even, growing) in zip((0.5 * apart, 0.0), _PAIR_CELLS, strict=True):
+    for axis, (even, growing) in zip((0.5 * spacing, 0.0), _PAIR_CELLS, strict=True):
         first, end = axis + _PAIR_EVEN * thickness, axis + _PAIR_REACH * thickness
         grown = np.expm1(_PAIR_GROWTH * np.linspace(0.0, 1.0, growing + 1)[1:])
         outer = first + (end - first) * grown / np.expm1(_PAIR_GROWTH)
@@ -82,23 +82,23 @@ def pair_bases(apart: float, thickness: float) -> Bases:
     return CubicSplines(halves[0]), CubicSplines(halves[1])
 
 
-def _on_wide(about: Indentations, apart: float) -> Solved:
+def _on_wide(case: Indentations, spacing: float) -> PressFields:
     """Fields of pairs on a wide stack, and by how much deeper each press sinks."""
-    H = about.thickness
-    outline, middle = _wide(about, apart, 0.0)
-    end, bases = np.array([0.5 * apart, 0.0]) + _PAIR_REACH * H, pair_bases(apart, H)
+    H = case.thickness
+    outline, middle = _wide(case, spacing, 0.0)
+    end, bases = np.array([0.5 * spacing, 0.0]) + _PAIR_REACH * H, pair_bases(spacing, H)
     fields, extra = [], []
-    for change in _changes(about, outline, middle, apart, 0.0, about.dents):
+    for change in _changes(case, outline, middle, spacing, 0.0, case.dents):
         ending = partial(_ending, change, end, _PAIR_FADE * H)
-        field = Field.from_function(ending, bases, about.height, _PAIR_DEGREE)
+        field = Field.from_function(ending, bases, case.height, _PAIR_DEGREE)
         fields.append(field.coefficients)
         extra.append(change.extra_depth)
-    return Solved(np.array(fields), np.array(extra))
+    return PressFields(np.array(fields), np.array(extra))
 
 
-def _wide(about: Indentations, apart: float, angle: float) -> tuple[Rectangle, tuple[float, float]]:
+def _wide(case: Indentations, apart: float, angle: float) -> tuple[Rectangle, tuple[float, float]]:
     """Wide stack around a pair, and where the middle of the pair is on it [m]."""
-    free = _PAIR_FREE * about.thickness
+    free = _PAIR_FREE * case.thickness
     half = [0.5 * apart * abs(way) + free for way in (math.cos(angle), math.sin(angle))]
     return Rectangle(2.0 * half[0], 2.0 * half[1]), (half[0], half[1])
 
@@ -125,25 +125,25 @@ class PairChange:
 
 
 def _changes(
-    about: Indentations,
+    case: Indentations,
     outline: Rectangle,
     middle: tuple[float, float],
-    apart: float,
+    spacing: float,
     angle: float,
     dents: Sequence[Indentation],
 ) -> Iterator[PairChange]:
     """Changes of two presses by each other at rising depths, on an outline on a rigid base."""
-    x, y = 0.5 * apart * math.cos(angle), 0.5 * apart * math.sin(angle)
+    x, y = 0.5 * spacing * math.cos(angle), 0.5 * spacing * math.sin(angle)
     places = [(middle[0] + way * x, middle[1] + way * y) for way in (-1.0, 1.0)]
-    body = replace(about, support=Rigid()).mesh(outline, places, _PAIR_FINENESS)
-    both, one = FiniteStack(body, 2), FiniteStack(body)
+    body = replace(case, support=Rigid()).mesh(outline, places, _PAIR_FINENESS)
+    pair_stack, one = FiniteStack(body, 2), FiniteStack(body)
     starts: list[Array | None] = [None] * 3
     before = 1.0
     for dent in dents:
-        fields = [DentField(*place, about.indenter, dent) for place in places]
+        fields = [DentField(*place, case.indenter, dent) for place in places]
         # Deep dents close together may turn the stack inside out before their correction.
         given = [None if x is None else x * (dent.depth / before) ** 2 for x in starts]
-        pair = both.correction(fields, given[0])
+        pair = pair_stack.correction(fields, given[0])
         alone = [
             one.correction([field], start) for field, start in zip(fields, given[1:], strict=True)
         ]
@@ -152,7 +152,7 @@ def _changes(
 
 
 def solve_pair_sides(
-    about: Indentations, width: float, report: Report, workers: int = 1
+    case: Indentations, width: float, report: Report, workers: int = 1
 ) -> SolutionTable:
     """Fields that the sides of a strip add to the change of two presses by each other.
 
@@ -160,47 +160,47 @@ def solve_pair_sides(
     one depth; ends are left out, of which electrodes are far. Fields are from the middle of the
     pair along x. Places are 0 where the pair is nearest to a side, and 1 in the middle.
     """
-    about = about.to_depths(_PAIR_DEPTHS)
-    every = _pair_axis(about).nodes
+    case = case.to_depths(_PAIR_DEPTHS)
+    every = _pair_axis(case).nodes
     apart = Axis("axis_distance", "logarithmic", every[[*_SIDES_APART, -1]])
     directions = Axis("direction", "direction", np.arange(_QUARTER + 1) * math.pi / 2 / _QUARTER)
     grid = list(product(apart.nodes[:-1].tolist(), directions.nodes.tolist()))
     solved = solve_each(
-        partial(_beside_sides, about, width), report, workers, *zip(*grid, strict=True)
+        partial(_solve_pair_sides, case, width), report, workers, *zip(*grid, strict=True)
     )
     axes = [apart, directions, Axis("place", "mirrored", np.array(_FROM_SIDES))]
-    depth = about.dents[_SIDES_DEPTH].depth
-    return tabulate(about, axes, solved, width=width, depth=depth, least=about.least)
+    depth = case.dents[_SIDES_DEPTH].depth
+    return tabulate(case, axes, solved, width=width, depth=depth, least=case.least)
 
 
-def _beside_sides(about: Indentations, width: float, apart: float, angle: float) -> Solved:
+def _solve_pair_sides(case: Indentations, width: float, apart: float, angle: float) -> PressFields:
     """Fields that the sides add to pairs in one direction; zero where such pairs have no room."""
-    H, half = about.thickness, 0.5 * width
-    found = np.zeros((len(_FROM_SIDES), *_COUNTS_BESIDE, 4))
-    low = float(lowest_middle(about.least, apart, angle))
+    H, half = case.thickness, 0.5 * width
+    values = np.zeros((len(_FROM_SIDES), *_COUNTS_BESIDE, 4))
+    low = float(lowest_middle(case.least, apart, angle))
     if low <= half:
-        dents = about.dents[_SIDES_DEPTH : _SIDES_DEPTH + 1]
-        (wide,) = _changes(about, *_wide(about, apart, angle), apart, angle, dents)
+        dents = case.dents[_SIDES_DEPTH : _SIDES_DEPTH + 1]
+        (wide,) = _changes(case, *_wide(case, apart, angle), apart, angle, dents)
         outline = Rectangle(2.0 * _PAIR_STRIP * H, width)
         bases = pair_side_bases(H, width, _FINER)
         for k, part in enumerate(_FROM_SIDES):
             middle = (_PAIR_STRIP * H, low + part * (half - low))
-            (beside,) = _changes(about, outline, middle, apart, angle, dents)
-            added = partial(_added, beside, wide, np.array([0.0, middle[1], 0.0]))
+            (beside,) = _changes(case, outline, middle, apart, angle, dents)
+            added = partial(_strip_difference, beside, wide, np.array([0.0, middle[1], 0.0]))
             ending = partial(_ending, added, np.array([PAIR_AROUND * H, np.inf]), _PAIR_FADE * H)
-            field = Field.from_function(ending, bases, about.height, _COUNTS_BESIDE[2] - 1)
-            found[k] = field.coefficients[tuple(slice(count) for count in _COUNTS_BESIDE)]
-    return Solved(found, np.zeros(len(_FROM_SIDES)))
+            field = Field.from_function(ending, bases, case.height, _COUNTS_BESIDE[2] - 1)
+            values[k] = field.coefficients[tuple(slice(count) for count in _COUNTS_BESIDE)]
+    return PressFields(values, np.zeros(len(_FROM_SIDES)))
 
 
 def _ending(field: Callable[[Array], Array], end: Array, length: float, points: Array) -> Array:
     """Values of a field at points, faded out towards -end and end along x and y, (2,) [m]."""
-    return faded(field(points), points, (-end, end), length)
+    return fade_at_box(field(points), points, (-end, end), length)
 
 
-def _added(beside: PairChange, wide: PairChange, middle: Array, points: Array) -> Array:
+def _strip_difference(strip: PairChange, wide: PairChange, middle: Array, points: Array) -> Array:
     """Difference of the change on a strip to that on a wide stack."""
-    return beside(points - middle) - wide(points - middle)
+    return strip(points - middle) - wide(points - middle)
 
 
 def pair_side_bases(thickness: float, width: float, finer: int = 1) -> Bases:
@@ -212,6 +212,6 @@ def pair_side_bases(thickness: float, width: float, finer: int = 1) -> Bases:
     )
 
 
-def lowest_middle(least: float, apart: ArrayLike, angle: ArrayLike) -> Array:
+def lowest_middle(min_distance: float, spacing: ArrayLike, angle: ArrayLike) -> Array:
     """Least distance from a side of the middle of a pair [m]."""
-    return np.asarray(least + 0.5 * np.abs(apart * np.sin(angle)))
+    return np.asarray(min_distance + 0.5 * np.abs(spacing * np.sin(angle)))

@@ -36,10 +36,10 @@ for _n in range(_DEGREE + 1):
     _POWERS[_n, : _n + 1] = legendre.leg2poly(np.eye(_n + 1)[_n])
 
 _DEPTHS = 18
-_DEEPEST = 0.6  # of the thickness of the stack
+_MAX_DEPTH = 0.6  # of the thickness of the stack
 # Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
 _SPACING = 1.5
-_FEWEST = 4  # depths of a table
+_MIN_DEPTHS = 4  # depths of a table
 _CELL = 1.0 / 40.0  # finest, of the radius of the indenter
 _KNOT = 0.1  # spacing of radial knots near the indenter, over the layer's thickness
 _KNOT_GROWTH = 0.1
@@ -52,13 +52,13 @@ class TabulatedDent:
     """Dent of one press, from a press table.
 
     Attributes:
-        force: of the indenter [N].
-        depth: of the indenter's lowest point under the undeformed top of the stack [m].
-        contact_radius: of the contact area in the deformed stack [m].
+        force: force of the indenter [N].
+        depth: depth of the indenter's lowest point under the undeformed top of the stack [m].
+        contact_radius: radius of the contact area in the deformed stack [m].
         peak_pressure: largest contact pressure [Pa].
         thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
-        share: of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
-        thickness: of the undeformed layer [m].
+        share: share of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
+        thickness: thickness of the undeformed layer [m].
         profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
             polynomials over the height, (coefficients, 3).
     """
@@ -83,7 +83,7 @@ class TabulatedDent:
         At distances r > 0 (n,) from the axis and heights z (n, h) over the layer's bottom [m].
         """
         inside = np.minimum(r, self.reach)
-        P = self.over_height(z)
+        P = self.height_polynomials(z)
         c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
         pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
         parts = [np.einsum("nhm,nmf->nfh", Q, v) for Q, v in pairs]
@@ -92,19 +92,19 @@ class TabulatedDent:
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension, (n, h) at r (n,) and z (n, h)."""
         coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
-        return np.asarray(np.einsum("nhm,nm->nh", self.over_height(z), coefficients))
+        return np.asarray(np.einsum("nhm,nm->nh", self.height_polynomials(z), coefficients))
 
     def derivatives(self, P: Array) -> Array:
         """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""
         return np.asarray(P @ (_DERIVATIVE * (2.0 / self.thickness)))
 
-    def over_height(self, z: Array) -> Array:
+    def height_polynomials(self, z: Array) -> Array:
         """Legendre polynomials (..., m) at heights z (...) [m]."""
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
 
 
 @lru_cache(maxsize=16)
-def powers_of(dent: TabulatedDent) -> Array:
+def dent_powers(dent: TabulatedDent) -> Array:
     """Piecewise cubics in r of u and w, of the powers 0 to 5 of the level each, (m, 4, 12).
 
     From the highest power of r. Levels go from -1 to 1 over the height.
@@ -122,9 +122,9 @@ class PressTable:
         forces: (n,) [N].
         contact_radii: (n,) [m].
         peak_pressures: (n,) [Pa].
-        thinnings: of the layer on the axis, (n,).
+        thinnings: thinnings of the layer on the axis, (n,).
         energies: isochoric strain energy in the layer and in the whole stack, (n, 2) [J].
-        thickness: of the undeformed layer, () [m].
+        thickness: thickness of the undeformed layer, () [m].
         knots: distances from the axis, (m,) [m].
         moved: displacements u and w at the knots as coefficients of Legendre polynomials over the
             height of the layer, (n, m, coefficients, 2) [m].
@@ -147,7 +147,7 @@ class PressTable:
         """Largest solved force [N]."""
         return float(self.forces[-1])
 
-    def at_force(self, force: float) -> TabulatedDent:
+    def dent_from_force(self, force: float) -> TabulatedDent:
         """Dent of a press with `force` [N].
 
         Raises ConfigurationError for a force that is not positive, or beyond the table.
@@ -157,27 +157,27 @@ class PressTable:
                 f"force must be above 0 and at most {self.largest_force:.3g} N, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {force:g} N"
             )
-        scaled_depth = _over_depth(self).forces.solve(force, extrapolate=False)[0]
+        scaled_depth = _depth_interpolation(self).forces.solve(force, extrapolate=False)[0]
         return self._dent(force, float(scaled_depth))
 
-    def at_depth(self, depth: float) -> TabulatedDent:
-        """Dent of a press to `depth` [m]; raises ConfigurationError like `at_force`."""
+    def dent_from_depth(self, depth: float) -> TabulatedDent:
+        """Dent of a press to `depth` [m]; raises ConfigurationError like `dent_from_force`."""
         if not 0.0 < depth <= self.depths[-1]:
             raise ConfigurationError(
                 f"depth must be above 0 and at most {self.depths[-1]:.3g} m, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {depth:g} m"
             )
         scaled_depth = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
-        return self._dent(float(_over_depth(self).forces(scaled_depth)), scaled_depth)
+        return self._dent(float(_depth_interpolation(self).forces(scaled_depth)), scaled_depth)
 
-    def stretched(self, factor: float) -> "PressTable":
+    def stretch_heights(self, factor: float) -> "PressTable":
         """Table with all heights multiplied by `factor`, which preserves J and the forces."""
         scaled = {
             name: factor * getattr(self, name) for name in ("depths", "energies", "thickness")
         }
         return replace(self, **scaled, moved=self.moved * (1.0, factor))
 
-    def scaled(self, length: float, modulus: float) -> "PressTable":
+    def rescale(self, length: float, modulus: float) -> "PressTable":
         """Table with all lengths and moduli multiplied."""
         names = ("depths", "contact_radii", "thickness", "knots", "moved")
         scale = dict.fromkeys(names, length) | dict.fromkeys(
@@ -187,13 +187,13 @@ class PressTable:
         return replace(self, **{name: by * getattr(self, name) for name, by in scale.items()})
 
     def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
-        table = _over_depth(self)
+        table = _depth_interpolation(self)
         radius, pressure, thinning, *_ = table.numbers(scaled_depth).tolist()
         *_, in_layer, in_all = table.numbers(scaled_depth, 1).tolist()
         u, *others = np.moveaxis(np.tensordot(table.weights(scaled_depth), table.fields, 1), -1, 0)
         size = float(self.knots[-1])
         odd, even = _piecewise(_relative(self.knots, size))
-        pieces = np.stack([odd @ u, *(even @ each for each in others)], axis=-1)
+        pieces = np.stack([odd @ u, *(even @ other for other in others)], axis=-1)
         pieces /= (size ** np.arange(3, -1, -1))[:, None, None, None]
         return TabulatedDent(
             force=force,
@@ -214,7 +214,8 @@ class _OverDepth(NamedTuple):
         forces: spline.
         numbers: spline of radius, pressure, thinning and both energies.
         weights: spline of the weights of the tabulated depths.
-        fields: of these, coefficients of u, w and the mean stress at the knots, (n, m, 6, 3).
+        fields: fields of these, coefficients of u, w and the mean stress at the knots, (n, m, 6,
+            3).
     """
 
     forces: CubicSpline
@@ -224,7 +225,7 @@ class _OverDepth(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _over_depth(table: PressTable) -> _OverDepth:
+def _depth_interpolation(table: PressTable) -> _OverDepth:
     scaled_depths = (table.depths / table.depths[-1]) ** (1.0 / _SPACING)
     numbers = (table.contact_radii, table.peak_pressures, table.thinnings, *table.energies.T)
     fields = np.concatenate([table.moved, table.stressed[..., None]], axis=-1)
@@ -262,12 +263,14 @@ def press_table(
 
     Raises ConfigurationError where not even shallow presses are carried.
     """
-    weights = StackGrid.around(design, mechanics, grid).full_weights()
-    found = [(load_press_table(stack, indenter.tabled), weight) for stack, weight in weights]
+    weights = StackGrid.from_design(design, mechanics, grid).full_weights()
+    found = [
+        (load_press_table(stack, indenter.table_indenter), weight) for stack, weight in weights
+    ]
     if len(found) == 1:
         return found[0][0]
     return weighted_sum(
-        [table.stretched(design.thickness / float(table.thickness)) for table, _ in found],
+        [table.stretch_heights(design.thickness / float(table.thickness)) for table, _ in found],
         np.array([weight for _, weight in found]),
     )
 
@@ -276,14 +279,14 @@ def press_problems(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> list[Problem]:
     """Tables that `press_table` needs; each takes seconds to a minute to solve."""
-    weights = StackGrid.around(design, mechanics, grid).full_weights()
-    return [_problem(stack, indenter.tabled) for stack, _ in weights]
+    weights = StackGrid.from_design(design, mechanics, grid).full_weights()
+    return [_problem(stack, indenter.table_indenter) for stack, _ in weights]
 
 
 def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:
     """Table of the conductive layer of a stack."""
     table = load_or_solve(_problem(stack, indenter), _from_arrays)
-    return table.scaled(*_scales(stack))
+    return table.rescale(*_scales(stack))
 
 
 def _from_arrays(arrays: Arrays) -> PressTable:
@@ -307,12 +310,12 @@ def _problem(stack: Stack, indenter: Indenter) -> Problem:
         "bulk_ratio": stack.bulk_ratio,
         **indenter_samples(indenter, length),
     }
-    return Problem("press", described, partial(_solved, stack, indenter))
+    return Problem("press", described, partial(_solve_arrays, stack, indenter))
 
 
-def _solved(stack: Stack, indenter: Indenter, report: Report) -> Arrays:
+def _solve_arrays(stack: Stack, indenter: Indenter, report: Report) -> Arrays:
     length, modulus = _scales(stack)
-    table = solve_table(stack, stack.gel, indenter).scaled(1.0 / length, 1.0 / modulus)
+    table = solve_table(stack, stack.gel, indenter).rescale(1.0 / length, 1.0 / modulus)
     report(1, 1)
     return {field.name: getattr(table, field.name) for field in fields(PressTable)}
 
@@ -338,14 +341,14 @@ def solve_table(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
     found: list[Indentation] = []
     for part in (np.append(_FIRST, np.arange(1, _DEPTHS + 1)) / _DEPTHS) ** _SPACING:
         try:
-            found.append(press.to_depth(_DEEPEST * thickness * part))
+            found.append(press.to_depth(_MAX_DEPTH * thickness * part))
         except SolidError:
-            if len(found) < _FEWEST:
+            if len(found) < _MIN_DEPTHS:
                 raise
             break
     bottom, top = stack.levels[layer : layer + 2]
     knots = _knots(indenter.rims[1], top - bottom, found[-1].r[-1])
-    fit = partial(_over_layer, bottom, top, knots)
+    fit = partial(_layer_coefficients, bottom, top, knots)
     moved = np.stack([fit(one.r, one.z, one.displacement) for one in found])
     stressed = np.stack(
         [fit(one.r[::2], one.z[::2], one.mean_stress[layer, ..., None]) for one in found]
@@ -373,36 +376,36 @@ def weighted_sum(tables: list[PressTable], weights: Array) -> PressTable:
     deep = min(len(table.depths) for table in tables)
     farthest = max(tables, key=lambda table: float(table.knots[-1]))
 
-    def summed(name: str) -> Array:
+    def sum_arrays(name: str) -> Array:
         arrays = [getattr(table, name)[:deep] for table in tables]
         if name in ("moved", "stressed"):
             arrays = [
-                _at_knots(array, table.knots, farthest.knots)
+                _interpolate_knots(array, table.knots, farthest.knots)
                 for array, table in zip(arrays, tables, strict=True)
             ]
         return np.tensordot(weights, np.stack(arrays), axes=1)
 
     same = {"thickness": farthest.thickness, "knots": farthest.knots}
     parts = {
-        field.name: summed(field.name) for field in fields(PressTable) if field.name not in same
+        field.name: sum_arrays(field.name) for field in fields(PressTable) if field.name not in same
     }
     return PressTable(**same, **parts)
 
 
-def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:
+def _interpolate_knots(values: Array, knots: Array, target_knots: Array) -> Array:
     """Values (n, m, ...) over knots (m,), zero beyond the last, interpolated to other knots."""
-    if np.array_equal(knots, wanted):
+    if np.array_equal(knots, target_knots):
         return values
     size = float(knots[-1])
-    matrix = _interpolation(_relative(knots, size), _relative(np.minimum(wanted, size), size))
-    found = matrix @ values.reshape(*values.shape[:2], -1)
-    return np.asarray(found.reshape(len(values), len(wanted), *values.shape[2:]))
+    matrix = _interpolation(_relative(knots, size), _relative(np.minimum(target_knots, size), size))
+    knot_values = matrix @ values.reshape(*values.shape[:2], -1)
+    return np.asarray(knot_values.reshape(len(values), len(target_knots), *values.shape[2:]))
 
 
 @lru_cache(maxsize=32)
-def _interpolation(knots: tuple[float, ...], wanted: tuple[float, ...]) -> Array:
+def _interpolation(knots: tuple[float, ...], target_knots: tuple[float, ...]) -> Array:
     """Matrix from values at knots to those of their spline at other knots."""
-    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(wanted))
+    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(target_knots))
 
 
 def _knots(radius: float, thickness: float, end: float) -> Array:
@@ -416,7 +419,7 @@ def _knots(radius: float, thickness: float, end: float) -> Array:
     return np.concatenate([inside, beyond[1:], [end]])
 
 
-def _over_layer(
+def _layer_coefficients(
     bottom: float, top: float, knots: Array, r: Array, z: Array, values: Array
 ) -> Array:
     """Legendre coefficients over the height of a layer at the knots, (m, coefficients, k).

@@ -55,11 +55,11 @@ class PressedSensor(NamedTuple):
     """Sensor that is touched.
 
     Attributes:
-        design: of the sensor, with its support.
+        design: design of the sensor, with its support.
         mechanics: materials.
         model: way to the corrections of dents; None chooses.
         grid: nominal values about which tables are solved.
-        plates: that hold the sensor and may bend it; None on another support.
+        plates: plates that hold the sensor and may bend it; None on another support.
     """
 
     design: SensorDesign
@@ -86,4 +86,4 @@ class PressedSensor(NamedTuple):
 
     def frame(self, shape: BentState | Deformation, x: float, y: float) -> ContactFrame:
         """Frame of the top of the bent stack under (x, y) [m]."""
-        return ContactFrame.at(shape, x, y, self.mechanics.stack(self.design))
+        return ContactFrame.from_bent_top(shape, x, y, self.mechanics.stack(self.design))

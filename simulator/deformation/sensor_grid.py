@@ -13,8 +13,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
-from eitskin.config import MOST_TOML, from_dict, toml_table
+from eitskin.config import MAX_TOML, from_dict, toml_table
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.files import read_text
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture
 from eitskin.geometry.design.sensor import SensorDesign
@@ -28,15 +29,16 @@ REFERENCE_RATIO, SUBSTRATE_RATIO = 1.4, 1.0
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)  # ratios of neighbouring thicknesses and moduli
 # Steps up to which the neighbours of the reference serve: hand-made specimens stay within.
 _MAX_FROM_REFERENCE = 2.6
-_SAME, _NEGLIGIBLE = 1e-9, 1e-12  # of a step, and of a weight
+_TOLERANCE, _NEGLIGIBLE = 1e-9, 1e-12  # of a step, and of a weight
 
 
+@old_names(about="from_nominal", replaced_by="override")
 @dataclass(frozen=True, slots=True)
 class SensorGrid:
     """Nominal values about which sensors are solved; a sensor's own where they are None.
 
     Attributes:
-        thickness: of the gel, for presses and bends [m].
+        thickness: thickness of the gel, for presses and bends [m].
         ratio: shear modulus of the encapsulation over the gel's, for bends.
         span, offset: of the clamp [m].
 
@@ -65,16 +67,18 @@ class SensorGrid:
             raise ConfigurationError(f"grid offset must be finite, in m, got {self.offset}")
 
     @classmethod
-    def about(cls, design: SensorDesign, fixture: Fixture, mechanics: Mechanics) -> "SensorGrid":
+    def from_nominal(
+        cls, design: SensorDesign, fixture: Fixture, mechanics: Mechanics
+    ) -> "SensorGrid":
         """Grid about a nominal sensor on its fixture."""
         ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
         clamp = (fixture.span, fixture.offset) if isinstance(fixture, Clamp) else (None, None)
         return cls(design.thickness, ratio, *clamp)
 
-    def replaced_by(self, other: "SensorGrid | None") -> "SensorGrid":
+    def override(self, other: "SensorGrid | None") -> "SensorGrid":
         """Grid with the values of another, where that has any."""
-        given = dataclasses.asdict(other) if other else {}
-        return dataclasses.replace(self, **{k: v for k, v in given.items() if v is not None})
+        values = dataclasses.asdict(other) if other else {}
+        return dataclasses.replace(self, **{k: v for k, v in values.items() if v is not None})
 
 
 OWN_GRID = SensorGrid()
@@ -95,20 +99,20 @@ def with_grid(document: Mapping[str, Any]) -> dict[str, Any]:
     A file of mechanics may have it as `grid`, and files of version 0.2 have it under old keys of
     `mechanics` and `fixture`.
     """
-    made = {
+    new_table = {
         key: dict(value)
         if key in ("mechanics", "fixture") and isinstance(value, Mapping)
         else value
         for key, value in document.items()
     }
-    tables = {key: value for key, value in made.items() if isinstance(value, dict)}
+    tables = {key: value for key, value in new_table.items() if isinstance(value, dict)}
     grid = dict(tables.get("mechanics", {}).pop("grid", {}))
     for name, (table, key) in _OLD_KEYS.items():
         if key in tables.get(table, {}):
             grid[name] = tables[table].pop(key)
-            if table == "fixture":  # the old keys told a clamp from a hinge
+            if table == "fixture":  # the old keys distinguished a clamp from a hinge
                 tables[table].setdefault("faces", "both")
-    return made | {"grid": grid} if grid and "grid" not in made else made
+    return new_table | {"grid": grid} if grid and "grid" not in new_table else new_table
 
 
 def read_fixed(
@@ -119,12 +123,12 @@ def read_fixed(
     Raises ConfigurationError for files that do not fit.
     """
     paths = {"fixture": fixture, "mechanics": mechanics, "grid": mechanics}
-    given = {
-        name: toml_table(read_text(path, MOST_TOML), str(path))
+    fixed_tables = {
+        name: toml_table(read_text(path, MAX_TOML), str(path))
         for name, path in paths.items()
         if path and name != "grid"
     }
-    tables = with_grid(given)
+    tables = with_grid(fixed_tables)
     made: dict[str, Any] = {"fixture": Clamp(), "mechanics": Mechanics(), "grid": OWN_GRID}
     for name, kind in (("fixture", Fixture), ("mechanics", Mechanics), ("grid", SensorGrid)):
         if name in tables:
@@ -135,7 +139,7 @@ def read_fixed(
 def lagrange_weights(position: float, nodes: range) -> list[tuple[int, float]]:
     """Lagrange weights at `position` of values at `nodes`; a single weight at a node."""
     nearest = round(position)
-    if abs(position - nearest) < _SAME:
+    if abs(position - nearest) < _TOLERANCE:
         return [(nearest, 1.0)]
     return [(p, math.prod((position - q) / (p - q) for q in nodes if q != p)) for p in nodes]
 
@@ -147,7 +151,7 @@ def cut_weights(positions: Sequence[float], stencils: Sequence[range]) -> dict[S
     of first order, cut at the base (Rabitz and Alis 1999).
 
     Args:
-        positions: of the wanted sensor, in steps from the base along each axis.
+        positions: positions of the wanted sensor, in steps from the base along each axis.
         stencils: numbers of the steps that serve, along each axis.
     """
     base = (0,) * len(positions)
@@ -168,9 +172,9 @@ class StackGrid:
     such, in steps of equal ratios.
 
     Attributes:
-        stack: of the design.
+        stack: stack of the design.
         nominal: solved thickness over the design's.
-        positions: of the design's stack along each axis, in steps.
+        positions: positions of the design's stack along each axis, in steps.
     """
 
     stack: Stack
@@ -178,22 +182,24 @@ class StackGrid:
     positions: tuple[float, ...]
 
     @classmethod
-    def around(cls, design: SensorDesign, mechanics: Mechanics, grid: SensorGrid) -> "StackGrid":
+    def from_design(
+        cls, design: SensorDesign, mechanics: Mechanics, grid: SensorGrid
+    ) -> "StackGrid":
         """Grid around the stack of a design."""
         stack = mechanics.stack(design)
         moduli = [sheet.law.shear_modulus for sheet in stack.sheets]
         nominal = (grid.thickness or design.thickness) / design.thickness
         positions = [-math.log(nominal) / math.log(_THICKER)]
-        for number, ratio in _varied(stack):
+        for number, ratio in _sheet_moduli(stack):
             relative = moduli[number] / moduli[stack.gel] / ratio
             positions.append(math.log(relative) / math.log(_STIFFER))
         return cls(stack, nominal, tuple(positions))
 
-    def at(self, steps: Steps) -> Stack:
+    def stack_at_steps(self, steps: Steps) -> Stack:
         """Stack at a number of steps along each axis."""
         stack = _scaled_heights(self.stack, self.nominal * _THICKER ** steps[0])
         gel = stack.sheets[stack.gel].law.shear_modulus
-        for (number, ratio), step in zip(_varied(stack), steps[1:], strict=True):
+        for (number, ratio), step in zip(_sheet_moduli(stack), steps[1:], strict=True):
             around = (number,) if number != stack.gel + 1 else (stack.gel - 1, number)
             stack = _with_modulus(stack, around, ratio * gel * _STIFFER**step)
         return stack
@@ -211,7 +217,7 @@ class StackGrid:
         axes = [lagrange_weights(*each) for each in zip(self.positions, stencils, strict=True)]
         for corner in product(*axes):
             steps, weights = zip(*corner, strict=True)
-            yield self.at(steps), math.prod(weights)
+            yield self.stack_at_steps(steps), math.prod(weights)
 
     def base_and_weights(self) -> tuple[Stack, dict[Stack, float]]:
         """Solved stack next to the design's, and cut weights of that stack and its neighbours.
@@ -227,13 +233,13 @@ class StackGrid:
             for axis, t in enumerate(apart)
         ]
         weights = {
-            self.at(tuple(n + k for n, k in zip(base, steps, strict=True))): weight
+            self.stack_at_steps(tuple(n + k for n, k in zip(base, steps, strict=True))): weight
             for steps, weight in cut_weights(apart, stencils).items()
         }
-        return self.at(base), weights
+        return self.stack_at_steps(base), weights
 
 
-def _varied(stack: Stack) -> list[tuple[int, float]]:
+def _sheet_moduli(stack: Stack) -> list[tuple[int, float]]:
     """Numbers of the sheets of encapsulation and substrate, and their reference moduli."""
     above = [(stack.gel + 1, REFERENCE_RATIO)] if stack.gel + 1 < len(stack.sheets) else []
     return above + [(0, SUBSTRATE_RATIO)] * stack.substrate

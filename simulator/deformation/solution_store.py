@@ -65,7 +65,9 @@ class Problem:
     @cached_property
     def name(self) -> str:
         """Name of the file: the kind, and a hash of the description to nine digits."""
-        described = json.dumps(_rounded({"format": _VERSION, **self.description}), sort_keys=True)
+        described = json.dumps(
+            _round_numbers({"format": _VERSION, **self.description}), sort_keys=True
+        )
         return f"{self.kind}-{hashlib.sha256(described.encode()).hexdigest()[:32]}.npz"
 
     @property
@@ -79,14 +81,14 @@ class Problem:
         return (LIBRARY / self.name).is_file()
 
 
-def _rounded(value: object) -> object:
+def _round_numbers(value: object) -> object:
     """Description whose real numbers are texts of nine digits."""
     if type(value) is float:
         return f"{value:.9g}"
     if isinstance(value, list | tuple):
-        return [_rounded(each) for each in value]
+        return [_round_numbers(each) for each in value]
     if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
+        return {key: _round_numbers(each) for key, each in value.items()}
     return value if value is None or isinstance(value, int | str) else f"{value:.9g}"
 
 
@@ -94,8 +96,8 @@ def cache_folder() -> Path:
     """Folder of the user's solutions: $EITSKIN_CACHE, or the system's folder for caches."""
     from platformdirs import user_cache_path
 
-    given = os.environ.get("EITSKIN_CACHE")
-    return Path(given) if given else user_cache_path("eitskin", appauthor=False)
+    folder = os.environ.get("EITSKIN_CACHE")
+    return Path(folder) if folder else user_cache_path("eitskin", appauthor=False)
 
 
 def missing(problems: Iterable[Problem]) -> dict[Path, Problem]:
@@ -116,24 +118,24 @@ def load_or_solve(
     be written, each solves for itself.
 
     Args:
-        problem: to be solved.
-        make: of the arrays what is returned, and kept in memory while the file stays as it is.
+        problem: problem to be solved.
+        make: make of the arrays what is returned, and kept in memory while the file stays as it is.
         report: called with the number of parts done and of all parts.
     """
 
     def load() -> Made | None:
-        found = _load(LIBRARY / problem.name, make)
-        return _load(problem.path, make) if found is None else found
+        solution = _load(LIBRARY / problem.name, make)
+        return _load(problem.path, make) if solution is None else solution
 
-    found = load()
-    if found is None:
-        with _locked(problem.path):
-            found = load()  # another process may have solved it meanwhile
-            if found is None:
+    stored_solution = load()
+    if stored_solution is None:
+        with _lock_file(problem.path):
+            stored_solution = load()  # another process may have solved it meanwhile
+            if stored_solution is None:
                 solution = problem.solve(report)
                 write(problem.path, solution)
-                found = make(solution)
-    return found
+                stored_solution = make(solution)
+    return stored_solution
 
 
 def prepare(problems: Iterable[Problem], report: Report | None = None, workers: int = 1) -> None:
@@ -185,7 +187,7 @@ def _end_at_interrupt() -> None:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def _lock_file(path: Path) -> Iterator[None]:
     """Context for one process at a time; a process that is killed lets the next one in."""
     from filelock import FileLock
 
@@ -196,23 +198,23 @@ def _locked(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # Whoever waits for this file, or makes it anew, looks for the solution first.
+        # Whoever waits for this file, or makes it again, looks for the solution first.
         with suppress(OSError):
             path.with_suffix(".lock").unlink()
         lock.release()
 
 
 def _load(path: Path, make: Callable[[Arrays], Made]) -> Made | None:
-    """Object made of a file, anew where it has changed; None where absent or damaged."""
+    """Object made of a file, again where it has changed; None where absent or damaged."""
     try:
-        return _made(path, path.stat().st_mtime_ns, make)
+        return _make_from_file(path, path.stat().st_mtime_ns, make)
     except OSError:
         return None
 
 
 # Specimens of one design share solutions.
 @lru_cache(maxsize=_MAX_LOADED)
-def _made(path: Path, changed: int, make: Callable[[Arrays], Made]) -> Made | None:  # noqa: ARG001
+def _make_from_file(path: Path, changed: int, make: Callable[[Arrays], Made]) -> Made | None:  # noqa: ARG001
     arrays = _read(path)
     return None if arrays is None else make(arrays)
 
@@ -221,7 +223,7 @@ def _read(path: Path) -> Arrays | None:
     try:
         content = io.BytesIO(read_bytes(path, _MAX_BYTES))  # which waits for no pipe
         with np.load(content, allow_pickle=False) as file:
-            return {name: _joined(file[name]) for name in file.files}
+            return {name: _join_planes(file[name]) for name in file.files}
     except Exception:  # damage raises errors of many classes, of which numpy lists none
         return None
 
@@ -243,7 +245,7 @@ def _split(array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(numbers, -1, 0))
 
 
-def _joined(planes: NDArray[Any]) -> NDArray[Any]:
+def _join_planes(planes: NDArray[Any]) -> NDArray[Any]:
     """Array of single or double precision whose bytes are `planes`; others as they are."""
     if planes.dtype != np.uint8:
         return planes

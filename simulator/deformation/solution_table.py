@@ -22,7 +22,7 @@ class Axis(NamedTuple):
     """Solved values of one parameter, and the way of interpolation between them.
 
     Attributes:
-        name: of the parameter.
+        name: name of the parameter.
         kind: key of `INTERPOLATIONS`.
         nodes: solved values, rising, (n,).
     """
@@ -31,13 +31,13 @@ class Axis(NamedTuple):
     kind: str
     nodes: Array
 
-    def weights(self, at: Array) -> Array:
+    def weights(self, x: Array) -> Array:
         """Weights of the solved values at parameters (t,), (images, t, solved).
 
         A parameter that is solved up to a plane of symmetry has two images: the solved fields as
         they are, and mirrored.
         """
-        return INTERPOLATIONS[self.kind](self.nodes, at)
+        return INTERPOLATIONS[self.kind](self.nodes, x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +45,11 @@ class SolutionTable:
     """Solved fields over axes, stored by proper orthogonal decomposition, and numbers with them.
 
     Attributes:
-        axes: of the parameters.
-        amplitudes: of the modes at all solved values, (n1, n2, ..., rank).
+        axes: axes of the parameters.
+        amplitudes: amplitudes of the modes at all solved values, (n1, n2, ..., rank).
         modes: coefficients of fields relative to `scales`, (rank, nx, ny, nz, k), stored in
             single precision.
-        scales: of the components, (k,).
+        scales: scales of the components, (k,).
         numbers: solved with the fields, (n1, n2, ...) each; "extra_depth" is by how much presses
             sink deeper than in an unbounded stack [m].
         sizes: lengths and moduli of the solved sensor, and nodes of its fields.
@@ -80,9 +80,9 @@ class SolutionTable:
         scales = np.sqrt(np.mean(coefficients**2, axis=tuple(range(coefficients.ndim - 1))))
         relative = coefficients / np.where(scales > 0.0, scales, 1.0)
         rows = relative.reshape(math.prod(solved), -1)
-        left, singular, modes = np.linalg.svd(rows, full_matrices=False)
+        left_vectors, singular, modes = np.linalg.svd(rows, full_matrices=False)
         rank = max(1, int(np.count_nonzero(singular > tolerance * singular[0])))
-        amplitudes = (left[:, :rank] * singular[:rank]).reshape(*solved, rank)
+        amplitudes = (left_vectors[:, :rank] * singular[:rank]).reshape(*solved, rank)
         return cls(
             tuple(axes),
             amplitudes,
@@ -131,11 +131,11 @@ class SolutionTable:
         images.
         """
         weights = [axis.weights(np.atleast_1d(parameters[axis.name])) for axis in self.axes]
-        images = tuple(len(each) for each in weights if len(each) > 1)
+        images = tuple(len(weight) for weight in weights if len(weight) > 1)
         product = weights[0]  # of the weights, (all images, t, solved)
-        for each in weights[1:]:
-            both = product[:, None, :, :, None] * each[:, :, None]
-            product = both.reshape(-1, both.shape[2], both.shape[3] * both.shape[4])
+        for weight in weights[1:]:
+            products = product[:, None, :, :, None] * weight[:, :, None]
+            product = products.reshape(-1, products.shape[2], products.shape[3] * products.shape[4])
         summed = product.sum(axis=0)
         numbers = {name: (summed * v.ravel()).sum(axis=1) for name, v in self.numbers.items()}
         rows = product.reshape(-1, product.shape[-1])
@@ -160,7 +160,7 @@ class SolutionTable:
         scaled = (self.modes * self.scales).astype(self.modes.dtype)
         return scaled.reshape(len(scaled), -1)
 
-    def restricted(self, nodes: Array) -> "SolutionTable":
+    def restrict(self, nodes: Array) -> "SolutionTable":
         """Table of some of the solved values of the first parameter."""
         chosen = np.isin(self.axes[0].nodes, nodes)
         return replace(
@@ -170,7 +170,7 @@ class SolutionTable:
             numbers={name: values[chosen] for name, values in self.numbers.items()},
         )
 
-    def scaled(
+    def rescale(
         self, components: ArrayLike, numbers: float = 1.0, sizes: float = 1.0
     ) -> "SolutionTable":
         """Table whose components of fields (k,), numbers and sizes are multiplied."""
@@ -193,65 +193,65 @@ def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) 
     return np.asarray(np.matmul(blocks, matrix).reshape(-1, matrix.shape[1])[: len(rows)])
 
 
-def _spline(nodes: Array, at: Array) -> Array:
+def _spline(nodes: Array, x: Array) -> Array:
     """Cubic spline through all solved values."""
-    return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))[None]
+    return np.array(_cardinal_splines(tuple(nodes.tolist()))(x))[None]
 
 
-def _vanishing(nodes: Array, at: Array) -> Array:
+def _vanishing(nodes: Array, x: Array) -> Array:
     """Cubic spline to 0 at the last node, and constant before the first."""
-    return _spline(nodes, np.maximum(at, nodes[0]))[..., :-1]
+    return _spline(nodes, np.maximum(x, nodes[0]))[..., :-1]
 
 
-def _vanishing_logarithmic(nodes: Array, at: Array) -> Array:
+def _vanishing_logarithmic(nodes: Array, x: Array) -> Array:
     """As `_vanishing`, over the logarithm."""
-    return _vanishing(np.log(nodes), np.log(np.maximum(at, nodes[0])))
+    return _vanishing(np.log(nodes), np.log(np.maximum(x, nodes[0])))
 
 
-def _from_zero(nodes: Array, at: Array) -> Array:
+def _from_zero(nodes: Array, x: Array) -> Array:
     """Polynomial through the solved values and 0 at 0."""
-    return _lagrange(nodes, np.append(0.0, nodes), at)[None]
+    return _lagrange(nodes, np.append(0.0, nodes), x)[None]
 
 
-def _polynomial(nodes: Array, at: Array) -> Array:
+def _polynomial(nodes: Array, x: Array) -> Array:
     """Polynomial through the solved values."""
-    return _lagrange(nodes, nodes, at)[None]
+    return _lagrange(nodes, nodes, x)[None]
 
 
-def _bilinear(nodes: Array, at: Array) -> Array:
+def _bilinear(nodes: Array, x: Array) -> Array:
     """For the product of two depths, by solved equal ones.
 
     Over the product the change is constant up to the least solved depth, and a polynomial beyond.
     """
-    deep = np.maximum(np.sqrt(at), nodes[0])
-    return (at[:, None] / nodes**2 * _lagrange(nodes, nodes, deep))[None]
+    deep = np.maximum(np.sqrt(x), nodes[0])
+    return (x[:, None] / nodes**2 * _lagrange(nodes, nodes, deep))[None]
 
 
-def _lagrange(nodes: Array, every: Array, at: Array) -> Array:
+def _lagrange(nodes: Array, every: Array, x: Array) -> Array:
     """Polynomials, (t, n), that are 1 at one of the nodes and 0 at all others of `every`."""
     is_other = every != nodes[:, None]
     others = np.broadcast_to(every, is_other.shape)[is_other].reshape(len(nodes), -1)
-    shares = (at[:, None, None] - others) / (nodes[:, None] - others)
+    shares = (x[:, None, None] - others) / (nodes[:, None] - others)
     return np.asarray(np.prod(shares, axis=-1))
 
 
-def _mirrored(nodes: Array, at: Array) -> Array:
+def _mirrored_spline(nodes: Array, x: Array) -> Array:
     """Spline through values that are solved up to the middle, the last node, and their images."""
     count, middle = len(nodes), float(nodes[-1])
-    both = _spline(np.concatenate([nodes, (2.0 * middle - nodes)[-2::-1]]), at)[0]
-    direct, images = both[:, :count], np.zeros((len(at), count))
-    images[:, :-1] = both[:, : count - 1 : -1]
+    weights = _spline(np.concatenate([nodes, (2.0 * middle - nodes)[-2::-1]]), x)[0]
+    direct, images = weights[:, :count], np.zeros((len(x), count))
+    images[:, :-1] = weights[:, : count - 1 : -1]
     # A press in the middle is its own image, but the mesh is not quite symmetric.
     direct[:, -1] *= 0.5
     images[:, -1] = direct[:, -1]
     return np.stack([direct, images])
 
 
-def _direction(nodes: Array, at: Array) -> Array:
+def _direction(nodes: Array, x: Array) -> Array:
     """Trigonometric polynomial over half a turn, solved in a quarter, and its mirror images."""
     count = 2 * (len(nodes) - 1)
     every = np.arange(count) * math.pi / count
-    turn = 2.0 * (np.asarray(at)[:, None] - every)
+    turn = 2.0 * (np.asarray(x)[:, None] - every)
     waves = sum(np.cos(k * turn) for k in range(1, count // 2))
     weights = (1.0 + 2.0 * waves + np.cos(count // 2 * turn)) / count
     images = np.zeros((len(turn), len(nodes)))
@@ -266,7 +266,7 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
     "from-zero": _from_zero,
     "polynomial": _polynomial,
     "bilinear": _bilinear,
-    "mirrored": _mirrored,
+    "mirrored": _mirrored_spline,
     "direction": _direction,
 }
 

@@ -20,11 +20,11 @@ from eitskin.simulator.mechanics.materials import Law
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SAME = 1e-9  # [m]
-_UNDER = 0.5  # least size of the largest cells, over the radius of an indenter
+_TOLERANCE = 1e-9  # [m]
+_MIN_LARGEST_CELL = 0.5  # least size of the largest cells, over the radius of an indenter
 _SAMPLES, _SPARE = 4001, 1e-6
 # Largest cells over the length of the sensor: far from presses on a thin stack nothing happens.
-_FAR = 1.0 / 20.0
+_MAX_CELL_SIZE = 1.0 / 20.0
 _STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
 
 
@@ -33,7 +33,7 @@ class Contact(NamedTuple):
 
     Attributes:
         x, y: its middle [m].
-        radius: of the indenter [m].
+        radius: radius of the indenter [m].
         stretches: by which a bend makes it longer along x and y, to a circle.
         is_punch: whether the mesh has to resolve all of its field.
     """
@@ -65,7 +65,7 @@ class Fineness:
             for no refinement.
         layers: cells through each layer.
         rims: cells at the rims of contacts, over the radius of the indenter.
-        growth: of cells with the distance from the rims.
+        growth: growth of cells with the distance from the rims.
     """
 
     ends: float = 0.2
@@ -77,7 +77,7 @@ class Fineness:
 
 # A stack that bends under an indenter has a kink at the rim of the contact.
 _LOOSE = Fineness(rims=0.1, growth=1.0)
-_PUNCHED = 0.15  # cells at the rims of flat punches, which have no dent to start from
+_PUNCH_CELLS = 0.15  # cells at the rims of flat punches, which have no dent to start from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,25 +105,25 @@ class StackMesh:
     @property
     def law_of_cell(self) -> Indices:
         """Number of the material of each cell; in the margin that of the encapsulation."""
-        laws = self.law_of_layer_at(self.mesh.p[2, self.mesh.t].mean(axis=0))
-        margin = self.stack.layer_at(self.mesh.p[2, self.mesh.t].mean(axis=0)) == self.stack.gel
+        laws = self.layer_materials(self.mesh.p[2, self.mesh.t].mean(axis=0))
+        margin = self.stack.layer_number(self.mesh.p[2, self.mesh.t].mean(axis=0)) == self.stack.gel
         margin[self.gel_cells] = False
         laws[margin] = len(self.laws) - 1
         return laws
 
-    def law_of_layer_at(self, heights: Array) -> Indices:
+    def layer_materials(self, heights: Array) -> Indices:
         """Number of the material of the layer at heights over the base [m], as under a dent."""
         numbers = [self.laws.index(sheet.law) for sheet in self.stack.sheets]
-        found: Indices = np.array(numbers, dtype=np.int64)[self.stack.layer_at(heights)]
-        return found
+        materials: Indices = np.array(numbers, dtype=np.int64)[self.stack.layer_number(heights)]
+        return materials
 
     def facets(self, face: Literal["top", "sides", "held"]) -> Indices:
         """Boundary facets of the upper face, of the sides, or of what the support holds."""
         facets = self.mesh.boundary_facets().astype(np.int64)
         x, _, z = self.mesh.p[:, self.mesh.facets[:, facets]].mean(axis=1)
-        top, base, (low, high) = z > self.lines[2][-1] - _SAME, z < _SAME, self.gap
+        top, base, (low, high) = z > self.lines[2][-1] - _TOLERANCE, z < _TOLERANCE, self.gap
         sides = ~(top | base)
-        held = sides if self.free else base & ((x < low + _SAME) | (x > high - _SAME))
+        held = sides if self.free else base & ((x < low + _TOLERANCE) | (x > high - _TOLERANCE))
         return np.asarray(facets[{"top": top, "sides": sides, "held": held}[face]])
 
 
@@ -138,15 +138,15 @@ def stack_mesh(
     """Box mesh of a stack, refined around contacts.
 
     Args:
-        outline: of the gel. Boxes follow sides along x and y; other sides are approximated by the
-            boxes whose middles lie within, those of gel and those of its margin.
+        outline: outline of the gel. Boxes follow sides along x and y; other sides are approximated
+            by the boxes whose middles lie within, those of gel and those of its margin.
         stack: the layers.
-        mechanics: margin beside the gel, and its material.
-        support: of the base.
-        contacts: of the indenters.
-        fineness: at the faces, and through each layer.
+        mechanics: margin next to the gel, and its material.
+        support: support of the base.
+        contacts: contacts of the indenters.
+        fineness: fineness at the faces, and through each layer.
     """
-    radius, height = min(each.size for each in contacts), stack.levels[-1]
+    radius, height = min(contact.size for contact in contacts), stack.levels[-1]
     faces = _faces(outline)
     boxed = faces is None
     if fineness is None:
@@ -154,9 +154,9 @@ def stack_mesh(
         layers = 2 if isinstance(outline, Rectangle) else 1
         even = Fineness(layers=layers)
         fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else even
-        if any(each.is_punch for each in contacts):
-            fineness = dataclasses.replace(fineness, rims=_PUNCHED, growth=1.0)
-    far = max(height, _UNDER * radius, _FAR * outline.length)
+        if any(contact.is_punch for contact in contacts):
+            fineness = dataclasses.replace(fineness, rims=_PUNCH_CELLS, growth=1.0)
+    far = max(height, _MIN_LARGEST_CELL * radius, _MAX_CELL_SIZE * outline.length)
     coarsest = _STAIRS * height if boxed else far
     finest = min(fineness.rims * radius, 0.5 * height, coarsest)
     grading = Grading(finest, coarsest, fineness.growth)
@@ -167,10 +167,10 @@ def stack_mesh(
         gap = (-mechanics.margin - whole, 2.0 * whole + mechanics.margin)
     plates = gap if isinstance(support, Plates) else ()
     x, y = (
-        _across(
+        _cross_lines(
             extent,
             mechanics.margin,
-            [each.spans[axis] for each in contacts],
+            [contact.spans[axis] for contact in contacts],
             edges,
             [] if faces is None else faces[axis],
             grading,
@@ -187,7 +187,7 @@ def stack_mesh(
         mesh = mesh.restrict(np.flatnonzero(outline.contains(middles, -mechanics.margin)))
     middles = mesh.p[:, mesh.t].mean(axis=1)
     inside = outline.contains(middles[:2].T)
-    cells = np.flatnonzero(inside & (stack.layer_at(middles[2]) == stack.gel))
+    cells = np.flatnonzero(inside & (stack.layer_number(middles[2]) == stack.gel))
     around = mechanics.encapsulation
     laws = (*dict.fromkeys(s.law for s in stack.sheets if s.law != around), around)
     return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free)
@@ -202,21 +202,21 @@ def _faces(outline: PlaneOutline) -> list[list[tuple[float, float]]] | None:
         return None
     corners = outline.vertices
     steps = np.roll(corners, -1, axis=0) - corners
-    along = np.abs(steps) > _SAME
+    along = np.abs(steps) > _TOLERANCE
     if (along.sum(axis=1) != 1).any():
         return None
     # Counter-clockwise, the outward normal of a side (dx, dy) is (dy, -dx).
     normals = np.sign(np.where(along, steps, 0.0)[:, ::-1] * np.array([1.0, -1.0]))
-    found: list[list[tuple[float, float]]] = [[], []]
+    spans: list[list[tuple[float, float]]] = [[], []]
     for corner, normal in zip(corners, normals, strict=True):
         axis = int(np.abs(normal).argmax())
         at, extent = float(corner[axis]), (outline.length, outline.width)[axis]
-        if _SAME < at < extent - _SAME:
-            found[axis].append((at, float(normal[axis])))
-    return found
+        if _TOLERANCE < at < extent - _TOLERANCE:
+            spans[axis].append((at, float(normal[axis])))
+    return spans
 
 
-def _across(
+def _cross_lines(
     extent: float,
     margin: float,
     contacts: Sequence[tuple[float, float]],
@@ -234,7 +234,7 @@ def _across(
     whole = extent + 2.0 * margin
     faces = margin + np.array([0.0, extent, *(at for at, _ in inner)])
     ends = margin + np.array([at + way * margin for at, way in inner])
-    ends = ends[(ends > _SAME) & (ends < whole - _SAME)]
+    ends = ends[(ends > _TOLERANCE) & (ends < whole - _TOLERANCE)]
     near = [x + margin for x in (*rims, *edges) if -margin < x < extent + margin]
     samples = np.linspace(0.0, whole, _SAMPLES)
     middles = 0.5 * (samples[1:] + samples[:-1])
@@ -251,15 +251,15 @@ def _across(
         cells = max(1, math.ceil(last - first - _SPARE))
         parts.append(np.interp(np.linspace(first, last, cells + 1), count, samples)[1:])
         parts[-1][-1] = end
-    kept = np.array([0.0, *faces, *ends, whole])
+    lines = np.array([0.0, *faces, *ends, whole])
     return (
-        _without_slivers(np.concatenate(parts), kept, 0.25 * min(grading.finest, side or 1.0))
+        _without_slivers(np.concatenate(parts), lines, 0.25 * min(grading.finest, side or 1.0))
         - margin
     )
 
 
-def _without_slivers(lines: Array, kept: Array, least: float) -> Array:
-    """Grid lines without those nearer than `least` to one that must be kept."""
-    distance = np.abs(lines[:, None] - kept).min(axis=1)
-    chosen: Array = lines[(distance < _SAME) | (distance > least)]
+def _without_slivers(lines: Array, fixed_lines: Array, min_width: float) -> Array:
+    """Grid lines without those nearer than `min_width` to one that must be kept."""
+    distance = np.abs(lines[:, None] - fixed_lines).min(axis=1)
+    chosen: Array = lines[(distance < _TOLERANCE) | (distance > min_width)]
     return chosen

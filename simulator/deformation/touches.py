@@ -18,7 +18,7 @@ from eitskin.simulator.deformation.corrections import (
     correction_problems,
     corrections,
     has_strip,
-    sums_on,
+    rectangle_sums,
 )
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
 from eitskin.simulator.deformation.field import Field
@@ -54,7 +54,7 @@ _MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
-_PUNCHED = "by a footprint, whose signals were not compared; round ones move the gel within 1 %"
+_PUNCH_NOTE = "by a footprint, whose signals were not compared; round ones move the gel within 1 %"
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -74,7 +74,9 @@ def dents(
     beyond the range of the model.
     """
     dented = [_solve_dents(touches, sensor) for touches in scenes]
-    summed = iter(_tabulated([each for each in dented if each.solved is None], sensor))
+    summed = iter(
+        _interpolate_corrections([each for each in dented if each.solved is None], sensor)
+    )
     corrected = [(one, next(summed) if one.solved is None else one.solved) for one in dented]
     if (bend := sensor.bend) is None:
         return [
@@ -96,9 +98,11 @@ def sketched_dents(touches: Iterable[Touch], design: SensorDesign) -> Dents:
     count as the largest.
     """
     table = press_table(SensorDesign.reference(), Mechanics(), Cylinder())
-    table = table.stretched(design.thickness / float(table.thickness))
+    table = table.stretch_heights(design.thickness / float(table.thickness))
     most = table.largest_force
-    return Dents(tuple(PlacedDent(t.x, t.y, table.at_force(min(t.force, most))) for t in touches))
+    return Dents(
+        tuple(PlacedDent(t.x, t.y, table.dent_from_force(min(t.force, most))) for t in touches)
+    )
 
 
 class _DentedScene(NamedTuple):
@@ -134,45 +138,45 @@ def _solve_dents(
             dent_touch(touch, float(depth), sensor)
             for touch, depth in zip(touches, search.depths, strict=True)
         ]
-        one = _DentedScene(dented, [], [], [], None, np.zeros(len(touches)))
+        dented_scene = _DentedScene(dented, [], [], [], None, np.zeros(len(touches)))
         here = [number for number, each in enumerate(dented) if each.dent is not None]
         acting = tuple(touches[number] for number in here)
         if acting and resolve_touch_model(acting, sensor) == "solved":
             presses = tuple(map(solved_press, (dented[number] for number in here)))
             solved = solved_presses(sensor.design, sensor.mechanics, presses, sensor.state)
-            one = one._replace(solved=(solved,))
-            one.sunk[here] = solved.sunk
+            dented_scene = dented_scene._replace(solved=(solved,))
+            dented_scene.sunk[here] = solved.sunk
             for number in here:
                 if dented[number].punch is None:
-                    one.placed.extend(placed_dents(dented[number], sensor))
+                    dented_scene.placed.extend(placed_dents(dented[number], sensor))
                 else:
-                    one.sunk[number] -= dented[number].depth  # solved as a whole
+                    dented_scene.sunk[number] -= dented[number].depth  # solved as a whole
         elif acting:
             for number in here:
-                one.placed.extend(placed_dents(dented[number], sensor))
-                one.parts.extend(corrected_parts(number, dented[number], sensor))
-                one.shapes.extend(shape_fields(dented[number], sensor))
+                dented_scene.placed.extend(placed_dents(dented[number], sensor))
+                dented_scene.parts.extend(corrected_parts(number, dented[number], sensor))
+                dented_scene.shapes.extend(shape_fields(dented[number], sensor))
             if with_depths or search.is_needed:
-                extra = _evaluate([one], sensor, None)[1]
-                np.add.at(one.sunk, [number for number, *_ in one.parts], extra)
-        if search.advance(np.array([each.depth for each in dented]), one.sunk):
-            return one
+                extra = _evaluate([dented_scene], sensor, None)[1]
+                np.add.at(dented_scene.sunk, [number for number, *_ in dented_scene.parts], extra)
+        if search.advance(np.array([each.depth for each in dented]), dented_scene.sunk):
+            return dented_scene
     raise ConfigurationError(
         f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
         "or prescribe forces"
     )
 
 
-def _tabulated(
+def _interpolate_corrections(
     scenes: list[_DentedScene], sensor: PressedSensor
 ) -> Iterator[tuple[ColumnField, ...]]:
     """Corrections of the dents of each scene by tables."""
-    pressed = [one for one in scenes if one.parts]
+    pressed = [scene for scene in scenes if scene.parts]
     if not pressed:
         return iter([()] * len(scenes))
     if sensor.bend is not None:
-        return iter([_turned_sum(one, sensor, sensor.bend) for one in scenes])
-    sums, scales = _sums_for(pressed[0], len(scenes), sensor)
+        return iter([_turned_sum(scene, sensor, sensor.bend) for scene in scenes])
+    sums, scales = _slot_sums(pressed[0], len(scenes), sensor)
     fields: list[list[ColumnField]] = [[] for _ in scenes]
     for owner, _, field in _evaluate(scenes, sensor, sums)[0]:
         fields[owner].append(field)
@@ -180,44 +184,44 @@ def _tabulated(
     return (
         (
             *own,
-            *(shape for _, shape in one.shapes),
-            *([total] if total is not None and one.parts else []),
+            *(shape for _, shape in scene.shapes),
+            *([total] if total is not None and scene.parts else []),
         )
-        for one, own, total in zip(scenes, fields, summed, strict=True)
+        for scene, own, total in zip(scenes, fields, summed, strict=True)
     )
 
 
-def _sums_for(
-    one: _DentedScene, slots: int, sensor: PressedSensor
+def _slot_sums(
+    scene: _DentedScene, slots: int, sensor: PressedSensor
 ) -> tuple[NodeSums | None, Array]:
     """Sums of fields of slots where there are such, and factors of their components."""
     design, mechanics, _, grid, plates = sensor
-    table = corrections(design, mechanics, one.parts[0][1].indenter, grid)
+    table = corrections(design, mechanics, scene.parts[0][1].indenter, grid)
     components = 4 if mechanics.piezoresistivity.pressure else 3
-    wanted = table.strip or plates is not None
-    return sums_on(design, slots, components) if wanted else None, table.scales
+    needs_sums = table.strip or plates is not None
+    return rectangle_sums(design, slots, components) if needs_sums else None, table.scales
 
 
 def _turned_sum(
-    one: _DentedScene, sensor: PressedSensor, bend: Deformation
+    scene: _DentedScene, sensor: PressedSensor, bend: Deformation
 ) -> tuple[ColumnField, ...]:
     """Corrections of a scene on bent plates: those of a rigid base turned to the bent gel.
 
-    Each press and each pair is turned by itself, at its middle; what plates change is not turned.
+    Each press and each pair is turned on its own, at its middle; what plates change is not turned.
     """
-    places = np.array([(t.x, t.y) for _, t, _ in one.parts])
+    places = np.array([(t.x, t.y) for _, t, _ in scene.parts])
     if not len(places):
         return ()
-    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _pairs([one])]).reshape(-1, 2)
+    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _pairs([scene])]).reshape(-1, 2)
     turns = [sensor.frame(bend, x, y).rotation for x, y in np.concatenate([places, pairs]).tolist()]
-    sums, scales = _sums_for(one, len(turns) + 1, sensor)
-    others = _evaluate([one], sensor, sums, apart=True)[0]
-    fields: list[ColumnField] = [field.turned(turns[slot]) for _, slot, field in others]
+    sums, scales = _slot_sums(scene, len(turns) + 1, sensor)
+    others = _evaluate([scene], sensor, sums, apart=True)[0]
+    fields: list[ColumnField] = [field.rotate(turns[slot]) for _, slot, field in others]
     fields += [
-        shape.turned(sensor.frame(bend, touch.x, touch.y).rotation) for touch, shape in one.shapes
+        shape.rotate(sensor.frame(bend, touch.x, touch.y).rotation) for touch, shape in scene.shapes
     ]
     summed = sums.fields(sensor.design.thickness, scales) if sums else []
-    parts = [field.turned(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
+    parts = [field.rotate(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
     total = np.sum([part.coefficients for part in parts], axis=0)
     return (*fields, dataclasses.replace(parts[0], coefficients=total))
 
@@ -235,23 +239,23 @@ def _evaluate(
     presses = [(k, t, dent) for k, one in enumerate(scenes) for _, t, dent in one.parts]
     count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
-    both = _pairs(scenes)
-    slots = np.arange(count + len(both) + 1) if apart else owners
+    index_pairs = _pairs(scenes)
+    slots = np.arange(count + len(index_pairs) + 1) if apart else owners
     fields: list[tuple[int, int, Field]] = []
     extra = np.zeros(count)
     # In an order that does not depend on other scenes.
     for indenter in sorted({t.indenter for _, t, _ in presses}, key=repr):
         here = np.flatnonzero([t.indenter == indenter for _, t, _ in presses])
         table = corrections(design, mechanics, indenter, grid)
-        found, extra[here] = table.evaluate(places[here], slots[here], sums)
-        for n, each in zip(here.tolist(), found, strict=True):
+        pair_fields, extra[here] = table.evaluate(places[here], slots[here], sums)
+        for n, each in zip(here.tolist(), pair_fields, strict=True):
             fields += [(int(owners[n]), int(slots[n]), field) for field in each]
         if plates is not None:
-            last = np.full(len(here), count + len(both)) if apart else owners[here]
+            last = np.full(len(here), count + len(index_pairs)) if apart else owners[here]
             extra[here] += plates.evaluate(indenter, places[here], last, sums)
     # Between different indenters the change is that by those of the smaller one's kind.
     pairs: dict[AnyIndenter, list[tuple[int, int, int]]] = {}
-    for number, (first, second) in enumerate(both):
+    for number, (first, second) in enumerate(index_pairs):
         kinds = (presses[n][1].indenter for n in (first, second))
         slot = count + number if apart else int(owners[first])
         pairs.setdefault(min(kinds, key=lambda i: i.rims[1]), []).append((first, second, slot))
@@ -337,7 +341,7 @@ def pressed_touches(
     design, outline = sensor.design, sensor.design.outline
     flat = _FLAT if has_strip(design) else _POLYGON
     gap = design.support.gap(outline) if isinstance(design.support, Plates) else (0.0, 0.0)
-    found = []
+    all_pressed = []
     dented = _solve_dents(touches, sensor, with_depths=True)
     for each, sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
         touch, dent, force = each.touch, each.dent, each.force
@@ -350,7 +354,7 @@ def pressed_touches(
             error = _BENT_AFTER
         elif isinstance(design.support, Plates):
             error = _OVER_GAP if gap[0] < touch.x < gap[1] else _ON_PLATES
-        cautions += [_PUNCHED] * (each.punch is not None)
+        cautions += [_PUNCH_NOTE] * (each.punch is not None)
         cautions += [_NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
         # Without contact there is a dent, but no pressure.
         radius, pressure = 0.0, 0.0
@@ -369,8 +373,8 @@ def pressed_touches(
             signal_error=None if cautions else error,
             caution="; ".join(cautions),
         )
-        found.append(pressed)
-    return tuple(found)
+        all_pressed.append(pressed)
+    return tuple(all_pressed)
 
 
 def _cautions(
@@ -382,7 +386,7 @@ def _cautions(
     if not isinstance(outline, Rectangle | Polygon):
         reasons.append("presses on this outline were not compared")
     elif re_entrant_distance(outline, touch.x, touch.y) < _MIN_CORNER_DISTANCE * thickness:
-        reasons.append("beside a re-entrant corner, where nothing was compared")
+        reasons.append("next to a re-entrant corner, where nothing was compared")
     if edge < _MIN_EDGE_DISTANCE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _MIN_TOUCH_SPACING:
@@ -400,19 +404,20 @@ class DepthSearch:
     more than a dent is deep, so that a fixed-point iteration would not converge.
 
     Attributes:
-        depths: of the dents in the unbounded stack to try next [m]; NaN for prescribed forces.
+        depths: depths of the dents in the unbounded stack to try next [m]; NaN for prescribed
+            forces.
         is_needed: whether any depth is prescribed.
     """
 
     def __init__(self, touches: tuple[Touch, ...], design: SensorDesign) -> None:
-        wanted = [math.nan if touch.depth is None else touch.depth for touch in touches]
-        self._wanted = np.array(wanted)
+        target_depths = [math.nan if touch.depth is None else touch.depth for touch in touches]
+        self._wanted = np.array(target_depths)
         self.depths = np.array(
             [
                 min(depth, _SHALLOW * design.encapsulated_thickness)
                 if _gives_way(touch, design)
                 else depth
-                for touch, depth in zip(touches, wanted, strict=True)
+                for touch, depth in zip(touches, target_depths, strict=True)
             ]
         )
         self._given = np.isfinite(self.depths)

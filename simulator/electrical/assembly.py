@@ -25,7 +25,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.geometry.deformation.kinematics import TENSOR_COLUMNS, TENSOR_ROWS
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
@@ -37,7 +37,8 @@ Indices = NDArray[np.int64]
 
 _AT_ONCE = 32  # elements that are condensed at once, so that arrays stay in the cache
 _ZERO = 1e-12  # values of functions on a face that are rounding
-_MISSED = 0.1  # share of the energy between the points; potentials err least with 0.01 to 0.1
+# share of the energy between the points; potentials have an error least with 0.01 to 0.1
+_MISSED_ENERGY_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +122,7 @@ class Assembly:
         space = self.space
         products = self._products(space.rule)
         shares = space.rule.weights.reshape(len(products), -1, 1, 1)
-        shares = _MISSED * shares / shares.sum(axis=1, keepdims=True)
+        shares = _MISSED_ENERGY_SHARE * shares / shares.sum(axis=1, keepdims=True)
         missed = self._products(space.full_rule).sum(axis=1) - products.sum(axis=1)
         products += shares * missed[:, None]
         self._reference = products.reshape(-1, *missed.shape[1:])
@@ -144,11 +145,11 @@ class Assembly:
         products = np.empty((len(rule.weights), len(TENSOR_ROWS), len(rows)))
         at_points = zip(rule.weights, gradients.transpose(2, 1, 0), products, strict=True)
         for weight, slopes, found in at_points:  # small arrays stay in the processor's cache
-            one, other = (weight * slopes)[:, rows], slopes[:, columns]
+            row_slopes, column_slopes = (weight * slopes)[:, rows], slopes[:, columns]
             for s, (a, b) in enumerate(zip(TENSOR_ROWS, TENSOR_COLUMNS, strict=True)):
-                np.multiply(one[a], other[b], out=found[s])
+                np.multiply(row_slopes[a], column_slopes[b], out=found[s])
                 if a != b:
-                    found[s] += one[b] * other[a]
+                    found[s] += row_slopes[b] * column_slopes[a]
         return products.reshape(self.space.element.cells, -1, *products.shape[1:])
 
     def _prepare_electrodes(self, contacts: Contacts) -> None:
@@ -189,9 +190,9 @@ class Assembly:
         """Entries of element matrices, (elements, entries) [S].
 
         Args:
-            conductivity: of the elements' cells, (cells, q or 1, 1 or 6) [S/m]. One value per cell
-                or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz, yz of a
-                tensor.
+            conductivity: conductivity of the elements' cells, (cells, q or 1, 1 or 6) [S/m]. One
+                value per cell or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz,
+                yz of a tensor.
         """
         reference: Numbers = self._reference if conductivity.shape[1] > 1 else self._cell_reference
         to_reference: Numbers = self._to_reference
@@ -205,8 +206,8 @@ class Assembly:
             entries = conductivity.reshape(count, -1, 1) * unit[:, None]
         else:
             entries = conductivity.reshape(count, -1, 6) @ to_reference
-        found: Numbers = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
-        return found
+        matrices: Numbers = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
+        return matrices
 
     @cached_property
     def _single(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -220,7 +221,7 @@ class Assembly:
         """
         outer = self.space.numbers.shape[1]
         whole = np.empty((len(matrices), outer * outer), dtype=matrices.dtype)
-        kernels = compiled("eitskin.simulator.electrical.kernels")
+        kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
         if kernels is not None and matrices.dtype == np.float32:
             inner = np.empty((len(matrices), self.space.element.inner, outer), np.float32)
             kernels.eliminate(matrices, inner)
@@ -232,7 +233,7 @@ class Assembly:
             whole[part] += change
         return whole.reshape(-1, outer, outer)
 
-    def condensed(self, matrices: Numbers) -> Stiffness:
+    def condense(self, matrices: Numbers) -> Stiffness:
         """Condensed stiffness of element matrices (elements, entries)."""
         (i, j), outer = self._pairs, self.space.numbers.shape[1]
         lower = np.empty((len(matrices), len(i)), dtype=matrices.dtype)
@@ -277,7 +278,7 @@ class Assembly:
 
         Args:
             impedance: z of each electrode, (electrodes,) [ohm m2].
-            area_ratio: at `facet_points`, (pieces, q).
+            area_ratio: area ratio at `facet_points`, (pieces, q).
         """
         conductance = self.facet_weights * area_ratio / impedance[self.facet_electrode][:, None]
         L = self.electrodes
@@ -321,11 +322,11 @@ class Assembly:
 
         For mean tensors S of the cells, (cells, 3, 3); the identity when omitted.
         """
-        full, seen = (
+        full, quadrature_gram = (
             self._gram(rule, potentials, tensors)
             for rule in (self.space.full_rule, self.space.rule)
         )
-        return (1.0 - _MISSED) * (full - seen)
+        return (1.0 - _MISSED_ENERGY_SHARE) * (full - quadrature_gram)
 
     def _gram(self, rule: Rule, potentials: Numbers, tensors: Array | None = None) -> Numbers:
         gradients = self.cell_gradients(potentials, rule)

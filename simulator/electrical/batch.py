@@ -1,6 +1,6 @@
 """Many scenes solved with the factors of one, by Galerkin projection, some side by side.
 
-Touches and bends change the conductivity by a part of itself, so that the factors of the flat
+Touches and bends change the conductivity by a part on its own, so that the factors of the flat
 sensor's matrix A_0 nearly invert the matrix A of any scene. The potentials w of a scene are sought
 in the space of the base potentials w_0 and of corrections A_0^-1 r for the residuals r of all
 electrodes (combined approximations, Kirsch 2008). In that space the Galerkin solution w is
@@ -10,7 +10,7 @@ elimination would take as many operations as the assembled blocks have, cubed.
 
 Several scenes are corrected at once, with their residuals side by side in one array of fixed width,
 so that the factors are read once for all; the next scene takes the place of each that is solved.
-The numbers of a scene are the same in any place and beside any others. Element matrices of kernels
+The numbers of a scene are the same in any place and next to any others. Element matrices of kernels
 are in single precision; for small tolerances, and in plain code, they are in double.
 """
 
@@ -20,7 +20,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.deformation.deformed_layer import DeformedLayer, LayerFields
 from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix
@@ -31,14 +31,14 @@ Numbers = NDArray[np.inexact]
 
 Tolerance: TypeAlias = float
 """Error of a scene's change from the flat sensor, over the norm of that change. Where the first
-correction changes less, over the norm of what it does: touches change little beside bends."""
+correction changes less, over the norm of what it does: touches change little next to bends."""
 TOLERANCE: Tolerance = 1e-4
 """Default tolerance of many scenes."""
 EXACT: Tolerance = 0.0
-"""Tolerance of scenes that are each solved by itself, without the factors of another."""
+"""Tolerance of scenes that are each solved on its own, without the factors of another."""
 _COLUMNS = 64  # right sides that are solved at once: as fast as more
 _FULL = 16  # columns that products of matrices take alike, wherever they are
-_MOST = 8  # corrections, before a scene is solved by itself
+_MAX_CORRECTIONS = 8  # corrections, before a scene is solved on its own
 _FALLS = 0.25  # ratio of two changes of the impedances in turn, of corrections that converge
 _SINGLE = 1e-5  # tolerance from which element matrices are in single precision
 _ROUNDING = {np.float32: 1e-9, np.float64: 1e-13}  # change, over the impedances, that is none
@@ -64,7 +64,7 @@ class Solution(NamedTuple):
 
     Attributes:
         impedance: Z, (electrodes, electrodes) [ohm].
-        potentials: in the order of elimination; empty unless asked for.
+        potentials: potentials in the order of elimination; empty unless asked for.
         admittance: D - T, the inverse of Z but for a common potential [S].
     """
 
@@ -97,20 +97,20 @@ class BatchSolver:
         self.model = model
         ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
         contact = assembly.electrode_terms(layer.contact_impedance, ratio)
-        stiffness = assembly.condensed(assembly.matrices(layer.entries(assembly.points)))
+        stiffness = assembly.condense(assembly.matrices(layer.entries(assembly.points)))
         system = pattern.system(stiffness.values, contact)
         self.lift, self.grounded = system.lift, float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
         w = np.real(factors.solve(system.coupling))
         model.factorisations += 1
-        self._factors = factors.rounded()
+        self._factors = factors.to_single()
         self.order = self._factors.order
         self.rank = np.argsort(self.order)
         self.ground = int(self.rank[pattern.ground])
         size = assembly.unknowns
         self.elements, self.facets = (
-            ElementProducts(self.rank[numbers], size, one)
-            for numbers, one in (
+            ElementProducts(self.rank[numbers], size, coefficients)
+            for numbers, coefficients in (
                 (assembly.space.numbers, assembly.constant),
                 (assembly.facet_numbers, np.zeros(0)),
             )
@@ -132,10 +132,10 @@ class BatchSolver:
         """Solutions of scenes; None for each that differs too much from the factorised one.
 
         Args:
-            scenes: of one sensor, taken one by one as places become free.
-            contact_impedance: of the sensor's electrodes, (electrodes,) [ohm m2].
+            scenes: scenes of one sensor, taken one by one as places become free.
+            contact_impedance: contact impedance of the sensor's electrodes, (electrodes,) [ohm m2].
             base: flat sensor, where the corrections begin.
-            tolerance: of the change of each from the flat sensor.
+            tolerance: tolerance of the change of each from the flat sensor.
             potentials: whether they are wanted, too.
         """
         waiting = enumerate(scenes)
@@ -171,7 +171,7 @@ class _Projection:
     """Galerkin projection of one scene.
 
     Attributes:
-        number: of the scene.
+        number: number of the scene.
         ended: whether it is solved, or cannot be solved.
     """
 
@@ -186,7 +186,7 @@ class _Projection:
     ) -> None:
         self.number, self._solver = number, solver
         self._flat, self._tolerance = base.impedance, tolerance
-        kernels = compiled("eitskin.simulator.electrical.kernels")
+        kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
         self._kind = np.float32 if kernels and tolerance >= _SINGLE else np.float64
         assembly, pattern = solver.model.assembly, solver.model.pattern
         tensors: Numbers = fields.tensors.astype(self._kind, copy=False)
@@ -199,7 +199,7 @@ class _Projection:
         self._B, self.D = np.real(B)[solver.order], np.real(D)
         self._scale = 1.0 / np.abs(self._B).max()
         electrodes = len(self.D)
-        self._V, self._AV = np.empty((2, _MOST + 1, *self._B.shape))
+        self._V, self._AV = np.empty((2, _MAX_CORRECTIONS + 1, *self._B.shape))
         self._gram, self._loads = np.zeros((0, 0)), np.zeros((0, electrodes))
         self._impedances: list[Array] = []
         self._changes = [np.inf]
@@ -221,42 +221,42 @@ class _Projection:
         gram[:, own:], gram[own:] = column, column.T
         self._gram = gram
         self._loads = np.concatenate([self._loads, V.T @ self._B])
-        self._found, self.T = projected(gram, self._loads, _DEPENDENT[self._kind])
+        self._found, self.T = project_galerkin(gram, self._loads, _DEPENDENT[self._kind])
 
-    def _combined(self, vectors: Array) -> Array:
+    def _galerkin_solution(self, vectors: Array) -> Array:
         """Galerkin solution of blocks of vectors, (blocks, unknowns, k)."""
         parts = self._found.reshape(-1, *self.D.shape)
         return np.asarray((vectors[: len(parts)] @ parts).sum(axis=0))
 
     def residual(self) -> Array:
         """B - A w, (unknowns, electrodes), over the largest number of B."""
-        residual: Array = (self._B - self._combined(self._AV)) * self._scale
+        residual: Array = (self._B - self._galerkin_solution(self._AV)) * self._scale
         return residual
 
     def advance(self, Z: Array) -> None:
-        """Judge the impedances [ohm] of the present space."""
+        """Test the impedances [ohm] of the present space."""
         changes, last = self._changes, self._impedances
         if last:
             changes.append(float(np.linalg.norm(Z - last[-1])))
-            # Changes that fall geometrically leave errors that do; others tell nothing.
+            # Changes that fall geometrically leave errors that do; others show nothing.
             falls = changes[-1] / changes[-2] if changes[-2] else 0.0
-            wanted = self._tolerance * min(float(np.linalg.norm(Z - self._flat)), changes[1])
+            target = self._tolerance * min(float(np.linalg.norm(Z - self._flat)), changes[1])
             none = changes[-1] <= _ROUNDING[self._kind] * np.linalg.norm(Z)
-            good = 0.0 < falls < _FALLS and falls * changes[-1] <= wanted
+            good = 0.0 < falls < _FALLS and falls * changes[-1] <= target
             self._converged = bool(none or good)
         last.append(Z)
-        self.ended = self._converged or len(last) > _MOST or not np.isfinite(Z).all()
+        self.ended = self._converged or len(last) > _MAX_CORRECTIONS or not np.isfinite(Z).all()
 
     def solution(self, potentials: bool) -> Solution | None:
         """Last solution; None where the corrections have not converged."""
         if not self._converged:
             return None
-        w = self._combined(self._V) if potentials else np.zeros((0, len(self.D)))
+        w = self._galerkin_solution(self._V) if potentials else np.zeros((0, len(self.D)))
         return Solution(self._impedances[-1], w, self.D - 0.5 * (self.T + self.T.T))
 
 
 def _advance(scenes: Iterable[_Projection]) -> None:
-    """Let scenes judge their impedances."""
+    """Let scenes test their impedances."""
     some = list(scenes)
     if some:
         Z = impedance_matrix(np.array([each.D for each in some]), np.array([s.T for s in some]))
@@ -264,23 +264,23 @@ def _advance(scenes: Iterable[_Projection]) -> None:
             each.advance(own)
 
 
-def projected(gram: Array, loads: Array, dependent: float) -> tuple[Array, Array]:
+def project_galerkin(gram: Array, loads: Array, dependent: float) -> tuple[Array, Array]:
     """Coefficients of the vectors in the Galerkin solution x, (vectors, k), and B^T x, (k, k).
 
     Args:
-        gram: of the vectors, which may be linearly dependent: potentials of all electrodes add up
-            to a constant; (vectors, vectors).
+        gram: gram of the vectors, which may be linearly dependent: potentials of all electrodes add
+            up to a constant; (vectors, vectors).
         loads: products of the vectors with B, (vectors, k).
         dependent: share of its energy up to which a vector counts as dependent.
     """
-    kernels = compiled("eitskin.simulator.electrical.kernels")
+    kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
     if kernels is not None:
-        found, product = np.empty(loads.shape), np.empty((loads.shape[1], loads.shape[1]))
-        kernels.project(gram, loads, dependent, found, product)
-        return found, product
+        solution, product = np.empty(loads.shape), np.empty((loads.shape[1], loads.shape[1]))
+        kernels.project(gram, loads, dependent, solution, product)
+        return solution, product
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(0.5 * (gram + gram.T) * np.outer(scale, scale))
-    kept = values > dependent * values[-1]
-    basis = scale[:, None] * vectors[:, kept]
-    found = basis @ ((basis.T @ loads) / values[kept, None])
-    return found, loads.T @ found
+    independent = values > dependent * values[-1]
+    basis = scale[:, None] * vectors[:, independent]
+    solution = basis @ ((basis.T @ loads) / values[independent, None])
+    return solution, loads.T @ solution

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from eitskin.compiled import compiled
+from eitskin.compiled import compiled_kernels
 from eitskin.simulator.electrical.assembly import Assembly, ElectrodeTerms
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class CemSystem:
     """Linear system A w = B U, I = D U - B^T w with potentials u = w + E U.
 
     Attributes:
-        values: of the lower triangle of A, at `SystemPattern.rows` and `columns`.
+        values: values of the lower triangle of A, at `SystemPattern.rows` and `columns`.
         coupling: B, (unknowns, electrodes) [S].
         admittance: D, (electrodes, electrodes) [S].
         lift: lifting functions E, (unknowns, electrodes).
@@ -83,7 +83,7 @@ class ElementProducts:
         self._one, self._unknowns = one, unknowns
 
     @cached_property
-    def _gathered(self) -> csr_array:
+    def _gather_matrix(self) -> csr_array:
         count = self._numbers.size
         ends = np.arange(count + 1)
         shape = count, self._unknowns
@@ -91,10 +91,10 @@ class ElementProducts:
 
     def product(self, matrices: Numbers, vectors: Numbers) -> Numbers:
         """Sum of matrices (elements, functions, functions) times vectors, (unknowns, k) both."""
-        kernels = compiled("eitskin.simulator.electrical.kernels")
+        kernels = compiled_kernels("eitskin.simulator.electrical.kernels")
         if kernels is None or matrices.dtype != np.float32:
             each = matrices @ vectors[self._numbers]
-            return np.asarray(self._gathered @ each.reshape(-1, vectors.shape[1]))
+            return np.asarray(self._gather_matrix @ each.reshape(-1, vectors.shape[1]))
         place = self._numbers, self._one, int(np.argmax(self._one != 0.0))
         parts = np.empty((*self._numbers.shape, vectors.shape[1]), dtype=np.float32)
         kernels.gather(np.ascontiguousarray(vectors), *place, parts)
@@ -152,7 +152,7 @@ class SystemPattern:
         """B, D and E, (unknowns or electrodes, electrodes), each electrode in its own form.
 
         Args:
-            matrices: of the elements `lifting`, (elements, functions, functions) [S].
+            matrices: matrices of the elements `lifting`, (elements, functions, functions) [S].
             ground: conductance of the grounded unknown [S].
             contact: electrode terms.
             lifted: electrodes in the second form; those with the smaller D_ll when omitted.
@@ -196,11 +196,11 @@ def _lift(assembly: Assembly) -> tuple[Array, NDArray[np.bool_]]:
     heights = assembly.contacts.corners[..., 2]
     for electrode in range(assembly.electrodes):
         own = np.flatnonzero(assembly.facet_electrode == electrode)
-        one = assembly.space.element.indicator(heights[own].min(), heights[own].max())
-        values = np.where(touching[own], one[assembly.facet_functions[own]], 0.0)
+        indicator = assembly.space.element.indicator(heights[own].min(), heights[own].max())
+        values = np.where(touching[own], indicator[assembly.facet_functions[own]], 0.0)
         is_set = values != 0.0
         E[assembly.facet_numbers[own][is_set], electrode] = values[is_set]
     on = np.einsum("fiq,fie->fqe", assembly.facet_shape, E[assembly.facet_numbers])
-    wanted = np.eye(assembly.electrodes)[assembly.facet_electrode][:, None]
-    wrong = np.abs(on - wanted).max(axis=(0, 1))
+    potentials = np.eye(assembly.electrodes)[assembly.facet_electrode][:, None]
+    wrong = np.abs(on - potentials).max(axis=(0, 1))
     return E, wrong < 1e-9

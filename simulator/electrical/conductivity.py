@@ -46,7 +46,7 @@ def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) 
             f"conductivity must be a scalar, or {asked}, with (3, 3) after it for tensors, got "
             f"shape {value.shape}"
         )
-    if not _positive_definite(value.real, entries.real) or not _bounded(value, entries):
+    if not _positive_definite(value.real, entries.real) or not _is_solvable(value, entries):
         raise ConfigurationError(
             "conductivity must be finite, symmetric and, in its real part, positive "
             f"everywhere, from {LEAST:g} to {MOST:g} S/m; entries on the diagonal are from "
@@ -71,17 +71,17 @@ def warn_of_edges(entries: Numbers) -> None:
         )
 
 
-def _numbers(given: ArrayLike) -> Numbers:
+def _numbers(values: ArrayLike) -> Numbers:
     """Real or complex numbers in double precision; raises ConfigurationError for others."""
     try:
-        value = np.asarray(given)
+        value = np.asarray(values)
         kind = np.complex128 if np.iscomplexobj(value) else np.float64
         return np.asarray(value, dtype=kind)
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"conductivity must be numbers in S/m: {error}") from error
 
 
-def _bounded(value: Numbers, entries: Numbers) -> bool:
+def _is_solvable(value: Numbers, entries: Numbers) -> bool:
     """Whether imaginary parts are symmetric, and finite as those of what can be solved with."""
     if not np.iscomplexobj(value):
         return True
@@ -91,7 +91,7 @@ def _bounded(value: Numbers, entries: Numbers) -> bool:
     return symmetric and bool(np.all(np.abs(entries.imag) <= MOST))
 
 
-def _positive_definite(given: Array, entries: Array) -> bool:
+def _positive_definite(tensors: Array, entries: Array) -> bool:
     """Whether all scalars, or all tensors of these entries, are positive (Sylvester's minors).
 
     None on their diagonals may be beyond the bounds of what a matrix of them can be solved with.
@@ -106,6 +106,6 @@ def _positive_definite(given: Array, entries: Array) -> bool:
     third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
     # NaN fails every comparison and is refused, too.
     return all(bool(np.all((m > 0.0) & np.isfinite(m))) for m in (second, third)) and all(
-        bool(np.allclose(given[..., a, b], given[..., b, a], rtol=1e-9, atol=0.0))
+        bool(np.allclose(tensors[..., a, b], tensors[..., b, a], rtol=1e-9, atol=0.0))
         for a, b in ((0, 1), (0, 2), (1, 2))
     )

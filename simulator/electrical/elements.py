@@ -21,18 +21,18 @@ Base = Literal["quadrilateral", "triangle"]
 def plane_element(base: Base, order: int) -> skfem.Element:
     """Element of polynomial `order` on the unit square or triangle; raises ConfigurationError."""
     if base == "triangle":
-        known = {
+        elements = {
             1: skfem.ElementTriP1,
             2: skfem.ElementTriP2,
             3: skfem.ElementTriP3,
             4: skfem.ElementTriP4,
         }
-        if order not in known:
+        if order not in elements:
             raise ConfigurationError(
                 f"expected an order from 1 to 4 in the plane for prisms, got {order}; take one of "
                 "these"
             )
-        return known[order]()
+        return elements[order]()
     square = {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}
     return square[order]() if order in square else skfem.ElementQuadP(order)
 
@@ -42,8 +42,8 @@ def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
     shape = skfem.refdom.RefTri if base == "triangle" else skfem.refdom.RefQuad
     X, _ = skfem.quadrature.get_quadrature(shape, 2 * element.maxdeg)
     values = np.stack([element.lbasis(X, i)[0] for i in range(len(element.doflocs))])
-    found = np.linalg.lstsq(values.T, np.ones(X.shape[1]))[0]
-    return np.asarray(np.round(found), dtype=np.float64)
+    coefficients = np.linalg.lstsq(values.T, np.ones(X.shape[1]))[0]
+    return np.asarray(np.round(coefficients), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class ExtrudedElement:
 
     Attributes:
         base: shape of the cells in the plane.
-        order: in the plane, for the constant, linear, quadratic ... upright functions.
-        heights: of the mesh points, rising [m].
+        order: order in the plane, for the constant, linear, quadratic ... upright functions.
+        heights: heights of the mesh points, rising [m].
         condensed: whether functions that vanish on all upright faces count as inner.
     """
 
@@ -115,12 +115,12 @@ class ExtrudedElement:
         """
         h = np.array(self.heights)
         same = 1e-9 * (h[-1] - h[0])
-        wanted = ((h > low - same) & (h < high + same)).astype(float)
+        values = ((h > low - same) & (h < high + same)).astype(float)
         if len(self.order) == 1:
-            wanted[:] = 1.0
+            values[:] = 1.0
         # The constant gives the value at the lowest height, hats the differences from that value.
-        upright = {(0, 0): wanted[0]}
-        upright |= {(1, m): wanted[m + 1] - wanted[0] for m in range(self.cells)}
+        upright = {(0, 0): values[0]}
+        upright |= {(1, m): values[m + 1] - values[0] for m in range(self.cells)}
         flat = [_coefficients_of_one(plane, self.base) for plane in self.planes]
         factors = [flat[d][i] * upright.get((d, m), 0.0) for d, i, m in self.functions.tolist()]
         return np.array(factors)
@@ -145,7 +145,7 @@ class ExtrudedElement:
         all points, which costs much less than `gradients` at the n p q points.
 
         Args:
-            coefficients: of the k functions, (n, functions, k).
+            coefficients: coefficients of the k functions, (n, functions, k).
             X: points of the plane, (2, n, p).
             heights: (q,) [m].
         """
@@ -238,12 +238,12 @@ class TetrahedralElement:
 
     def __init__(self, order: int) -> None:
         """Choose the element; raises ConfigurationError for another order than 1 or 2."""
-        known = {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}
-        if order not in known:
+        elements = {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}
+        if order not in elements:
             raise ConfigurationError(
                 f"expected order 1 or 2 for tetrahedra, got {order}; name one of these"
             )
-        self.element, self.face_degree = known[order](), order
+        self.element, self.face_degree = elements[order](), order
         self._functions = range(len(self.element.doflocs))
 
     def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import require_axes
 from eitskin.errors import ConfigurationError
-from eitskin.files import shortened
+from eitskin.files import shorten_text
 from eitskin.geometry.deformation.kinematics import WHOLE_TENSOR
 from eitskin.geometry.design.electrode import require_contact_impedance
 from eitskin.geometry.design.inclusion import Inclusion
@@ -54,7 +54,7 @@ class Fields(NamedTuple):
     electrode potentials.
 
     Attributes:
-        potentials: at the points of the mesh, (points, electrodes) [V/A].
+        potentials: potentials at the points of the mesh, (points, electrodes) [V/A].
         electrode_potentials: impedance matrix, (electrodes, electrodes): potential of the first
             electrode per current into the second [V/A].
         current_densities: mean in each cell of the flat body, (cells, 3, electrodes) [1/m2].
@@ -76,11 +76,11 @@ class ForwardModel:
     given by the pulled-back tensor J F^-1 sigma F^-T and the area ratio of the electrodes.
 
     Attributes:
-        design: the sensor, or the body of a mesh of one's own.
-        mesh: of the undeformed layer.
-        assembly: of the matrices on the mesh.
-        pattern: of the linear system, shared by all scenes.
-        solver: of the linear system; `solver.name` names its order of elimination.
+        design: the sensor, or the body of a custom mesh.
+        mesh: mesh of the undeformed layer.
+        assembly: assembly of the matrices on the mesh.
+        pattern: pattern of the linear system, shared by all scenes.
+        solver: solver of the linear system; `solver.name` names its order of elimination.
         factorisations: number of matrices factorised so far.
 
     Example:
@@ -134,29 +134,31 @@ class ForwardModel:
         order: int = 2,
         thickness: float = 1.0,
     ) -> "ForwardModel":
-        """Model of a body on a mesh of one's own.
+        """Model of a body on a custom mesh.
 
         Triangles are a plate of `thickness`, through which currents flow in the plane: at the usual
         one metre, impedances are those of two dimensions [ohm m]. Potentials are given at the
         points of the mesh, NaN where no cell has one, and Jacobians by its cells.
 
         Args:
-            mesh: of triangles or tetrahedra, in metres: of skfem or meshio, the path of a file that
-                meshio reads (gmsh, VTK ...), or a pair of points (n, 2 or 3) and cells (m, 3 or 4).
-            electrodes: of each the name of a part of the boundary, its faces (k, 2 or 3) or all
-                its points (k,) by their numbers; every named part when omitted, in the order of
-                names with their numbers.
+            mesh: mesh of triangles or tetrahedra, in metres: of skfem or meshio, the path of a file
+                that meshio reads (gmsh, VTK ...), or a pair of points (n, 2 or 3) and cells (m, 3
+                or 4).
+            electrodes: electrodes of each the name of a part of the boundary, its faces (k, 2 or 3)
+                or all its points (k,) by their numbers; every named part when omitted, in the order
+                of names with their numbers.
             conductivity: as for `impedance`, or of each region by its name [S/m].
-            contact_impedance: of the electrodes, (electrodes,), or of all of them [ohm m2].
-            order: of the elements, 1 or 2; up to 4 on triangles.
-            thickness: of triangles [m].
+            contact_impedance: contact impedance of the electrodes, (electrodes,), or of all of them
+                [ohm m2].
+            order: order of the elements, 1 or 2; up to 4 on triangles.
+            thickness: thickness of triangles [m].
 
         Raises:
             ConfigurationError: for another mesh, parts that it does not have, and electrodes
                 without a face of the boundary.
             ImportError: where a file is given and meshio is not installed.
         """
-        body = MeshBody.of(mesh, electrodes, conductivity, contact_impedance, thickness)
+        body = MeshBody.from_mesh(mesh, electrodes, conductivity, contact_impedance, thickness)
         model = cls.__new__(cls)
         model._begin(body, body.mesh, (order,), None)
         return model
@@ -203,8 +205,8 @@ class ForwardModel:
                 for an admittivity sigma + j omega epsilon, whose real part is positive.
             area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
                 the electrodes, (...); one when omitted.
-            contact_impedance: of the electrodes, (electrodes,), or of all of them [ohm m2]; the
-                design's when omitted.
+            contact_impedance: contact impedance of the electrodes, (electrodes,), or of all of them
+                [ohm m2]; the design's when omitted.
 
         Raises:
             ConfigurationError: for a conductivity or contact impedance of another shape, or whose
@@ -256,7 +258,7 @@ class ForwardModel:
         elif along is None:
             gram = self.assembly.cell_gram(u)
         else:
-            raise ConfigurationError("expected pixels beside along, got cells; give pixels")
+            raise ConfigurationError("expected pixels with along, got cells; give pixels")
         drive, sense = protocol.patterns()
         J: Numbers = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J
@@ -348,7 +350,7 @@ class ForwardModel:
             "ick,cie->cke", assembly.space.element.values(X), u[elements], optimize=True
         )
         if isinstance(self.design, MeshBody):
-            at_points = self.design.at_given_points(at_points)
+            at_points = self.design.values_on_given_mesh(at_points)
         ground = U.mean(axis=0)
         return Fields(at_points - ground, U - ground, mean)
 
@@ -375,10 +377,10 @@ class ForwardModel:
             own: Conductivity = self.design.conductivity
             return own
         if self.mesh.heights is None:
-            field: Field = self.design.conductivity_at
+            field: Field = self.design.evaluate_conductivity
             return field
         middles = self.mesh.points[self.mesh.cells].mean(axis=1)
-        return np.asarray(self.design.conductivity_at(middles))
+        return np.asarray(self.design.evaluate_conductivity(middles))
 
     @property
     def contact_impedance(self) -> Numbers:
@@ -409,7 +411,7 @@ class ForwardModel:
         ratio = self._area_ratio(area_ratio)
         z = self._contact_impedance(contact_impedance)
         contact = assembly.electrode_terms(z, ratio)
-        stiffness = assembly.condensed(assembly.matrices(self._conductivity(conductivity)))
+        stiffness = assembly.condense(assembly.matrices(self._conductivity(conductivity)))
         self.factorisations += 1
         return stiffness, self.pattern.system(stiffness.values, contact)
 
@@ -438,7 +440,7 @@ class ForwardModel:
         except (TypeError, ValueError) as error:
             raise ConfigurationError(
                 "contact_impedance must be a number, or one for each of "
-                f"{len(self.design.electrodes)} electrodes, got {shortened(repr(given))}"
+                f"{len(self.design.electrodes)} electrodes, got {shorten_text(repr(given))}"
             ) from error
         for each in z:
             require_contact_impedance(complex(each))

@@ -14,7 +14,7 @@ from eitskin.simulator.electrical.elements import Element, ExtrudedElement, Tetr
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
-MOST_MEMORY = 8e9  # [byte]
+MAX_MEMORY = 8e9  # [byte]
 # Bytes per number of each part, fitted to peaks of six models of 4,000 to 54,000 unknowns, of all
 # three kinds of cells. Misfits are up to 1.5; the one of tetrahedra is 2.2 too low, which has the
 # mesher's own memory in its peak.
@@ -29,7 +29,7 @@ class Rule(NamedTuple):
 
     Attributes:
         X: reference points, cell by cell, (3, c q).
-        weights: on the reference element, (c q,).
+        weights: weights on the reference element, (c q,).
         points: images of the reference points, (cells, q, 3) [m].
     """
 
@@ -108,9 +108,9 @@ class FunctionSpace:
             axis=1,
         )
         outer = numbers[:, : numbers.shape[1] - element.inner]
-        kept, renumbered = np.unique(outer, return_inverse=True)
+        outer_columns, renumbered = np.unique(outer, return_inverse=True)
         self.numbers = renumbered.reshape(outer.shape)
-        self.unknowns = len(kept)
+        self.unknowns = len(outer_columns)
         corners = grid.p.T[grid.t.T]
         columns = np.zeros((len(corners), 3, 3))
         columns[:, :2, :2] = corners[:, [1, -1]] - corners[:, :1]
@@ -209,11 +209,11 @@ def estimated_memory(space: FunctionSpace) -> float:
 
 
 def require_memory(space: FunctionSpace) -> None:
-    """Raise ConfigurationError for functions whose matrices need more than `MOST_MEMORY`."""
+    """Raise ConfigurationError for functions whose matrices need more than `MAX_MEMORY`."""
     needed = estimated_memory(space)
-    if needed > MOST_MEMORY:
+    if needed > MAX_MEMORY:
         raise ConfigurationError(
             f"a forward model of {space.unknowns} unknowns needs about {needed / 1e9:.3g} GB of "
-            f"memory, more than the {MOST_MEMORY / 1e9:g} GB that are allowed; choose a faster "
+            f"memory, more than the {MAX_MEMORY / 1e9:g} GB that are allowed; choose a faster "
             "resolution or larger cells; presses by small indenters need small cells"
         )

@@ -24,7 +24,7 @@ def gather(vectors: Array, numbers: Numbers, one: Array, first: Integer, found: 
 
     Args:
         vectors: (unknowns, k).
-        numbers: of the unknowns of each element, (elements, m).
+        numbers: numbers of the unknowns of each element, (elements, m).
         one: coefficients of the constant function one, (m,).
         first: function whose coefficient is the constant that is subtracted.
         found: is set, (elements, m, k).
@@ -111,7 +111,7 @@ def factor(gram: Array, dependent: float, lower: Array, scale: Array) -> None:
     """Cholesky factor of a Gram matrix (s, s) that leaves linearly dependent vectors out.
 
     Args:
-        gram: of the vectors.
+        gram: gram of the vectors.
         dependent: energy of a vector beyond those before it, over its own, that counts as none.
         lower: zeros; set to the factor for vectors of unit energy, with its diagonal inverted, zero
             for a vector left out.
@@ -134,8 +134,8 @@ def project(gram: Array, loads: Array, dependent: float, found: Array, product: 
     """Galerkin solution.
 
     Args:
-        gram: of the vectors, (s, s).
-        loads: of the vectors, (s, k).
+        gram: gram of the vectors, (s, s).
+        loads: loads of the vectors, (s, k).
         dependent: as of `factor`.
         found: is set to the coefficients of the vectors, (s, k).
         product: is set to loads^T found, (k, k).

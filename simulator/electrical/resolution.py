@@ -16,16 +16,16 @@ Resolution = Literal["coarse", "fast", "standard", "fine"]
 Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 
 
-class _Named(NamedTuple):
+class _ResolutionSettings(NamedTuple):
     """Sizes of a named resolution, relative to lengths of the design.
 
     Attributes:
-        order: in the plane for the constant, linear, quadratic ... part along the height. A shear
-            of the whole layer couples the parts, so that all need nearly the same order; presses
-            and bends hardly do.
+        order: order in the plane for the constant, linear, quadratic ... part along the height. A
+            shear of the whole layer couples the parts, so that all need nearly the same order;
+            presses and bends hardly do.
         finest: finest cell, relative to the smallest electrode.
         coarsest: coarsest cell, relative to the body's shorter side.
-        growth: of the cells from the electrode edges.
+        growth: growth of the cells from the electrode edges.
         per_press: coarsest cell, relative to the length over which a press varies.
     """
 
@@ -38,33 +38,33 @@ class _Named(NamedTuple):
 
 # `eitskin bench accuracy` measures cost and error of each resolution.
 _COLUMNS = {
-    "coarse": _Named((3, 3, 2), 0.32, 0.136, 5.0, 0.85),
-    "fast": _Named((4, 3, 2), 0.32, 0.136, 5.0, 0.85),
-    "standard": _Named((4, 4, 3, 2), 0.04, 0.11, 3.0, 0.68),
-    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
+    "coarse": _ResolutionSettings((3, 3, 2), 0.32, 0.136, 5.0, 0.85),
+    "fast": _ResolutionSettings((4, 3, 2), 0.32, 0.136, 5.0, 0.85),
+    "standard": _ResolutionSettings((4, 4, 3, 2), 0.04, 0.11, 3.0, 0.68),
+    "fine": _ResolutionSettings((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
 # Electrodes on top of a rectangle, where currents turn within the layer.
-_PADS = _COLUMNS | {"fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
+_PADS = _COLUMNS | {"fast": _ResolutionSettings((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62)}
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
-    "coarse": _Named((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
-    "fast": _Named((4, 3, 2, 1), 0.2, 0.16, 1.3, 0.89),
-    "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.6, 0.89),
-    "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
+    "coarse": _ResolutionSettings((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
+    "fast": _ResolutionSettings((4, 3, 2, 1), 0.2, 0.16, 1.3, 0.89),
+    "standard": _ResolutionSettings((4, 4, 3, 2, 2), 0.04, 0.15, 1.6, 0.89),
+    "fine": _ResolutionSettings((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
 _TETRAHEDRA = {
-    "coarse": _Named((2,), 0.4, 0.14, 1.0, math.inf),
-    "fast": _Named((2,), 0.3, 0.10, 0.7, math.inf),
-    "standard": _Named((2,), 0.1, 0.08, 0.7, math.inf),
-    "fine": _Named((2,), 0.04, 0.08, 0.5, math.inf),
+    "coarse": _ResolutionSettings((2,), 0.4, 0.14, 1.0, math.inf),
+    "fast": _ResolutionSettings((2,), 0.3, 0.10, 0.7, math.inf),
+    "standard": _ResolutionSettings((2,), 0.1, 0.08, 0.7, math.inf),
+    "fine": _ResolutionSettings((2,), 0.04, 0.08, 0.5, math.inf),
 }
-_NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
+_SETTINGS_BY_NAME = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
 
 # Crossings of lines through electrode ends up to which hexahedra are as fast as prisms.
-_MOST_CROSSINGS = {"coarse": 300, "fast": 50, "standard": 50, "fine": 50}
-_SAME = 1e-9  # [m]
+_MAX_CROSSINGS = {"coarse": 300, "fast": 50, "standard": 50, "fine": 50}
+_TOLERANCE = 1e-9  # [m]
 
-_NEAR_TIP = 1e-3  # height over an indenter's lowest point at which the radius is measured [m]
+_TIP_HEIGHT = 1e-3  # height over an indenter's lowest point at which the radius is measured [m]
 _SUFFICIENT = 0.9  # of the wanted cell size over the size of a mesh that is still used
 _STEP = 1.25  # ratio of cell sizes of finer meshes
 
@@ -79,7 +79,7 @@ def press_length(design: SensorDesign, indenter: Indenter) -> float:
     cover = 0.5 * (design.encapsulated_thickness - design.thickness)
     widest = min(indenter.rims[1], Cylinder().radius)
     r = np.linspace(0.0, widest, 65)
-    radius = float(r[indenter.profile(r)[0] <= _NEAR_TIP][-1])
+    radius = float(r[indenter.profile(r)[0] <= _TIP_HEIGHT][-1])
     return cover + 0.5 * design.thickness + 0.5 * radius
 
 
@@ -97,10 +97,10 @@ def suited_cells(
         return kind
     extents = design.outline.length, design.outline.width
     along, across = (
-        sum(_SAME < at < extent - _SAME for at in lines)
+        sum(_TOLERANCE < at < extent - _TOLERANCE for at in lines)
         for lines, extent in zip(electrode_lines(design), extents, strict=True)
     )
-    return "prisms" if along * across > _MOST_CROSSINGS.get(resolution, 0) else kind
+    return "prisms" if along * across > _MAX_CROSSINGS.get(resolution, 0) else kind
 
 
 def _on_sides(design: SensorDesign) -> bool:
@@ -131,7 +131,7 @@ def discretisation(
         raise ConfigurationError(
             f"resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
         )
-    named = _NAMED[cells][resolution]
+    named = _SETTINGS_BY_NAME[cells][resolution]
     if cells == "hexahedra" and not _on_sides(design):
         named = _PADS[resolution]
     extents = [e.width for e in design.electrodes]
@@ -139,8 +139,8 @@ def discretisation(
     largest = named.coarsest * min(design.outline.length, design.outline.width)
     largest = min(largest, named.per_press * press_length(design, Cylinder()))
     if indenter is not None:
-        wanted = named.per_press * press_length(design, indenter)
-        while wanted < _SUFFICIENT * largest:
+        cell_size = named.per_press * press_length(design, indenter)
+        while cell_size < _SUFFICIENT * largest:
             largest /= _STEP
     layers = max(1, math.ceil(design.thickness / largest - 0.5))
     finest = min(named.finest * min(extents), largest)

@@ -34,16 +34,16 @@ def pixel_gram(
     """Integrals of grad u_k . S grad u_l over pixel columns, (rows * columns, k, k).
 
     Pixels divide the outline's bounding box, and a pixel column has the height of the body. On
-    boxes, every overlap of a cell and a pixel is integrated by itself, exactly, and has its share
+    boxes, every overlap of a cell and a pixel is integrated on its own, exactly, and has its share
     of the energy that the cell's matrix leaves out; on other cells a pixel owns the quadrature
     points within it. Prisms larger than a pixel are divided for that into triangles of half a
     pixel's side, and neighbouring pixels share the surroundings of each point.
 
     Args:
-        assembly: of the mesh.
-        mesh: of the flat body.
+        assembly: assembly of the mesh.
+        mesh: mesh of the flat body.
         potentials: u_k element by element, (elements, functions, k).
-        outline: of the sensor.
+        outline: outline of the sensor.
         pixels: number of rows along y and of columns along x.
         along: field S(x) of symmetric tensors, (..., 3) [m] to (..., 3, 3); identity when omitted.
 
@@ -121,17 +121,17 @@ def _prisms_gram(
     k = potentials.shape[-1]
     total = np.zeros((np.prod(pixels.shape), k, k), potentials.dtype)
     for n in np.unique(parts):
-        shares, weights = _subdivided(int(n), space.plane_degree)
+        shares, weights = _composite_rule(int(n), space.plane_degree)
         chosen = np.flatnonzero(parts == n)
         step = max(1, _AT_ONCE // (len(weights) * (3 * len(heights) + k) * k))
         for start in range(0, len(chosen), step):
             elements = chosen[start : start + step]
             plane = shares @ corners[elements]
             area = (space.jacobians[elements, None] * weights)[..., None] * upright
-            both = _gradients_and_fluxes(
+            fluxes = _gradients_and_fluxes(
                 assembly, potentials, elements, plane, heights, area, along
             )
-            first, second = (np.moveaxis(g, 1, 2).reshape(*plane.shape[:2], -1, k) for g in both)
+            first, second = (np.moveaxis(g, 1, 2).reshape(*plane.shape[:2], -1, k) for g in fluxes)
             products = first.swapaxes(2, 3) @ second
             sizes = np.sqrt(space.jacobians[elements, None] * weights).ravel() * (n > 1)
             sums = pixels.sums(plane.reshape(-1, 2), products.reshape(-1, k, k), sizes)
@@ -139,7 +139,7 @@ def _prisms_gram(
     return total
 
 
-def _subdivided(n: int, degree: int) -> tuple[Array, Array]:
+def _composite_rule(n: int, degree: int) -> tuple[Array, Array]:
     """Barycentric points (q, 3) and weights (q,) of a rule on n^2 equal parts of a triangle.
 
     The whole triangle is integrated to `degree`; its parts, which are small, to the second.
@@ -171,7 +171,7 @@ def _boxes_gram(
         weights.sum(axis=1, keepdims=True) / np.diff(faces)[cell][:, None]
         for weights, faces, cell in ((x_weights, x, x_cell), (y_weights, y, y_cell))
     )
-    unseen = _unseen(assembly, potentials, along)
+    unseen = _missing_energy(assembly, potentials, along)
     count, columns = potentials.shape[-1], len(x_edges) - 1
     total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
     # A few overlaps along x at a time bound the memory.
@@ -212,7 +212,7 @@ def _gradients_and_fluxes(
     return gradients, weights[:, None, ..., None] * fluxes
 
 
-def _unseen(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:
+def _missing_energy(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:
     """Energy products that the matrices of columns of cells leave out, (elements, k, k)."""
     tensors = None
     if along is not None:

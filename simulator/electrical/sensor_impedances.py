@@ -67,7 +67,7 @@ class ModelFamily:
         self._suited: dict[frozenset[Indenter], ForwardModel] = {}
         self._solvers: dict[ForwardModel, BatchSolver] = {}
 
-    def suited(self, touches: Iterable[Touch]) -> ForwardModel:
+    def model_for_touches(self, touches: Iterable[Touch]) -> ForwardModel:
         """Forward model whose cells suit the smallest indenter of some touches.
 
         Indenters of about the same size share a model. A resolution given as order and grading is
@@ -105,10 +105,10 @@ def model_family(
     if not isinstance(design.outline, PlaneOutline):
         return ModelFamily(design, resolution, breaks)
     asked = design, resolution, breaks
-    found = _families.get(asked)
-    if found is None:
-        found = _families[asked] = ModelFamily(design, resolution, breaks)
-    return found
+    family = _families.get(asked)
+    if family is None:
+        family = _families[asked] = ModelFamily(design, resolution, breaks)
+    return family
 
 
 @lru_cache(maxsize=4)
@@ -156,28 +156,31 @@ class SensorImpedances:
         """Forward models on meshes of the sensor itself."""
         return model_family(self._design, self._resolution, self._breaks)
 
-    def at(self, scenes: Iterable[Scene], tolerance: Tolerance = EXACT) -> dict[Scene, Numbers]:
+    def solve_scenes(
+        self, scenes: Iterable[Scene], tolerance: Tolerance = EXACT
+    ) -> dict[Scene, Numbers]:
         """Impedance [ohm] of each scene on the base mesh.
 
         The change that touches of small indenters make on a finer mesh is added to the impedance
         without touches on the base mesh, so that errors of the two meshes do not enter it.
         """
         family = self.own if tolerance == EXACT else self._shared
-        suited = {scene: family.suited(scene.touches) for scene in scenes}
+        suited = {scene: family.model_for_touches(scene.touches) for scene in scenes}
         wanted: dict[ForwardModel, dict[Scene, None]] = {}
         for scene, model in suited.items():
             wanted.setdefault(model, {})[scene] = None
             if model is not family.base:
                 for each in (model, family.base):
-                    wanted.setdefault(each, {})[untouched(scene)] = None
+                    wanted.setdefault(each, {})[without_touches(scene)] = None
         solved = {
-            model: self._solved(model, list(asked), tolerance) for model, asked in wanted.items()
+            model: self._solve_on_mesh(model, list(asked), tolerance)
+            for model, asked in wanted.items()
         }
         found = {}
         for scene, model in suited.items():
             found[scene] = solved[model][scene]
             if model is not family.base:
-                bare = untouched(scene)
+                bare = without_touches(scene)
                 found[scene] = solved[family.base][bare] + (found[scene] - solved[model][bare])
         return found
 
@@ -191,8 +194,8 @@ class SensorImpedances:
         """
         suited: dict[ForwardModel, list[Scene]] = {}
         for scene in scenes:
-            suited.setdefault(self._shared.suited(scene.touches), []).append(scene)
-        found: dict[Scene, Array] = {}
+            suited.setdefault(self._shared.model_for_touches(scene.touches), []).append(scene)
+        sensitivities: dict[Scene, Array] = {}
         z = self._design.contact_impedance
         for model, some in suited.items():
             base, assembly = self._base(model), model.assembly
@@ -214,17 +217,17 @@ class SensorImpedances:
                     ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
                     drops = model.contact_drops(w @ U, U, solver.lift)
                     gram = assembly.contact_gram(drops, z, ratio)
-                found[scene] = np.real(gram)
-        return found
+                sensitivities[scene] = np.real(gram)
+        return sensitivities
 
-    def _solved(
+    def _solve_on_mesh(
         self, model: ForwardModel, scenes: Sequence[Scene], tolerance: Tolerance
     ) -> dict[Scene, Numbers]:
         """Impedances [ohm] of scenes on one of the meshes."""
         base = None if tolerance == EXACT else self._base(model)
         if base is None:
             return {scene: self._alone(model, scene, tolerance) for scene in scenes}
-        found: dict[Scene, Numbers] = {}
+        impedances: dict[Scene, Numbers] = {}
         deformed: list[Scene] = []
 
         def layers() -> Iterator[DeformedLayer]:
@@ -232,7 +235,7 @@ class SensorImpedances:
                 some = scenes[start : start + _AT_ONCE]
                 for scene, layer in zip(some, self._layers(some), strict=True):
                     if layer.deformation is None:
-                        found[scene] = base.impedance
+                        impedances[scene] = base.impedance
                     else:
                         deformed.append(scene)
                         yield layer
@@ -240,12 +243,12 @@ class SensorImpedances:
         fields, z = self._fields(layers(), model), self._design.contact_impedance
         solutions = self._shared.solver(model).solve(fields, z, base, tolerance)
         for scene, solution in zip(deformed, solutions, strict=True):
-            given = None if solution is None else solution.impedance
-            found[scene] = self._alone(model, scene, tolerance) if given is None else given
-        return found
+            start = None if solution is None else solution.impedance
+            impedances[scene] = self._alone(model, scene, tolerance) if start is None else start
+        return impedances
 
     def _alone(self, model: ForwardModel, scene: Scene, tolerance: Tolerance) -> Numbers:
-        """Impedance [ohm] of a scene solved by itself; that of the last untouched one is cached."""
+        """Impedance [ohm] of a scene solved on its own; the last untouched one is cached."""
         last = self._last.get((model, tolerance))
         if last is not None and last[0] == scene:
             return last[1]
@@ -276,27 +279,27 @@ class SensorImpedances:
         None for complex contact impedances, and where the nominal sensor differs too much.
         """
         if model not in self._bases:
-            found = None
+            coarse_model = None
             if np.isrealobj(model.contact_impedance):
                 solver = self._shared.solver(model)
-                found = solver.base
+                coarse_model = solver.base
                 if self._shift is not None:
                     flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
                     z = self._design.contact_impedance
-                    (own,) = solver.solve(self._fields([flat], model), z, found, _BASE, True)
-                    found = None if own is None else Base(own.impedance, own.potentials)
-            self._bases[model] = found
+                    (own,) = solver.solve(self._fields([flat], model), z, coarse_model, _BASE, True)
+                    coarse_model = None if own is None else Base(own.impedance, own.potentials)
+            self._bases[model] = coarse_model
         return self._bases[model]
 
 
 def _shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:
     """Map from a nominal sensor whose meshes suit; None where they do not."""
     contacts = nominal.contact_impedance, design.contact_impedance
-    if any(np.iscomplexobj(each) for each in contacts):
+    if any(np.iscomplexobj(contact) for contact in contacts):
         return None
     return electrode_shift(nominal, design)
 
 
-def untouched(scene: Scene) -> Scene:
+def without_touches(scene: Scene) -> Scene:
     """The scene without its touches."""
     return dataclasses.replace(scene, touches=())

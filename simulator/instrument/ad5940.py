@@ -91,7 +91,7 @@ class FrontEnd:
                 status[np.abs(each) > limit] |= np.uint8(Status.CLIPPED)
             pair = [clipped_fundamental(*each) for each in zip(pair, limits, strict=True)]
         if self.quantisation:
-            pair = [quantised(*each) for each in zip(pair, ranges, strict=True)]
+            pair = [quantise(*each) for each in zip(pair, ranges, strict=True)]
             lost = pair[1] == 0.0
             status[lost] |= np.uint8(Status.LOW_CURRENT)
             pair[1] = np.where(lost, ranges[1] / CODES, pair[1])
@@ -167,7 +167,7 @@ def clipped_fundamental(phasor: Complex, limit: Array) -> Complex:
     return fundamental
 
 
-def quantised(phasor: Complex, full_range: Array) -> Complex:
+def quantise(phasor: Complex, full_range: Array) -> Complex:
     """Phasors with real and imaginary part rounded to codes, multiples of `full_range` / 2^17."""
     step = full_range / CODES
     codes: Complex = np.round(phasor.real / step) + 1j * np.round(phasor.imag / step)

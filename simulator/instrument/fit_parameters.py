@@ -15,12 +15,12 @@ from eitskin.simulator.instrument.meter import LOADS, FourTerminalMeter
 Array = NDArray[np.float64]
 
 PER_ELECTRODE = ("leaks", "leads")
-FITTED = (*LOADS, *PER_ELECTRODE, "common_mode", "offset")
-"""Terms of a meter that a fit may change, beside its scale."""
+FIT_PARAMETERS = (*LOADS, *PER_ELECTRODE, "common_mode", "offset")
+"""Terms of a meter that a fit may change, next to its scale."""
 USUAL = (*LOADS, "common_mode")
 SHORT = 0.999
 """Largest share of a load, Y Z / (1 + Y Z), in a fit: an admittance of 999 / Z is a short."""
-LARGEST = 3.0
+MAX_COORDINATE = 3.0
 """Largest coordinate of common mode and offset; 2 and -2 read one sense lead alone."""
 
 
@@ -36,7 +36,7 @@ class Parameter:
         transform: "linear", centre + spread x; "factor", centre spread^x; or "share",
             s / (1 - s) with s = spread x, which is 0 for none and near 1 for as much as there
             can be.
-        unit: of the number; empty where it has none.
+        unit: unit of the number; empty where it has none.
         bounds: smallest and largest coordinate of a fit.
         electrode: number of the electrode; None for numbers of the whole.
         imaginary: whether the number is the imaginary part of a complex one.
@@ -94,14 +94,14 @@ class Parameter:
 def meter_parameters(
     terms: Sequence[str], n_electrodes: int, typical: float, *, complex_terms: bool
 ) -> tuple[Parameter, ...]:
-    """Parameters of the named terms of a meter, in the order of `FITTED`.
+    """Parameters of the named terms of a meter, in the order of `FIT_PARAMETERS`.
 
     Admittances Y to ground and resistances R of leads have the coordinates Y Z / (1 + Y Z) and
     R / (R + Z), with an impedance Z typical of the sensor: 0 for none, near 1 for a short and an
     open lead. Offsets, before the scale, are multiples of Z.
 
     Args:
-        terms: names among `FITTED`.
+        terms: names among `FIT_PARAMETERS`.
         n_electrodes: number of electrodes, each with a leak and a lead of its own.
         typical: Z [ohm].
         complex_terms: whether terms have imaginary parts; leads and common mode stay real.
@@ -109,30 +109,30 @@ def meter_parameters(
     Raises:
         ConfigurationError: for an unknown term.
     """
-    unknown = [term for term in terms if term not in FITTED]
+    unknown = [term for term in terms if term not in FIT_PARAMETERS]
     if unknown:
         raise ConfigurationError(
-            f"expected terms among {', '.join(FITTED)}, got {', '.join(unknown)}"
+            f"expected terms among {', '.join(FIT_PARAMETERS)}, got {', '.join(unknown)}"
         )
-    found = []
-    for term in FITTED:
+    parameters = []
+    for term in FIT_PARAMETERS:
         if term not in terms:
             continue
         share = term in (*LOADS, *PER_ELECTRODE)
         unit = "ohm" if term in ("leads", "offset") else "S" if share else ""
         scale = {"ohm": typical, "S": 1.0 / typical, "": 1.0}[unit]
-        bounds = (0.0, SHORT) if share else (-LARGEST, LARGEST)
+        bounds = (0.0, SHORT) if share else (-MAX_COORDINATE, MAX_COORDINATE)
         transform: Literal["share", "linear"] = "share" if share else "linear"
         is_complex = complex_terms and term not in ("leads", "common_mode")
-        found += [
+        parameters += [
             Parameter(term, 0.0, 1.0, transform, unit, bounds, k, part, scale)
             for k in (range(n_electrodes) if term in PER_ELECTRODE else (None,))
             for part in ((False, True) if is_complex else (False,))
         ]
-    return tuple(found)
+    return tuple(parameters)
 
 
-def meter_with(
+def meter_from_coordinates(
     start: FourTerminalMeter,
     parameters: Sequence[Parameter],
     coordinates: Array,
@@ -159,10 +159,10 @@ def central_differences(
 
     By central differences; to one side at the bounds, (parameters,) each.
     """
-    found = []
+    columns = []
     for k, (low, high) in enumerate(zip(*bounds, strict=True)):
         ends = [np.array(x, dtype=float), np.array(x, dtype=float)]
         ends[0][k], ends[1][k] = max(x[k] - step, low), min(x[k] + step, high)
         below, above = (function(end) for end in ends)
-        found.append((above - below) / (ends[1][k] - ends[0][k]))
-    return np.stack(found, axis=-1)
+        columns.append((above - below) / (ends[1][k] - ends[0][k]))
+    return np.stack(columns, axis=-1)

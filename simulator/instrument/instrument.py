@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from eitskin.bounds import drawn
+from eitskin.bounds import sample_uniform
 from eitskin.config import Location, read_toml, write_toml
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
@@ -43,6 +44,7 @@ CHOICES = {
 }
 
 
+@old_names(expanded="expand_data", named="from_name")
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """Error terms of a board; 0 or False switches a term off, and each has its own random stream.
@@ -143,7 +145,7 @@ class Instrument:
         write_toml(self, path)
 
     @classmethod
-    def named(cls, name: str, folder: Path | None = Path()) -> "Instrument":
+    def from_name(cls, name: str, folder: Path | None = Path()) -> "Instrument":
         """Instrument by its name, "ideal" or "ad5940", or from an instrument file.
 
         Args:
@@ -153,9 +155,9 @@ class Instrument:
         Raises:
             ConfigurationError: for another name, or a file that does not fit.
         """
-        known = {"ideal": cls.ideal, "ad5940": cls.ad5940}
-        if name in known:
-            return known[name]()
+        makers = {"ideal": cls.ideal, "ad5940": cls.ad5940}
+        if name in makers:
+            return makers[name]()
         if folder is None or not name.endswith(".toml"):
             raise ConfigurationError(
                 "expected an instrument: the path of a TOML file, 'ideal' or 'ad5940', got "
@@ -164,13 +166,13 @@ class Instrument:
         return cls.from_toml(folder / name)
 
     @classmethod
-    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
+    def expand_data(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """TOML table `data` with the name under `board` replaced by the terms of that board."""
         if "board" not in data:
             return data
-        where = location.under("board")
+        where = location.child("board")
         try:
-            board = cls.named(str(data["board"]), location.folder)
+            board = cls.from_name(str(data["board"]), location.folder)
         except ConfigurationError as error:
             raise where.error(error) from error
         terms = {name: getattr(board, name) for name in cls.__slots__}
@@ -239,7 +241,7 @@ class Instrument:
         return Session(
             pairs=pairs,
             unsensed=None if sensed.all() or not self.needs_drive else int(sensed.argmin()),
-            capacitance=drawn(stray, (low, high), len(protocol))[pairs],
+            capacitance=sample_uniform(stray, (low, high), len(protocol))[pairs],
             factor=error * np.exp(1j * turn) * (1.0 + mismatch),
             drift=RandomWalk(self.drift, int(electronics.integers(2**63))),
             gel_drift=RandomWalk(self.gel_drift, int(gel.integers(2**63))),
@@ -266,8 +268,8 @@ class Instrument:
         for name, choices in CHOICES.items():
             value = getattr(self, name)
             if value not in choices:
-                known = ", ".join(f"{choice:g}" for choice in choices)
-                yield f"{name} must be one of {known}, got {value:g}"
+                choice_text = ", ".join(f"{choice:g}" for choice in choices)
+                yield f"{name} must be one of {choice_text}, got {value:g}"
         low, high = self.stray_capacitance
         if not 0.0 <= low <= high <= MAX_STRAY:
             yield (
@@ -290,14 +292,14 @@ def _drive_measurements(protocol: Protocol) -> tuple[Integers, NDArray[np.bool_]
     """Number of one measurement of each measurement's drive pair, and whether it senses that pair.
 
     Both are (measurements,); where no measurement senses a drive pair, the first that drives it is
-    told.
+    reported.
     """
     driven = [frozenset(row[:2]) for row in protocol.table]
     first = {pair: number for number, pair in reversed(list(enumerate(driven)))}
     own = {row[:2]: number for number, row in enumerate(protocol.table) if row[:2] == row[2:]}
-    found = [own.get(row[:2], own.get(row[1::-1])) for row in protocol.table]
-    pairs = [first[pair] if at is None else at for pair, at in zip(driven, found, strict=True)]
-    return np.array(pairs), np.array([at is not None for at in found])
+    numbers = [own.get(row[:2], own.get(row[1::-1])) for row in protocol.table]
+    pairs = [first[pair] if at is None else at for pair, at in zip(driven, numbers, strict=True)]
+    return np.array(pairs), np.array([at is not None for at in numbers])
 
 
 def snr_db(frames: ArrayLike) -> float:

@@ -28,8 +28,8 @@ Bools = NDArray[np.bool_]
 Quantity: TypeAlias = Literal["complex", "signed", "magnitude"]
 
 LOADS = ("source", "sink", "sense_plus", "sense_minus", "idle")
-LARGEST_LOAD = 1e3
-LARGEST_LEAD = 1e6
+MAX_LOAD = 1e3
+MAX_LEAD = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ class FourTerminalMeter:
             own = _drive_pairs(protocol).measure(impedance)
             return np.stack([transfer, own], axis=-2).astype(np.complex128)
         n = protocol.n_electrodes
-        leads = _filled("leads", self.leads, n, 0.0, "electrodes")
+        leads = _full_values("leads", self.leads, n, 0.0, "electrodes")
         V = _potentials(impedance, protocol, self.admittance(protocol), leads)
         rows, table = np.arange(len(protocol)), np.array(protocol.table).T
         source, sink, plus, minus = (V[..., rows, electrodes] for electrodes in table)
@@ -134,7 +134,7 @@ class FourTerminalMeter:
         has_role = np.array(protocol.table).T[..., None] == np.arange(n)
         has_role = np.concatenate([has_role, ~has_role.any(axis=0, keepdims=True)])
         loads = np.array([getattr(self, name) for name in LOADS], np.complex128)
-        leaks = _filled("leaks", self.leaks, n, 0.0, "electrodes")
+        leaks = _full_values("leaks", self.leaks, n, 0.0, "electrodes")
         return np.asarray(leaks + np.einsum("r,rmn->mn", loads, has_role))
 
     def reading(self, sensed: Complex) -> tuple[Complex, Bools]:
@@ -148,8 +148,12 @@ class FourTerminalMeter:
         """
         require_axes("sensed", sensed, None)
         m = sensed.shape[-1]
-        gain = self.scale * _filled("channel_scale", self.channel_scale, m, 1.0, "measurements")
-        zero = self.offset + _filled("channel_offset", self.channel_offset, m, 0.0, "measurements")
+        gain = self.scale * _full_values(
+            "channel_scale", self.channel_scale, m, 1.0, "measurements"
+        )
+        zero = self.offset + _full_values(
+            "channel_offset", self.channel_offset, m, 0.0, "measurements"
+        )
         value: Complex = gain * sensed + zero
         if self.reads == "magnitude":
             value = np.abs(value).astype(complex)
@@ -167,23 +171,23 @@ class FourTerminalMeter:
     def require_fit(self, protocol: Protocol) -> None:
         """Raise ConfigurationError where numbers per electrode or channel do not fit."""
         for name in ("leaks", "leads"):
-            _filled(name, getattr(self, name), protocol.n_electrodes, 0.0, "electrodes")
+            _full_values(name, getattr(self, name), protocol.n_electrodes, 0.0, "electrodes")
         for name in ("channel_scale", "channel_offset"):
-            _filled(name, getattr(self, name), len(protocol), 0.0, "measurements")
+            _full_values(name, getattr(self, name), len(protocol), 0.0, "measurements")
 
     def _problems(self) -> Iterator[str]:
         for name, value in (
             *((name, getattr(self, name)) for name in LOADS),
             *((f"leaks[{k}]", value) for k, value in enumerate(self.leaks)),
         ):
-            if not (min(np.real(value), np.imag(value)) >= 0.0 and abs(value) <= LARGEST_LOAD):
+            if not (min(np.real(value), np.imag(value)) >= 0.0 and abs(value) <= MAX_LOAD):
                 yield (
-                    f"{name} must be an admittance from 0 to {LARGEST_LOAD:g} S, in both parts "
+                    f"{name} must be an admittance from 0 to {MAX_LOAD:g} S, in both parts "
                     f"not negative, got {value:g}; an impedance of Z ohm is 1 / Z"
                 )
         for k, value in enumerate(self.leads):
-            if not (np.real(value) >= 0.0 and abs(value) <= LARGEST_LEAD):
-                yield f"leads[{k}] must be from 0 to {LARGEST_LEAD:g} ohm, got {value:g}"
+            if not (np.real(value) >= 0.0 and abs(value) <= MAX_LEAD):
+                yield f"leads[{k}] must be from 0 to {MAX_LEAD:g} ohm, got {value:g}"
         for name in ("saturation", "step"):
             if not getattr(self, name) >= 0.0:
                 yield f"{name} must be 0 or more, got {getattr(self, name):g}"
@@ -201,7 +205,7 @@ def _drive_pairs(protocol: Protocol) -> Protocol:
     return Protocol(rows, protocol.n_electrodes)
 
 
-def _filled(
+def _full_values(
     name: str, values: tuple[complex, ...], count: int, missing: complex, counted: str
 ) -> Complex:
     """Values as an array (count,), filled with `missing` where empty."""
@@ -221,8 +225,8 @@ def _potentials(
     Args:
         impedance: electrode impedance matrices Z, (..., electrodes, electrodes) [ohm].
         protocol: drive and sense electrodes of each measurement.
-        admittance: to ground, of each electrode during each measurement, (measurements, electrodes)
-            [S].
+        admittance: admittance to ground, of each electrode during each measurement, (measurements,
+            electrodes) [S].
         leads: resistance in series with each electrode, (electrodes,) [ohm].
     """
     n = protocol.n_electrodes

@@ -16,8 +16,8 @@ from eitskin.simulator.instrument.fit_parameters import (
     USUAL,
     Parameter,
     central_differences,
+    meter_from_coordinates,
     meter_parameters,
-    meter_with,
 )
 from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 
@@ -27,15 +27,15 @@ Complex = NDArray[np.complex128]
 STARTS = 12
 TRIAL_STARTS = 4
 """Starting points of each fit without one of the terms."""
-MOST_STEPS = 80
+MAX_STEPS = 80
 """Most steps from one starting point; more are taken only along what readings hardly show."""
-UNDETERMINED = 0.5
+UNDETERMINED_DEVIATION = 0.5
 """Standard error of a coordinate (half the range of a load) from which it is not identifiable."""
 NULL = 1e-5
 """Singular value, relative to the largest, of directions that no reading depends on."""
 ALIKE = 0.005
 """Difference of predicted readings, relative to the largest, below which they are alike."""
-INVOLVED = 0.2
+MIN_COMPONENT = 0.2
 """Least component of a parameter in a null direction for it to be named."""
 _STEP = 1e-6  # of coordinates, for derivatives
 _OFF_BOUND = 1e-9  # of a coordinate: at its bound, ground may be somewhere else
@@ -51,9 +51,10 @@ class MeterFit:
 
     Attributes:
         meter: the fitted meter.
-        parameters: the numbers that were fitted, beside the scale.
-        values: of the parameters, (parameters,), in the parameters' units.
-        standard_errors: of the values, (parameters,); infinite for those that are not identifiable.
+        parameters: the numbers that were fitted, next to the scale.
+        values: values of the parameters, (parameters,), in the parameters' units.
+        standard_errors: standard errors of the values, (parameters,); infinite for those that are
+            not identifiable.
         scale_error: standard error of the scale, relative.
         tied: groups of parameters of which only a combination shows in the readings.
         predicted: the meter's flat frame, (measurements,).
@@ -106,8 +107,8 @@ class Agreement:
 
 def agreement(predicted: ArrayLike, measured: ArrayLike) -> Agreement:
     """Agreement of two frames, (measurements,) each; imaginary parts, where any, count alike."""
-    both = np.array([predicted, measured], np.complex128)
-    p, m = _parts(both) if both.imag.any() else both.real
+    values = np.array([predicted, measured], np.complex128)
+    p, m = _parts(values) if values.imag.any() else values.real
     spread = np.std(p) * np.std(m)
     r = float(np.mean((p - p.mean()) * (m - m.mean())) / spread) if spread else 0.0
     return Agreement(r, float(np.linalg.norm(p - m) / np.linalg.norm(m)))
@@ -132,7 +133,7 @@ def fit_meter(
         impedance: electrode impedance matrix of the flat sensor, (electrodes, electrodes) [ohm].
         protocol: drive and sense electrodes of the channels.
         frames: readings of the flat, untouched sensor, (frames, measurements), in any unit.
-        terms: terms to fit beside the scale, of `FITTED`; without any, the meter is ideal but for
+        terms: terms to fit next to the scale, of `FITTED`; without any, the meter is ideal but for
             its scale.
         reads: what the readings are; when omitted "complex" where they have imaginary parts, else
             "signed" where some are negative, else "magnitude".
@@ -175,16 +176,16 @@ def fit_meter(
     require_seed(seed)
     coordinates = problem.minimum(np.random.default_rng(seed), starts)
     meter = problem.meter(coordinates)
-    scale = problem.scale(problem.unscaled(coordinates))
+    scale = problem.scale(problem.unit_scale_readings(coordinates))
     meter = dataclasses.replace(meter, scale=scale, offset=scale * meter.offset)
     errors, tied = problem.uncertainty(coordinates)
-    both = list(zip(parameters, coordinates, strict=True))
-    slopes = np.array([p.slope(float(x)) for p, x in both])
+    pairs = list(zip(parameters, coordinates, strict=True))
+    slopes = np.array([p.slope(float(x)) for p, x in pairs])
     predicted, _ = meter.reading(meter.transfer_impedance(impedance, protocol))
     return MeterFit(
         meter=meter,
         parameters=parameters,
-        values=np.array([p.number(float(x)) for p, x in both]),
+        values=np.array([p.number(float(x)) for p, x in pairs]),
         standard_errors=errors[:-1] * slopes,
         scale_error=float(errors[-1]),
         tied=tied,
@@ -264,9 +265,9 @@ class MeterProblem:
     def meter(self, coordinates: Array) -> FourTerminalMeter:
         """Meter of scale 1 for the coordinates (parameters,)."""
         n = self.protocol.n_electrodes
-        return meter_with(self.start, self.parameters, coordinates, n)
+        return meter_from_coordinates(self.start, self.parameters, coordinates, n)
 
-    def unscaled(self, coordinates: Array) -> Complex:
+    def unit_scale_readings(self, coordinates: Array) -> Complex:
         """Readings of the meter of scale 1 (measurements,)."""
         meter = self.meter(coordinates)
         return meter.reading(meter.transfer_impedance(self.impedance, self.protocol))[0]
@@ -279,7 +280,7 @@ class MeterProblem:
 
     def residual(self, coordinates: Array) -> Array:
         """Residual over the norm of the readings, at the scale of least squares (readings,)."""
-        unscaled = self.unscaled(coordinates)
+        unscaled = self.unit_scale_readings(coordinates)
         return self._parts(self.scale(unscaled) * unscaled - self.measured)
 
     def jacobian(self, function: Callable[[Array], Array], coordinates: Array) -> Array:
@@ -300,42 +301,44 @@ class MeterProblem:
             first = np.where(
                 share, drawn / (1.0 + drawn), rng.normal(size=len(share)) * (number > 0)
             )
-            found = least_squares(
+            solution = least_squares(
                 self.residual,
                 np.clip(first, low + _OFF_BOUND, high - _OFF_BOUND),
                 partial(self.jacobian, self.residual),
                 bounds=(low, high),
-                max_nfev=MOST_STEPS,
+                max_nfev=MAX_STEPS,
             )
-            if found.cost < least * (1.0 - 1e-9):
-                best, least = found.x, found.cost
+            if solution.cost < least * (1.0 - 1e-9):
+                best, least = solution.x, solution.cost
         return np.asarray(best)
 
     def uncertainty(self, coordinates: Array) -> tuple[Array, tuple[tuple[str, ...], ...]]:
         """Standard errors of coordinates and log scale, and groups of tied parameters.
 
-        A direction of the parameters along which the standard error is beyond `UNDETERMINED` ties
-        its parameters, whose standard errors are infinite.
+        A direction of the parameters along which the standard error is beyond
+        `UNDETERMINED_DEVIATION` ties its parameters, whose standard errors are infinite.
         """
-        unscaled = self.unscaled(coordinates)
+        unscaled = self.unit_scale_readings(coordinates)
         scale = self.scale(unscaled)
         columns = [self._parts(scale * unscaled)]
         if self.start.reads == "complex":
             columns.append(self._parts(1j * scale * unscaled))  # the phase of the scale
         J = np.array(columns).T
         if self.parameters:
-            changes = self.jacobian(lambda x: self._parts(scale * self.unscaled(x)), coordinates)
+            changes = self.jacobian(
+                lambda x: self._parts(scale * self.unit_scale_readings(x)), coordinates
+            )
             J = np.hstack([changes, J])
         freedom = max(len(J) - J.shape[1], 1)
         noise = np.linalg.norm(self.residual(coordinates)) / np.sqrt(freedom)
         _, sizes, directions = np.linalg.svd(J, full_matrices=False)
         spread = noise / np.maximum(sizes, np.finfo(float).tiny)
-        lost = (spread > UNDETERMINED) | (sizes < NULL * sizes[0])
+        lost = (spread > UNDETERMINED_DEVIATION) | (sizes < NULL * sizes[0])
         errors = np.sqrt(((spread[~lost, None] * directions[~lost]) ** 2).sum(axis=0))
         names = [*map(str, self.parameters), "scale", "phase of the scale"]
         tied = []
         for direction in directions[lost]:
-            involved = np.flatnonzero(np.abs(direction) > INVOLVED)
+            involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
             tied.append(tuple(names[k] for k in involved))
             errors[involved] = np.inf
         return errors[: len(self.parameters) + 1], tuple(tied)

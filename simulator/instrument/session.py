@@ -19,7 +19,7 @@ DRIFT_TIME = 4 * 3600.0
 
 STEP = 10.0
 """Time between steps of the walk [s]; 0.2 % in 4 h is 0.005 % per step, a quarter of the noise."""
-LONGEST_SESSION = 365 * 86400.0
+MAX_SESSION = 365 * 86400.0
 """Longest duration of a session [s]."""
 
 
@@ -66,8 +66,8 @@ class Session:
             none; None where there is no such one.
         capacitance: stray, across the drive pairs, (measurements,) [F].
         factor: gain, phase and path errors together, (measurements,) complex.
-        drift: of the electronics, as the logarithm of a factor.
-        gel_drift: of the gel, as the logarithm of a factor.
+        drift: drift of the electronics, as the logarithm of a factor.
+        gel_drift: drift of the gel, as the logarithm of a factor.
         deviation: standard deviation of the white noise per quadrature [ohm].
         front_end: signal chain from excitation to ADC.
         meter: scale, offset, limits and codes of the readings; None for an ideal meter.
@@ -105,7 +105,7 @@ class Session:
                 impedances of `Instrument.terminal_impedances`, (frames, 2, measurements) complex
                 [ohm]; or the former alone, (frames, measurements), where the protocol senses its
                 drive pairs or no term depends on them.
-            times: of the frames since the session's start, (frames,) [s].
+            times: times of the frames since the session's start, (frames,) [s].
             rng: random generator of the noise.
 
         Raises:
@@ -113,7 +113,7 @@ class Session:
             ConfigurationError: for a time before the session, or a year after its start, or where
                 a term depends on the impedance of a drive pair that is not given.
         """
-        both, times = self._checked(impedance, times)
+        both, times = self._checked_arrays(impedance, times)
         white, floor = rng.spawn(2)
         if self.gel_drift.deviation:
             both = both * np.exp(self.gel_drift(times))[:, None, None]
@@ -142,7 +142,7 @@ class Session:
             )
         return np.stack([transfer, transfer[:, self.pairs]], axis=1)
 
-    def _checked(self, impedance: Complex, times: Array) -> tuple[Complex, Array]:
+    def _checked_arrays(self, impedance: Complex, times: Array) -> tuple[Complex, Array]:
         Z, times = np.asarray(impedance, np.complex128), np.asarray(times, np.float64)
         frames, m = times.shape, len(self.pairs)
         if Z.shape not in ((*frames, m), (*frames, 2, m)) or times.ndim != 1:
@@ -156,9 +156,9 @@ class Session:
             raise FrameError(
                 "expected finite impedances, got NaN or infinity; leave these frames out"
             )
-        if not ((times >= 0.0) & (times <= LONGEST_SESSION)).all():
+        if not ((times >= 0.0) & (times <= MAX_SESSION)).all():
             raise ConfigurationError(
-                f"expected times from 0 to {LONGEST_SESSION:g} s after the session's start, got "
+                f"expected times from 0 to {MAX_SESSION:g} s after the session's start, got "
                 f"{times.min():g} to {times.max():g} s; start another session"
             )
         return Z, times

@@ -23,7 +23,8 @@ OrderName = Literal["block Cholesky", "nested dissection"]
 # Sum of the cubed strip sizes per matrix entry at which both orders take equally long: strips were
 # faster below 1.3e3 and dissection above 2e3, on rectangles and discs of 3,000 to 27,000 unknowns.
 _STRIP_WORK = 1.5e3
-_SAME = 1e-6  # of the extent, by which positions of elements beside each other differ
+# of the extent, by which positions of elements next to each other differ
+_POSITION_TOLERANCE = 1e-6
 _LEAF = 240  # unknowns, about, whose elements are not dissected further
 
 
@@ -55,7 +56,8 @@ def choose_order(
             versions, is nested dissection.
         positions: rows and columns of the matrix entries.
         numbers: unknowns of each element, (elements, functions).
-        middles: of the elements, (elements, axes) [m]; strips begin where the first is lowest.
+        middles: middles of the elements, (elements, axes) [m]; strips begin where the first is
+            lowest.
     """
     if name == "sparse LU":
         warnings.warn(
@@ -70,7 +72,9 @@ def choose_order(
         )
     if name != "nested dissection":
         x = middles[:, 0]
-        level = level_structure(numbers, np.flatnonzero(x <= x.min() + _SAME * np.ptp(x)))
+        level = level_structure(
+            numbers, np.flatnonzero(x <= x.min() + _POSITION_TOLERANCE * np.ptp(x))
+        )
         work = float((np.bincount(level).astype(float) ** 3).sum())
         if name is not None or work <= _STRIP_WORK * len(positions[0]):
             return "block Cholesky", strips(*positions, level)
@@ -132,7 +136,7 @@ def dissection(numbers: Indices, middles: NDArray[np.float64]) -> list[Block]:
 
     Args:
         numbers: unknowns of each element, (elements, functions); -1 for none.
-        middles: of the elements, (elements, axes) [m].
+        middles: middles of the elements, (elements, axes) [m].
     """
     numbers = numbers + 1
     elements_of = np.bincount(numbers.ravel())
@@ -152,8 +156,8 @@ def dissection(numbers: Indices, middles: NDArray[np.float64]) -> list[Block]:
             cut = _middle(middles[rising, axis])
             halves = [dissect(half) for half in (rising[:cut], rising[cut:])]
             last = halves[0][0] + halves[1][0]
-            both = np.concatenate([border for _, border, _ in halves])
-            unknowns, numbered = np.unique(both, return_inverse=True)
+            borders = np.concatenate([border for _, border, _ in halves])
+            unknowns, numbered = np.unique(borders, return_inverse=True)
             shares = np.zeros(len(unknowns), dtype=np.int64)
             np.add.at(shares, numbered, np.concatenate([shares for *_, shares in halves]))
         whole = shares == elements_of[unknowns]  # no element elsewhere has these unknowns
@@ -170,6 +174,6 @@ def dissection(numbers: Indices, middles: NDArray[np.float64]) -> list[Block]:
 
 def _middle(rising: NDArray[np.float64]) -> int:
     """Number at which rising positions are halved: between two that differ, where any do."""
-    steps = np.flatnonzero(np.diff(rising) > _SAME * (rising[-1] - rising[0])) + 1
+    steps = np.flatnonzero(np.diff(rising) > _POSITION_TOLERANCE * (rising[-1] - rising[0])) + 1
     half = len(rising) // 2
     return int(steps[np.abs(steps - half).argmin()]) if len(steps) else half

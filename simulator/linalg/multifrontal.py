@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 Places = slice | Indices
 
 _STRIP = 256  # rows of a Schur complement that are computed at once
-_SHORTEST_RUN = 15  # rows, in the mean, of runs that are added one by one
+_MIN_RUN = 15  # rows, in the mean, of runs that are added one by one
 
 
 class Addition(NamedTuple):
@@ -55,8 +55,8 @@ class Front:
             of the own ones are eliminated.
         within: fronts whose Schur complements are added, each with the parts that are added.
         entries: the front's part of the matrix entries, which are sorted by column.
-        positions: of these entries in the matrix (own, own), column by column, then in the matrix
-            (border, coupled) below.
+        positions: positions of these entries in the matrix (own, own), column by column, then in
+            the matrix (border, coupled) below.
         inherits: whether the matrix (own, own) is the Schur complement of the one front within.
     """
 
@@ -94,8 +94,8 @@ class MultifrontalSolver:
     part, as with complex contact impedances; these need no pivots across blocks (Higham 1998).
 
     Attributes:
-        name: of the order of elimination, for people.
-        fronts: in the order of elimination.
+        name: name of the order of elimination, for people.
+        fronts: fronts in the order of elimination.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class MultifrontalSolver:
         return total
 
     def _factors(self, values: Numbers) -> Iterator[_Factor]:
-        return _eliminated(self.fronts, self._sums @ values, not np.iscomplexobj(values))
+        return _eliminate_fronts(self.fronts, self._sums @ values, not np.iscomplexobj(values))
 
 
 class Factors:
@@ -150,7 +150,7 @@ class Factors:
         """Number of negative eigenvalues of the matrix (Sylvester's law of inertia)."""
         return sum(_negative(f.inverse) for f in self._factors if f.inverse is not None)
 
-    def rounded(self) -> "SingleFactors":
+    def to_single(self) -> "SingleFactors":
         """The same Cholesky factors in single precision."""
         return SingleFactors(self._order, self._fronts, self._factors)
 
@@ -162,7 +162,7 @@ class Factors:
             _, x[front.own] = _forward(front, factor, x)
         for front, f in zip(reversed(self._fronts), reversed(self._factors), strict=True):
             right = x[front.own]
-            right[front.size - f.below.shape[1] :] -= _scaled(
+            right[front.size - f.below.shape[1] :] -= _scale_rows(
                 f.inverse, f.below.T @ x[front.border]
             )
             x[f.own] = _triangular(f, right, transposed=True)
@@ -207,14 +207,14 @@ class SingleFactors:
     def solve(self, x: NDArray[np.float32]) -> None:
         """Replace x (n, k), with rows in the order of elimination, by A^-1 x."""
         for own, border, block in self._fronts:
-            found, size = block @ x[own], own.stop - own.start
-            x[own] = found[:size]
-            x[border] += found[size:]
+            solution, size = block @ x[own], own.stop - own.start
+            x[own] = solution[:size]
+            x[border] += solution[size:]
         for own, border, block in reversed(self._fronts):
             x[own] = block.T @ np.concatenate([x[own], x[border]])
 
 
-def factorised(matrix: csc_array, blocks: Sequence[Block]) -> Factors:
+def factorise(matrix: csc_array, blocks: Sequence[Block]) -> Factors:
     """Factors L D L^T of a symmetric matrix (n, n), possibly indefinite, in the order of blocks.
 
     Raises RuntimeError for a singular matrix.
@@ -227,7 +227,9 @@ def factorised(matrix: csc_array, blocks: Sequence[Block]) -> Factors:
     later = rows >= np.repeat(np.arange(len(order)), np.diff(columns.indptr))
     ends = np.concatenate([[0], np.cumsum(later)])[columns.indptr]
     fronts = list(_fronts(blocks, ends, rows[later]))
-    return Factors(order, fronts, list(_eliminated(fronts, columns.data[later], definite=False)))
+    return Factors(
+        order, fronts, list(_eliminate_fronts(fronts, columns.data[later], definite=False))
+    )
 
 
 def _fronts(blocks: Sequence[Block], ends: Indices, rows: Indices) -> Iterator[Front]:
@@ -272,7 +274,7 @@ def _additions(rows: Indices, size: int, first: int) -> Iterator[Addition]:
     """Parts of the lower triangle of a complement, whose rows rise to `rows` of a front.
 
     Args:
-        rows: of the front, own unknowns first.
+        rows: rows of the front, own unknowns first.
         size: number of own unknowns.
         first: own unknown where the columns of the block below begin.
 
@@ -281,7 +283,7 @@ def _additions(rows: Indices, size: int, first: int) -> Iterator[Addition]:
     """
     split = int(np.searchsorted(rows, size))
     breaks = np.union1d(np.flatnonzero(np.diff(rows) != 1) + 1, split)
-    if _SHORTEST_RUN * len(breaks) > len(rows):
+    if _MIN_RUN * len(breaks) > len(rows):
         breaks = np.array([split])
     ends = pairwise([0, *breaks[(breaks > 0) & (breaks < len(rows))], len(rows)])
     runs = [(slice(start, stop), start < split) for start, stop in ends]
@@ -304,7 +306,9 @@ def _as_slice(numbers: Indices) -> Places:
     return numbers
 
 
-def _eliminated(fronts: Iterable[Front], entries: Numbers, definite: bool) -> Iterator[_Factor]:
+def _eliminate_fronts(
+    fronts: Iterable[Front], entries: Numbers, definite: bool
+) -> Iterator[_Factor]:
     """Factor of each front, in the order of elimination."""
     complements: dict[int, Numbers] = {}
     for number, front in enumerate(fronts):
@@ -360,7 +364,7 @@ def _ldl_front(
     rows = solve_triangular(
         lower, below[:, order].T, lower=True, unit_diagonal=True, check_finite=False
     )
-    scaled = _scaled(inverse, rows)
+    scaled = _scale_rows(inverse, rows)
     for first in range(0, len(corner), _STRIP):
         strip = slice(first, first + _STRIP), slice(first + _STRIP)
         corner[strip] -= rows[:, strip[0]].T @ scaled[:, strip[1]]
@@ -370,7 +374,7 @@ def _ldl_front(
 def _forward(front: Front, factor: _Factor, x: Numbers) -> tuple[Numbers, Numbers]:
     """L^-1 and D^-1 L^-1 times the rows of a front's own unknowns; its border's are updated."""
     y = _triangular(factor, x[factor.own])
-    scaled = _scaled(factor.inverse, y)
+    scaled = _scale_rows(factor.inverse, y)
     x[front.border] -= factor.below @ scaled[len(scaled) - factor.below.shape[1] :]
     return y, scaled
 
@@ -417,7 +421,7 @@ def _negative(inverse: tuple[Numbers, Numbers]) -> int:
     return int(np.count_nonzero(diagonal[single] < 0.0) + pairs.sum())
 
 
-def _scaled(inverse: tuple[Numbers, Numbers] | None, rows: Numbers) -> Numbers:
+def _scale_rows(inverse: tuple[Numbers, Numbers] | None, rows: Numbers) -> Numbers:
     """D^-1 times rows (n, k); the rows themselves where D is one."""
     if inverse is None:
         return rows

@@ -49,16 +49,16 @@ class StiffnessPattern:
                 own = np.arange(count, count + len(row), dtype=np.int32)
                 count += len(row)
                 # Pairs of one direction come in both orders; the other blocks are mirrored.
-                for one, other in ((row, column), (column, row))[: 1 if i == j else 2]:
-                    rows.append(one)
-                    columns.append(other)
+                for row_part, column_part in ((row, column), (column, row))[: 1 if i == j else 2]:
+                    rows.append(row_part)
+                    columns.append(column_part)
                     sums.append(own)
         entries = (np.concatenate(rows), np.concatenate(columns))
         pattern = coo_array((np.concatenate(sums), entries)).tocsc()
         self._sum_of_entry, self._rows, self._ends = pattern.data, pattern.indices, pattern.indptr
         self._rows.flags.writeable = False  # all matrices share this array
 
-    def assembled(self, elements: Iterable[tuple[Indices, ElementBlocks]], size: int) -> csc_array:
+    def assemble(self, elements: Iterable[tuple[Indices, ElementBlocks]], size: int) -> csc_array:
         """Sum (size, size) of the matrices of cells, given as chunks of cells and their blocks.
 
         Unknowns after the pressures have no entries.
@@ -84,7 +84,7 @@ class _Pairs:
 
     Attributes:
         rows, columns: the pairs, (pairs,).
-        numbers: of the pairs of each cell, (cells, rows, columns).
+        numbers: numbers of the pairs of each cell, (cells, rows, columns).
     """
 
     def __init__(self, rows: Indices, columns: Indices) -> None:

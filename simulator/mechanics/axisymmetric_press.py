@@ -25,7 +25,7 @@ _CONTACT_STIFFNESS = 5e3
 # First step of the depth over the thickness: Newton's method misses contact with larger steps.
 _FIRST_STEP = 0.008
 # Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
-_LONGEST_STEP = 0.04
+_MAX_STEP = 0.04
 _STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 
@@ -37,8 +37,8 @@ class AxisymmetricPress:
         stack: the layers.
         indenter: rigid body that presses.
         solid: the meshed stack.
-        contact: of the upper face with the indenter.
-        unknowns: of the solid, then the depth [m], at the last equilibrium.
+        contact: contact of the upper face with the indenter.
+        unknowns: unknowns of the solid, then the depth [m], at the last equilibrium.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class AxisymmetricPress:
         self.solid = Solid(mesh, laws, law_of_cell, "axisymmetric", stack.bulk_ratio)
         top = mesh.facets_satisfying(lambda p: np.isclose(p[1], thickness), boundaries_only=True)
         mu = laws[-1].shear_modulus
-        self.contact = PenaltyContact.of_face(
+        self.contact = PenaltyContact.from_facets(
             self.solid, top, indenter, _CONTACT_STIFFNESS * mu / radius, np.zeros(1)
         )
         r, z = self.solid.nodes.T
@@ -90,7 +90,7 @@ class AxisymmetricPress:
         walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
         base = np.flatnonzero(z < 1e-12)
         self._held: Indices = np.union1d(2 * walls, np.concatenate([2 * base, 2 * base + 1]))
-        self._longest = _LONGEST_STEP * thickness
+        self._longest = _MAX_STEP * thickness
         self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
 
     def to_force(self, force: float) -> Indentation:
@@ -121,7 +121,7 @@ class AxisymmetricPress:
         steps = np.linspace(start, depth, 1 + count)
         for before, after in itertools.pairwise(steps):
             try:
-                result = self._straight_to(before, after)
+                result = self._load_along_line(before, after)
             except SolidError as error:
                 reached = before + error.reached * (after - before)
                 raise SolidError(
@@ -130,7 +130,7 @@ class AxisymmetricPress:
                 ) from error
         return result
 
-    def _straight_to(self, before: float, after: float) -> Indentation:
+    def _load_along_line(self, before: float, after: float) -> Indentation:
         fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
 
         def path(t: float) -> Load:

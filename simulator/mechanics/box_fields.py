@@ -21,7 +21,7 @@ class QuadraticField:
 
     Attributes:
         lines: grid lines along x, y and z [m].
-        values: at corners and middles of the boxes, (2 nx + 1, 2 ny + 1, 2 nz + 1, k).
+        values: values at corners and middles of the boxes, (2 nx + 1, 2 ny + 1, 2 nz + 1, k).
     """
 
     lines: tuple[Array, Array, Array]
@@ -38,22 +38,22 @@ class QuadraticField:
     def _in_parts(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
         flat = points.reshape(-1, 3)
         parts = [
-            self._evaluated(flat[start : start + _AT_ONCE], orders)
+            self._evaluate(flat[start : start + _AT_ONCE], orders)
             for start in range(0, max(len(flat), 1), _AT_ONCE)
         ]
         return np.concatenate(parts).reshape(*points.shape[:-1], -1, len(orders))
 
-    def _evaluated(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
+    def _evaluate(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
         """Derivatives of these orders, (points, k, orders)."""
         (i, a), (j, b), (k, c) = (
             shape_functions(line, x) for line, x in zip(self.lines, points.T, strict=True)
         )
         near = self.values[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
-        found = np.empty((len(points), self.values.shape[-1], len(orders)))
+        derivatives = np.empty((len(points), self.values.shape[-1], len(orders)))
         for order, (x, y, z) in enumerate(orders):
             plane = np.einsum("nabck,na->nbck", near, a[x])
-            found[..., order] = np.einsum("nbck,nb,nc->nk", plane, b[y], c[z], optimize=True)
-        return found
+            derivatives[..., order] = np.einsum("nbck,nb,nc->nk", plane, b[y], c[z], optimize=True)
+        return derivatives
 
 
 def shape_functions(lines: Array, x: Array) -> tuple[Indices, tuple[Array, Array]]:
@@ -74,14 +74,17 @@ class CornerField:
 
     Attributes:
         lines: grid lines along x, y and z [m].
-        values: of each box at its lower and upper ends along x, y and z, (nx, ny, nz, 2, 2, 2).
+        values: values of each box at its lower and upper ends along x, y and z, (nx, ny, nz, 2, 2,
+            2).
     """
 
     lines: tuple[Array, Array, Array]
     values: Array
 
     @classmethod
-    def of(cls, mesh: skfem.MeshHex, lines: tuple[Array, Array, Array], values: Array) -> Self:
+    def from_corner_values(
+        cls, mesh: skfem.MeshHex, lines: tuple[Array, Array, Array], values: Array
+    ) -> Self:
         """Arrange values (cells, 8) at the corners of all boxes of a grid."""
         corners = mesh.p[:, mesh.t]  # (3, 8, cells)
         middles = corners.mean(axis=1, keepdims=True)
@@ -95,13 +98,13 @@ class CornerField:
         """Values (...) at points (..., 3) [m]."""
         flat = points.reshape(-1, 3)
         (i, a), (j, b), (k, c) = (
-            _within(line, x) for line, x in zip(self.lines, flat.T, strict=True)
+            _locate_interval(line, x) for line, x in zip(self.lines, flat.T, strict=True)
         )
-        found = np.einsum("nabc,na,nb,nc->n", self.values[i, j, k], a, b, c, optimize=True)
-        return np.asarray(found).reshape(points.shape[:-1])
+        values = np.einsum("nabc,na,nb,nc->n", self.values[i, j, k], a, b, c, optimize=True)
+        return np.asarray(values).reshape(points.shape[:-1])
 
 
-def _within(line: Array, x: Array) -> tuple[Indices, Array]:
+def _locate_interval(line: Array, x: Array) -> tuple[Indices, Array]:
     """Numbers (n,) of the intervals of points (n,), and weights (n, 2) of their two ends."""
     cell = np.clip(np.searchsorted(line, x, side="right") - 1, 0, len(line) - 2)
     t = (x - line[cell]) / np.diff(line)[cell]

@@ -19,7 +19,7 @@ class Face:
 
     Attributes:
         dim: displacement components.
-        points: of the undeformed face, (facets, q, dim) [m].
+        points: points of the undeformed face, (facets, q, dim) [m].
         values: shape functions of the displacement there, (facets, q, functions).
         weights: undeformed areas, (facets, q) [m2].
         depth: number of the unknown d; None for a face alone.

@@ -33,7 +33,7 @@ class PunchTractions(NamedTuple):
     """Tractions under a punch that presses with 1 N, and its depth under the force.
 
     Attributes:
-        tractions: on the face along x, y and z, (3, n, n) [Pa/N].
+        tractions: tractions on the face along x, y and z, (3, n, n) [Pa/N].
         compliance: depth over force [m/N].
     """
 
@@ -80,7 +80,7 @@ class LayeredFace:
         moved = np.stack([c * u - s * v, s * u + c * v, w, p])
         return np.asarray(np.fft.irfft2(moved, s=tractions.shape[1:]))
 
-    def pressed(self, coverage: Array, rough: bool) -> PunchTractions:
+    def solve_punch(self, coverage: Array, rough: bool) -> PunchTractions:
         """Tractions under a punch whose force acts at the origin.
 
         A force off the middle tilts the punch; pixels that would be pulled leave the contact.
@@ -93,7 +93,7 @@ class LayeredFace:
         modes = np.stack([np.ones_like(x), x, y])
         held = coverage * (coverage > _LEAST_COVERED)
         for _ in range(_RELEASES):
-            solved = np.stack([self._under(held, mode, rough) for mode in modes])
+            solved = np.stack([self._mode_tractions(held, mode, rough) for mode in modes])
             # Force and moments about the origin by depth and tilts: only a force of 1 N acts.
             loads = -(self.size**2) * np.einsum("ixy,jxy->ij", modes, solved[:, 2])
             amounts = np.linalg.solve(loads, [1.0, 0.0, 0.0])
@@ -104,7 +104,7 @@ class LayeredFace:
             held[pull] = 0.0
         return PunchTractions(tractions, float(amounts[0]))
 
-    def _under(self, held: Array, mode: Array, rough: bool) -> Array:
+    def _mode_tractions(self, held: Array, mode: Array, rough: bool) -> Array:
         """Tractions (3, n, n) [Pa] that displace the held pixels downwards by a mode (n, n) [m].
 
         Pixels at the rim, which the footprint covers in part, give way by their tractions.

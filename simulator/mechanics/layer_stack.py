@@ -140,11 +140,11 @@ class Stack:
         """Heights of base, interfaces and top [m]."""
         return (0.0, *np.cumsum([sheet.thickness for sheet in self.sheets]).tolist())
 
-    def layer_at(self, heights: Array) -> NDArray[np.int64]:
+    def layer_number(self, heights: Array) -> NDArray[np.int64]:
         """Number of the layer at heights over the base [m]; the lower one at an interface."""
         inner = np.array(self.levels[1:-1])
-        found: NDArray[np.int64] = np.searchsorted(inner, heights).astype(np.int64)
-        return found
+        numbers: NDArray[np.int64] = np.searchsorted(inner, heights).astype(np.int64)
+        return numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,16 +153,16 @@ class Indentation:
 
     Attributes:
         stack: the layers.
-        force: on the indenter [N].
-        depth: of the indenter's lowest point under the undeformed top [m].
-        contact_radius: of the contact area in the deformed body [m].
-        radii: of points of the deformed contact face, rising [m].
+        force: force on the indenter [N].
+        depth: depth of the indenter's lowest point under the undeformed top [m].
+        contact_radius: radius of the contact area in the deformed body [m].
+        radii: radii of points of the deformed contact face, rising [m].
         pressure: contact pressure at these radii [Pa].
         r: undeformed radii of the displacement nodes, (nr,) [m].
         z: undeformed heights of the displacement nodes over the base, (nz,) [m].
         displacement: radial and upward, (nr, nz, 2) [m].
-        mean_stress: of each layer at the corners of cells, r[::2] and z[::2], (layers, nr', nz')
-            [Pa]; NaN outside the layer.
+        mean_stress: mean stress of each layer at the corners of cells, r[::2] and z[::2], (layers,
+            nr', nz') [Pa]; NaN outside the layer.
         energies: isochoric strain energy of every layer [J].
         volume_ratios: deformed over undeformed volume of every layer.
     """

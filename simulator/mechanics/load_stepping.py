@@ -22,7 +22,7 @@ _TOLERANCE = 1e-7  # last correction over the largest unknown; the error is its 
 _CHORDS = 4  # most corrections by the factors of an earlier iterate
 _CONTRACTION = 0.1  # largest ratio of such a correction to the one before
 _HALVINGS = 6  # of a correction that would turn a cell inside out
-_SMALLEST_STEP = 1.0 / 200.0
+_MIN_STEP = 1.0 / 200.0
 
 
 class SolidError(ConfigurationError):
@@ -38,7 +38,7 @@ class SolidError(ConfigurationError):
         self.reached = reached
 
 
-class Factorised(Protocol):
+class Factorisation(Protocol):
     """Factorised symmetric matrix."""
 
     @property
@@ -76,7 +76,7 @@ class SparseLU:
         return np.asarray(self._lu.solve(right))
 
 
-Factorise = Callable[[csc_array], Factorised]
+Factorise = Callable[[csc_array], Factorisation]
 
 
 class ForceTerm(ABC):
@@ -108,7 +108,7 @@ class ForceTerm(ABC):
         """Whether the unknowns x are possible, without inverted cells."""
         return True
 
-    def advanced(self, x: Array) -> Self:  # noqa: ARG002
+    def advance(self, x: Array) -> Self:  # noqa: ARG002
         """The term after x has been reached, where its forces depend on the history."""
         return self
 
@@ -144,7 +144,7 @@ class Load:
 
     Attributes:
         fixed: numbers of the prescribed unknowns.
-        values: of the prescribed unknowns, (len(fixed),).
+        values: values of the prescribed unknowns, (len(fixed),).
         forces: dead forces on all unknowns, (n,).
     """
 
@@ -182,11 +182,13 @@ def newton(
         step, factorised, residual_norm = _correction(terms, x, load, free, factorise)
         # Full steps find the contact area quickly at first; later steps must not cycle.
         limit = np.inf if iteration < _FULL_STEPS else residual_norm
-        x = _corrected(terms, x, step, load.forces, free, limit)
+        x = _line_search(terms, x, step, load.forces, free, limit)
         found = x if np.abs(step).max() <= tolerance * max(start, np.abs(x).max()) else None
         if found is None and chords:
             least = _CONTRACTION * tolerance**2 * max(start, float(np.abs(x).max()))
-            found = _by_chords(terms, x, load.forces, free, factorised, np.abs(step).max(), least)
+            found = _modified_newton(
+                terms, x, load.forces, free, factorised, np.abs(step).max(), least
+            )
         if found is not None:
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
@@ -196,12 +198,12 @@ def newton(
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
-def _by_chords(
+def _modified_newton(
     terms: Sequence[ForceTerm],
     x: Array,
     loads: Array,
     free: Indices,
-    factorised: Factorised,
+    factors: Factorisation,
     last: float,
     least: float,
 ) -> Array | None:
@@ -212,7 +214,7 @@ def _by_chords(
     for _ in range(_CHORDS):
         residual = sum((term.forces(x) for term in terms), start=-loads)
         step = np.zeros_like(x)
-        step[free] = factorised.solve(-residual[free])
+        step[free] = factors.solve(-residual[free])
         size = float(np.abs(step).max())
         contraction, last = size / last, size
         x = x + step
@@ -226,7 +228,7 @@ def _by_chords(
 
 def _correction(
     terms: Sequence[ForceTerm], x: Array, load: Load, free: Indices, factorise: Factorise
-) -> tuple[Array, Factorised, float]:
+) -> tuple[Array, Factorisation, float]:
     """Newton step, factorised stiffness, and norm of the residual."""
     linearised = [term.linearise(x) for term in terms]
     residual = sum((forces for forces, _ in linearised), start=-load.forces)
@@ -243,7 +245,7 @@ def _correction(
     return step, factorised, float(np.linalg.norm(residual[free]))
 
 
-def _corrected(
+def _line_search(
     terms: Sequence[ForceTerm], x: Array, step: Array, loads: Array, free: Indices, limit: float
 ) -> Array:
     """Line search by halving: x of the first residual below `limit`, or of the least."""
@@ -289,14 +291,14 @@ def follow(
         try:
             load = path(target)
             reached = solve(terms, guess, load)
-            advanced = tuple(term.advanced(reached) for term in terms)
+            advanced = tuple(term.advance(reached) for term in terms)
             before = sum(term.forces(reached) for term in terms)
             after = sum(term.forces(reached) for term in advanced)
             if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
                 reached = solve(advanced, reached, load)
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
-            if step < _SMALLEST_STEP:
+            if step < _MIN_STEP:
                 raise SolidError(
                     f"only {t:.1%} of the load is carried; beyond, {error}. {remedy}", reached=t
                 ) from None

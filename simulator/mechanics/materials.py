@@ -151,11 +151,11 @@ class Ogden(Law):
         i, j = np.divmod(entries, 3)
         shape = (*F.shape[:-2], len(entries))
         across = f[..., i, :, None] * axes[..., j, None, :]  # (..., entries, a, b)
-        left = across * _divided_difference(squares, beta)[..., None, :, :]
+        left_factor = across * _divided_difference(squares, beta)[..., None, :, :]
         right = across + across.swapaxes(-1, -2)
-        found = left.reshape(*shape, 9) @ right.reshape(*shape, 9).swapaxes(-1, -2)
-        found += np.equal.outer(i, i) * B[..., j[:, None], j]
-        curvature: Array = found
+        tensor = left_factor.reshape(*shape, 9) @ right.reshape(*shape, 9).swapaxes(-1, -2)
+        tensor += np.equal.outer(i, i) * B[..., j[:, None], j]
+        curvature: Array = tensor
         return curvature
 
 

@@ -22,7 +22,7 @@ from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.elimination_order import Block, dissection
-from eitskin.simulator.linalg.multifrontal import factorised
+from eitskin.simulator.linalg.multifrontal import factorise
 from eitskin.simulator.linalg.stiffness_pattern import ElementBlocks, StiffnessPattern
 from eitskin.simulator.mechanics.load_stepping import Factorise, ForceTerm
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
@@ -148,7 +148,7 @@ class Solid(ForceTerm):
         """Number of pressures."""
         return self.unknowns - int(self.nodes.size)
 
-    def nodes_of(self, facets: Indices) -> Indices:
+    def facet_nodes(self, facets: Indices) -> Indices:
         """Numbers of the displacement nodes on boundary facets, rising."""
         if not len(facets):
             return np.zeros(0, dtype=np.int64)
@@ -198,17 +198,17 @@ class Solid(ForceTerm):
         The small part of kappa that acts on the displacements directly is left out.
         """
         cells = self.cells_of_law[law]
-        found = np.full(self.mesh.p.shape[1], np.nan)
-        found[self.mesh.t.T[cells]] = self.cell_mean_stress(x)[cells]
-        return found
+        mean_stress = np.full(self.mesh.p.shape[1], np.nan)
+        mean_stress[self.mesh.t.T[cells]] = self.cell_mean_stress(x)[cells]
+        return mean_stress
 
     def cell_mean_stress(self, x: Array) -> Array:
         """Mean stress at the corners of each cell [Pa], (cells, corners).
 
         The small part of kappa that acts on the displacements directly is left out.
         """
-        found: Array = self._pressure_scale * x[self._pressure_numbers]
-        return found
+        mean_stress: Array = self._pressure_scale * x[self._pressure_numbers]
+        return mean_stress
 
     def stress(self, x: Array) -> Array:
         """First Piola-Kirchhoff stress at the quadrature points [Pa], (cells, q, 3, 3)."""
@@ -216,7 +216,7 @@ class Solid(ForceTerm):
 
     def forces(self, x: Array) -> Array:
         """Residual of the equilibrium, (n,): nodal forces [N], then scaled volume errors."""
-        return self._assembled(self._strain_state(x))
+        return self._assemble(self._strain_state(x))
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Residual (n,) and its symmetric derivative, the tangent stiffness (n, n), at x (n,)."""
@@ -225,7 +225,7 @@ class Solid(ForceTerm):
         elements = (
             (cells, self._stiffness(law, cells, at, mean_stress)) for law, cells in self._groups()
         )
-        return self._assembled(at), self._pattern.assembled(elements, len(x))
+        return self._assemble(at), self._pattern.assemble(elements, len(x))
 
     def elimination(self, fixed: Indices, size: int) -> Factorise:
         """Elimination of all but the fixed ones of `size` unknowns, of bodies by nested dissection.
@@ -235,9 +235,9 @@ class Solid(ForceTerm):
         """
         if self.dim < 3:
             return super().elimination(fixed, size)
-        wanted = (size, fixed.tobytes())
-        if self._eliminated is None or self._eliminated[0] != wanted:
-            self._eliminated = wanted, partial(factorised, blocks=self._blocks(fixed, size))
+        key = (size, fixed.tobytes())
+        if self._eliminated is None or self._eliminated[0] != key:
+            self._eliminated = key, partial(factorise, blocks=self._blocks(fixed, size))
         return self._eliminated[1]
 
     def _blocks(self, fixed: Indices, size: int) -> list[Block]:
@@ -255,10 +255,10 @@ class Solid(ForceTerm):
     def _strain_state(self, x: Array) -> StrainState:
         """Strain state at x; the last one is kept, as Newton's method asks for each repeatedly."""
         if self._last is None or not np.array_equal(self._last.x, x):
-            self._last = self._strained(x)
+            self._last = self._evaluate_strain(x)
         return self._last
 
-    def _strained(self, x: Array) -> StrainState:
+    def _evaluate_strain(self, x: Array) -> StrainState:
         """Strain state at x, newly evaluated."""
         u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
         slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
@@ -270,19 +270,19 @@ class Solid(ForceTerm):
             F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
         H = cofactor(F)
         J = determinant(F, H)
-        for kept in (F, H, J):
-            kept.flags.writeable = False  # callers get these arrays, not copies
+        for array in (F, H, J):
+            array.flags.writeable = False  # callers get these arrays, not copies
         p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
         return StrainState(x.copy(), F, H, J, p)
 
-    def _mean_stress(self, at: StrainState) -> Array:
-        p: Array = at.multiplier + self._direct[:, None] * (at.J - 1.0)
+    def _mean_stress(self, state: StrainState) -> Array:
+        p: Array = state.multiplier + self._direct[:, None] * (state.J - 1.0)
         return p
 
-    def _stress(self, at: StrainState) -> Array:
-        P: Array = self._mean_stress(at)[..., None, None] * at.H
+    def _stress(self, state: StrainState) -> Array:
+        P: Array = self._mean_stress(state)[..., None, None] * state.H
         for law, cells in self._groups():
-            P[cells] += law.stress(at.F[cells])
+            P[cells] += law.stress(state.F[cells])
         return P
 
     def _shape(self, pressure: skfem.CellBasis) -> None:
@@ -305,9 +305,9 @@ class Solid(ForceTerm):
         self._displacement_numbers: Indices = spread.reshape(len(dofs), -1)
         # Pressures jump between materials: one number per node and material.
         pairs = pressure.element_dofs.T.astype(np.int64) * len(self.laws) + law_of_cell[:, None]
-        kept, numbers = np.unique(pairs, return_inverse=True)
+        unique_pairs, numbers = np.unique(pairs, return_inverse=True)
         self._pressure_numbers: Indices = self.nodes.size + numbers.reshape(pairs.shape)
-        self.unknowns = self.nodes.size + len(kept)
+        self.unknowns = self.nodes.size + len(unique_pairs)
         self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 
     @cached_property
@@ -335,12 +335,12 @@ class Solid(ForceTerm):
             operators[0] = np.concatenate([slopes, self._hoops[cells][..., None]], axis=-1)
         return operators
 
-    def _assembled(self, at: StrainState) -> Array:
+    def _assemble(self, state: StrainState) -> Array:
         """Assembled nodal forces and volume errors, (n,)."""
-        dilation = at.J - 1.0 - self._compliance[:, None] * at.multiplier
-        return self._integrated(self._stress(at), dilation, len(at.x))
+        dilation = state.J - 1.0 - self._compliance[:, None] * state.multiplier
+        return self._integrate(self._stress(state), dilation, len(state.x))
 
-    def _integrated(self, stress: Array, dilation: Array, size: int) -> Array:
+    def _integrate(self, stress: Array, dilation: Array, size: int) -> Array:
         """Nodal forces of stresses, and scaled integrals of dilations, (size,)."""
         P = stress * self.weights[..., None, None]
         within = P[..., : self.dim, : self.dim].swapaxes(2, 3).reshape(len(P), -1, self.dim)
@@ -356,12 +356,12 @@ class Solid(ForceTerm):
         return np.asarray(residual, dtype=np.float64)
 
     def _stiffness(
-        self, law: Law, cells: Indices, at: StrainState, mean_stress: Array
+        self, law: Law, cells: Indices, state: StrainState, mean_stress: Array
     ) -> ElementBlocks:
         """Element matrices, by blocks."""
-        entries = [entry for each in _COMPONENTS[self.kinematics] for entry in each]
-        w, F = self.weights[cells], at.F[cells]
-        H = at.H[cells].reshape(*w.shape, 9)[..., entries]
+        entries = [entry for component in _COMPONENTS[self.kinematics] for entry in component]
+        w, F = self.weights[cells], state.F[cells]
+        H = state.H[cells].reshape(*w.shape, 9)[..., entries]
         A = law.tangent(F, entries)
         slope = _COFACTOR_SLOPE[:, entries][:, :, entries]
         curvature = np.tensordot(F.reshape(*w.shape, 9), slope, axes=1)
@@ -370,7 +370,7 @@ class Solid(ForceTerm):
         A *= w[..., None, None]
         H *= w[..., None]
         operators = self._strain_operators(cells)
-        ends = np.cumsum([len(each) for each in _COMPONENTS[self.kinematics]])
+        ends = np.cumsum([len(component) for component in _COMPONENTS[self.kinematics]])
         spans = [slice(end - B.shape[-1], end) for end, B in zip(ends, operators, strict=True)]
         flat = [B.reshape(*B.shape[:2], -1) for B in operators]
         psi = self._pressure_scale * self._pressure_values

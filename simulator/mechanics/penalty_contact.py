@@ -17,7 +17,7 @@ from eitskin.simulator.scene.indenters import Indenter, penetration
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SAME = 1e-9  # [m]
+_TOLERANCE = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +30,7 @@ class PenaltyContact(ForceTerm):
     the depths d of indenters below the undeformed face, one per contact.
 
     Attributes:
-        face: that may be touched, with the unknown d.
+        face: face that may be touched, with the unknown d.
         indenter: shape of the rigid body.
         stiffness: k [Pa/m].
         centre: horizontal position of the axis, (dim - 1,) [m].
@@ -49,7 +49,7 @@ class PenaltyContact(ForceTerm):
     holds: Array
 
     @classmethod
-    def of_face(
+    def from_facets(
         cls,
         solid: Solid,
         facets: Indices,
@@ -69,7 +69,7 @@ class PenaltyContact(ForceTerm):
         face = Face(solid, facets, order, solid.unknowns + number)
         above = float(face.points[..., -1].max()) if lowest is None else lowest
         anchors = face.points - np.append(centre, above)
-        anchors[np.abs(anchors[..., -1]) < _SAME, -1] = 0.0
+        anchors[np.abs(anchors[..., -1]) < _TOLERANCE, -1] = 0.0
         r = np.linalg.norm(anchors[..., :-1], axis=-1)
         flat = (indenter.profile(r)[0] <= anchors[..., -1]).astype(np.float64) * indenter.rough
         horizontal = np.diag([*[1.0] * (solid.dim - 1), 0.0])
@@ -89,14 +89,14 @@ class PenaltyContact(ForceTerm):
         """Total vertical force [N]."""
         return float(self.forces(x)[self.depth])
 
-    def depth_touching(self, radius: float, least: int) -> float:
-        """Depth at which the undeformed face is in contact up to a radius [m], at `least` points.
+    def depth_touching(self, radius: float, points: int) -> float:
+        """Depth at which the undeformed face is in contact up to a radius [m], at `points` points.
 
         Parts of the face that slope away from the indenter may not be in contact there.
         """
         r = np.linalg.norm(self.face.points[..., :-1] - self.centre, axis=-1)
         gaps = self.lowest + self.indenter.profile(r)[0] - self.face.points[..., -1]
-        count = min(max(least, int(0.5 * np.count_nonzero(r < radius))), gaps.size)
+        count = min(max(points, int(0.5 * np.count_nonzero(r < radius))), gaps.size)
         return float(np.sort(gaps, axis=None)[count - 1])
 
     def energy(self, x: Array) -> float:
@@ -105,16 +105,16 @@ class PenaltyContact(ForceTerm):
         squares = np.maximum(self._penetration(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
         return float(0.5 * self.stiffness * np.sum(self.face.weights * squares))
 
-    def advanced(self, x: Array) -> "PenaltyContact":
+    def advance(self, x: Array) -> "PenaltyContact":
         """Contact after a load step: a rough indenter now holds the points in contact."""
         if not self.indenter.rough:
             return self
         _, normal, _ = self._penetration(x)
         relative = self._relative(x)
         touching = self.nominal_pressure(x) > 0.0
-        known = np.any(self.holds != 0.0, axis=(-2, -1))
+        holding = np.any(self.holds != 0.0, axis=(-2, -1))
         across = np.eye(self.face.dim) - normal[..., :, None] * normal[..., None, :]
-        new = (touching & ~known)[..., None]
+        new = (touching & ~holding)[..., None]
         return replace(
             self,
             anchors=np.where(new, relative, self.anchors),
@@ -145,7 +145,7 @@ class PenaltyContact(ForceTerm):
     def forces(self, x: Array) -> Array:
         """Forces on the unknowns (n,) [N]."""
         g, normal, _ = self._penetration(x)
-        return self._assembled(x, g, normal)
+        return self._assemble(x, g, normal)
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Forces on the unknowns and symmetric stiffness; semi-smooth where contact ends."""
@@ -153,9 +153,9 @@ class PenaltyContact(ForceTerm):
         pushing = (g > 0.0)[..., None, None] * normal[..., :, None] * normal[..., None, :]
         springs = pushing + self.holds + np.maximum(g, 0.0)[..., None, None] * curvature
         K = self.face.stiffness(self.stiffness * springs, len(x))
-        return self._assembled(x, g, normal), K
+        return self._assemble(x, g, normal), K
 
-    def _assembled(self, x: Array, g: Array, normal: Array) -> Array:
+    def _assemble(self, x: Array, g: Array, normal: Array) -> Array:
         slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
         traction = np.maximum(g, 0.0)[..., None] * normal + slip
         return self.face.forces(self.stiffness * traction, len(x))

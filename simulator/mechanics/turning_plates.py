@@ -62,24 +62,24 @@ class TurningPlates:
         Raises SolidError, naming the angle reached, where no stable equilibrium is found.
         """
         if angle_deg not in self._solved:
-            self._solved[angle_deg] = self._found(angle_deg)
+            self._solved[angle_deg] = self._solve_from_neighbours(angle_deg)
         return self._solved[angle_deg]
 
     def energy(self, angle_deg: float) -> float:
         """Energy stored in solid and bond [J]."""
         x = self.equilibrium(angle_deg)
-        bonded = self._bond.energy(self._moved(angle_deg) - x) if self._bond else 0.0
+        bonded = self._bond.energy(self._plate_displacements(angle_deg) - x) if self._bond else 0.0
         return self._solid.energy(x) + bonded
 
     def moment(self, angle_deg: float) -> float:
         """Derivative of the energy by the angle in radians [N m]."""
-        solid, moved = self._solid, self._moved(angle_deg)
+        solid, moved = self._solid, self._plate_displacements(angle_deg)
         f = solid.displacement(solid.forces(self.equilibrium(angle_deg)))
         arm = solid.nodes + solid.displacement(moved) - self._axis
         turning = arm[:, 2] * f[:, 0] - arm[:, 0] * f[:, 2]
         return 0.5 * sum(way * float(turning[held].sum()) for way, held in self._plates.items())
 
-    def _found(self, angle: float) -> Array:
+    def _solve_from_neighbours(self, angle: float) -> Array:
         """Equilibrium from the polynomial through solved neighbours, or by load stepping."""
         near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
         if len(near) > 1:
@@ -97,7 +97,7 @@ class TurningPlates:
                     pass  # load stepping may find a way where the polynomial does not
         before = near[0]
         step = min(1.0, self._longest / abs(angle - before))
-        path = partial(self._between, before, angle)
+        path = partial(self._interpolate_load, before, angle)
         try:
             return follow(self._terms, self._solved[before], path, step)[0]
         except SolidError as error:
@@ -107,25 +107,25 @@ class TurningPlates:
                 error.reached,
             ) from error
 
-    def _between(self, before: float, after: float, t: float) -> Load:
+    def _interpolate_load(self, before: float, after: float, t: float) -> Load:
         return self._load(before + t * (after - before))
 
     def _load(self, angle: float) -> Load:
-        moved = self._moved(angle)
+        moved = self._plate_displacements(angle)
         forces = self._bond.forces(moved) if self._bond else np.zeros_like(moved)
         return Load(self._fixed, moved[self._fixed], forces)
 
-    def _moved(self, angle: float) -> Array:
+    def _plate_displacements(self, angle: float) -> Array:
         """Displacements (unknowns,) by the plates, at the nodes that move with them."""
         moved = np.zeros(self._solid.unknowns)
         displacement = self._solid.displacement(moved)
         for way, held in self._plates.items():
             X = self._solid.nodes[held]
-            displacement[held] = _turned(X, 0.5 * way * math.radians(angle), self._axis) - X
+            displacement[held] = _rotate_points(X, 0.5 * way * math.radians(angle), self._axis) - X
         return moved
 
 
-def _turned(points: Array, angle: float, axis: Array) -> Array:
+def _rotate_points(points: Array, angle: float, axis: Array) -> Array:
     """Points (..., 3) rotated with the plate at large x by an angle [rad], downwards if positive.
 
     The axis along y goes through a point (3,) [m].

@@ -19,7 +19,7 @@ from eitskin.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
-_LONGEST = 1e30  # s; squares of such times neither overflow nor vanish
+_MAX_TIME = 1e30  # s; squares of such times neither overflow nor vanish
 _FAINTEST = 1e-60  # smaller amplitudes count as zero
 
 
@@ -47,7 +47,7 @@ class Prony:
                 "amplitudes of a Prony series must not be negative and must add up to less than "
                 f"1, or the material would flow; got {g}"
             )
-        if not all(1.0 / _LONGEST <= time <= _LONGEST for time in tau):
+        if not all(1.0 / _MAX_TIME <= time <= _MAX_TIME for time in tau):
             raise ConfigurationError(
                 f"relaxation times must be positive and finite, in s, got {tau}"
             )
@@ -71,13 +71,13 @@ class Prony:
         digits cancel for close and far rates.
         """
         g = np.array(self.amplitudes)
-        kept = g > _FAINTEST
-        rates, which = np.unique(1.0 / np.array(self.times)[kept], return_inverse=True)
+        significant = g > _FAINTEST
+        rates, which = np.unique(1.0 / np.array(self.times)[significant], return_inverse=True)
         p = np.append(0.0, rates)
-        w = np.append(1.0 - math.fsum(g), np.bincount(which, weights=g[kept]))
+        w = np.append(1.0 - math.fsum(g), np.bincount(which, weights=g[significant]))
         amplitudes, times = [], []
         for k in reversed(range(len(rates))):
-            origin, offset = _zero_between(p, w, k)
+            origin, offset = _find_zero(p, w, k)
             rate = p[origin] + offset
             amplitudes.append(1.0 / float(w @ (rate / ((p[origin] - p) + offset)) ** 2))
             times.append(1.0 / float(rate))
@@ -92,7 +92,7 @@ def mixture(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
     """Relaxation of a body of several materials, sum_k s_k G_k(t), to first order.
 
     Args:
-        materials: of the parts.
+        materials: materials of the parts.
         shares: s_k = (mu_k / F) dF/dmu_k at fixed depth, adding up to 1.
 
     The elastic force is F(mu_1, mu_2, ...), homogeneous of degree one. Were the body linear, its
@@ -141,7 +141,7 @@ def elastic_force_at_depth(
 
     Args:
         prony: relaxation of the body.
-        force: at the first moment [N].
+        force: force at the first moment [N].
         seconds: duration of the constant depth [s].
         released: time since the indenter was taken off [s]; 0 while it is in contact.
 
@@ -182,20 +182,20 @@ def _approach(amplitudes: ArrayLike, times: ArrayLike, t: ArrayLike) -> Array:
     return np.asarray(np.tensordot(a, -np.expm1(-np.multiply.outer(1.0 / tau, at)), axes=1))
 
 
-def _zero_between(p: Array, w: Array, k: int) -> tuple[int, float]:
+def _find_zero(p: Array, w: Array, k: int) -> tuple[int, float]:
     """Zero of sum_i w_i / (x - p_i) between p_k and p_(k+1), as the nearer pole and an offset.
 
     The offset from the nearer pole keeps all digits (Li 1993, LAPACK's dlaed4).
     """
-    left, right = p[k], p[k + 1]
+    left_pole, right_pole = p[k], p[k + 1]
     others = np.delete(np.arange(len(p)), [k, k + 1])
 
     def without_poles(offset: float, origin: int) -> float:
-        above, below = (p[origin] - left) + offset, (right - p[origin]) - offset
-        rest = float(w[others] @ (1.0 / ((p[origin] - p[others]) + offset)))
-        return float(w[k] * below - w[k + 1] * above + above * below * rest)
+        above, below = (p[origin] - left_pole) + offset, (right_pole - p[origin]) - offset
+        other_terms = float(w[others] @ (1.0 / ((p[origin] - p[others]) + offset)))
+        return float(w[k] * below - w[k + 1] * above + above * below * other_terms)
 
-    gap = right - left
+    gap = right_pole - left_pole
     origin, reach = (k + 1, -0.75 * gap) if without_poles(0.5 * gap, k) > 0.0 else (k, 0.75 * gap)
     precision = np.finfo(np.float64)
     offset = brentq(

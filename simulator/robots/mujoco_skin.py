@@ -19,8 +19,8 @@ from eitskin.simulator.scene.scene import AnyIndenter, Scene, Touch
 from eitskin.simulator.simulator import Simulator
 
 PERIOD = 0.3  # s, of a frame of the AD5940
-_SAME_SIZE = 0.01  # relative, of the box and the gel
-_STEEPEST = 0.5  # cosine of the angle between a contact's normal and that of the face
+_SIZE_TOLERANCE = 0.01  # relative, of the box and the gel
+_MIN_NORMAL_COSINE = 0.5  # cosine of the angle between a contact's normal and that of the face
 _ON_TIME = 1e-9  # s, rounding of the time of a simulation
 
 
@@ -29,11 +29,11 @@ class MujocoSkin:
 
     The face is the sensor's touched side: x runs along the box's x, y along its y, from the corner
     where both are smallest. Forces are those that MuJoCo's contacts press onto the face with;
-    what touches the other faces is not felt. The box is as stiff as its `solref` and `solimp` make
-    it, whatever the gel.
+    what touches the other faces is not detected. The box is as stiff as its `solref` and `solimp`
+    make it, whatever the gel.
 
     Attributes:
-        simulator: of the sensor.
+        simulator: simulator of the sensor.
         period: time between frames [s].
         rules: which contacts become touches.
     """
@@ -52,7 +52,7 @@ class MujocoSkin:
         """Put a sensor on a geom.
 
         Args:
-            simulator: of the sensor, a rectangle.
+            simulator: simulator of the sensor, a rectangle.
             model: a mujoco.MjModel.
             geom: name of the box geom.
             period: time between frames [s].
@@ -71,7 +71,7 @@ class MujocoSkin:
         if not period > 0.0:
             raise ConfigurationError(f"expected a period of frames above 0 s, got {period}")
         self.simulator, self.period, self.rules = simulator, period, rules or TouchRules()
-        self._model, self._geom = model, self._found(model, geom)
+        self._model, self._geom = model, self._find_geom(model, geom)
         self._outline = _matching_outline(simulator, model.geom_size[self._geom], geom)
         self._instrument, self._seeds = instrument, np.random.SeedSequence(seed)
         self._untouched = simulator.measure_all([Scene()], instrument=instrument)[0]
@@ -87,7 +87,7 @@ class MujocoSkin:
         for row in np.flatnonzero((bodies == self._geom).any(axis=1)):
             place = (data.contact.pos[row] - centre) @ axes
             normal = data.contact.frame[row][:3] @ axes
-            if place[2] < 0.0 or abs(normal[2]) < _STEEPEST:
+            if place[2] < 0.0 or abs(normal[2]) < _MIN_NORMAL_COSINE:
                 continue
             force = -float(self._push(data, int(row)) @ axes[:, 2])
             if force > 0.0:
@@ -99,7 +99,7 @@ class MujocoSkin:
             touch_of_face(np.array(pressed), self._indenter(presser))
             for presser, pressed in contacts.items()
         ]
-        return self.rules.applied(points, self._outline)
+        return self.rules.apply(points, self._outline)
 
     def update(self, simulations: Sequence[Any]) -> list[Frame | None]:
         """Frames that are due in some simulations; call it after each step.
@@ -108,7 +108,7 @@ class MujocoSkin:
             simulations: mujoco.MjData of the model, the same ones in the same order each time.
 
         The first call gives each its first frame, in which nothing should touch the skin. The
-        session of a simulation whose time went back, as by mj_resetData, begins anew. Frames show
+        session of a simulation whose time went back, as by mj_resetData, begins again. Frames show
         the moment at which they are due, and all that are due are solved together. Frames that a
         step jumped over are missing by number.
 
@@ -123,36 +123,38 @@ class MujocoSkin:
             )
         frames: list[Frame | None] = [None] * len(simulations)
         due = [
-            (i, board.number_at(float(data.time), self.period))
+            (i, board.due_frame(float(data.time), self.period))
             for i, (board, data) in enumerate(zip(self._boards, simulations, strict=True))
         ]
-        wanted = [(i, number) for i, number in due if number is not None]
-        solved = self._measured([self.touches(simulations[i]) for i, _ in wanted])
-        for (i, number), impedance in zip(wanted, solved, strict=True):
+        due_boards = [(i, number) for i, number in due if number is not None]
+        solved = self._simulate_measurements([self.touches(simulations[i]) for i, _ in due_boards])
+        for (i, number), impedance in zip(due_boards, solved, strict=True):
             frames[i] = self._frame(self._boards[i], number, impedance)
         return frames
 
-    def _measured(self, touches: Sequence[tuple[Touch, ...]]) -> list[NDArray[np.complex128]]:
+    def _simulate_measurements(
+        self, touches: Sequence[tuple[Touch, ...]]
+    ) -> list[NDArray[np.complex128]]:
         """Noise-free measurements of each; those without touches are known."""
-        found = [self._untouched] * len(touches)
+        measurements = [self._untouched] * len(touches)
         single = [
             i
-            for i, each in enumerate(touches)
+            for i, touch in enumerate(touches)
             if self._table is not None
-            and len(each) == 1
-            and each[0].indenter == self.rules.indenter
+            and len(touch) == 1
+            and touch[0].indenter == self.rules.indenter
         ]
         if self._table is not None and single:
             factors = self._table.factors([touches[i][0] for i in single])
             for i, factor in zip(single, factors, strict=True):
-                found[i] = self._untouched * factor.reshape(self._untouched.shape)
-        left = [i for i, each in enumerate(touches) if each and i not in single]
-        scenes = [Scene(touches=touches[i]) for i in left]
+                measurements[i] = self._untouched * factor.reshape(self._untouched.shape)
+        unsolved = [i for i, touch in enumerate(touches) if touch and i not in single]
+        scenes = [Scene(touches=touches[i]) for i in unsolved]
         if scenes:
             solved = self.simulator.measure_all(scenes, instrument=self._instrument)
-            for i, impedance in zip(left, solved, strict=True):
-                found[i] = impedance
-        return found
+            for i, impedance in zip(unsolved, solved, strict=True):
+                measurements[i] = impedance
+        return measurements
 
     def _touch_table(self) -> TouchTable:
         indenter = self.rules.indenter
@@ -161,7 +163,7 @@ class MujocoSkin:
                 "expected rules with an indenter, of which a table is made, got None; choose one "
                 "for all touches, or leave out touch_table"
             )
-        return TouchTable.solved(
+        return TouchTable.load_or_solve(
             self.simulator, self._outline, indenter, self.rules, self._instrument
         )
 
@@ -172,7 +174,7 @@ class MujocoSkin:
             return Frame(impedance, protocol, time, number, board.number)
         if board.session is None:
             rng = np.random.default_rng(self._seeds.spawn(1)[0])
-            scale = self.simulator.full_scale_on(self._instrument)
+            scale = self.simulator.instrument_full_scale(self._instrument)
             board.session = self._instrument.session(protocol, scale, rng), rng
         session, rng = board.session
         (values,), (status,) = session.measure(impedance[None], np.array([time]), rng)
@@ -196,14 +198,14 @@ class MujocoSkin:
             return Sphere(radius)
         return Cylinder(radius) if kind == kinds.mjGEOM_CYLINDER else None
 
-    def _found(self, model: Any, name: str) -> int:
+    def _find_geom(self, model: Any, name: str) -> int:
         """Number of the box geom of a name."""
         objects = self._mujoco.mjtObj.mjOBJ_GEOM
         number = self._mujoco.mj_name2id(model, objects, name)
         if number < 0:
-            known = [model.geom(i).name for i in range(model.ngeom) if model.geom(i).name]
+            geom_names = [model.geom(i).name for i in range(model.ngeom) if model.geom(i).name]
             raise ConfigurationError(
-                f"expected the name of a geom, got '{name}'; the model has {', '.join(known)}"
+                f"expected the name of a geom, got '{name}'; the model has {', '.join(geom_names)}"
             )
         if model.geom_type[number] != self._mujoco.mjtGeom.mjGEOM_BOX:
             raise ConfigurationError(
@@ -218,7 +220,7 @@ class _Board:
     """Board of one simulation.
 
     Attributes:
-        number: of its session.
+        number: number of its session.
         began: time of the simulation when the session began [s]; NaN before.
         last: number of the newest frame.
         now: time of the simulation at the last call [s].
@@ -231,7 +233,7 @@ class _Board:
     now: float = float("inf")
     session: tuple[Session, np.random.Generator] | None = None
 
-    def number_at(self, now: float, period: float) -> int | None:
+    def due_frame(self, now: float, period: float) -> int | None:
         """Number of the frame that is due at a time of the simulation [s]; None for none."""
         if now < self.now:
             self.number, self.began, self.last, self.session = self.number + 1, now, -1, None
@@ -251,10 +253,10 @@ def _matching_outline(simulator: Simulator, half_size: NDArray[np.float64], geom
             f"expected a rectangular sensor on a box, got a {type(outline).__name__.lower()}; "
             "make scenes of its touches yourself, with TouchRules"
         )
-    wanted, found = (outline.length, outline.width), 2.0 * half_size[:2]
-    if not np.allclose(found, wanted, rtol=_SAME_SIZE):
+    size, geom_size = (outline.length, outline.width), 2.0 * half_size[:2]
+    if not np.allclose(geom_size, size, rtol=_SIZE_TOLERANCE):
         raise ConfigurationError(
-            f"expected geom '{geom}' to be as large as the gel, {wanted[0]:g} x {wanted[1]:g} m, "
-            f"got {found[0]:g} x {found[1]:g} m; a box's size in MJCF is half of that"
+            f"expected geom '{geom}' to be as large as the gel, {size[0]:g} x {size[1]:g} m, "
+            f"got {geom_size[0]:g} x {geom_size[1]:g} m; a box's size in MJCF is half of that"
         )
     return outline

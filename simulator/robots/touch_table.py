@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 SPACING = 0.0025  # m, at most, between places of the table
 FORCES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0)  # over the strongest
 _LEAST_RADIUS, _ROUNDED = 1e-3, 5e-4  # half the width of an edge; of corners of faces [m]
-FEWEST = 4  # places along an axis, for cubic splines
+MIN_PLACES = 4  # places along an axis, for cubic splines
 _VERSION = 1  # raise it whenever the table is solved in another way
 
 
@@ -33,8 +33,9 @@ class TouchRules:
     The defaults keep every touch within the tables of the reference sensor.
 
     Attributes:
-        indenter: of all touches by faces that are not larger; None for the shape of the body that
-            presses: of a sphere or capsule its `Sphere`, of a cylinder its flat end. Faces are
+        indenter: indenter of all touches by faces that are not larger; None for the shape of the
+            body that presses: presses of a sphere or capsule its `Sphere`, of a cylinder its flat
+                end. Faces are
             `Footprint`s, which are the hulls of their contacts.
             Presses by other indenters than the default one are solved scene by scene, which takes
             half a minute each, unless the simulator has `touch_model="tabulated"`.
@@ -56,7 +57,7 @@ class TouchRules:
         if not 0.0 <= self.margin < math.inf:
             raise ConfigurationError(f"expected a margin of 0 m or more, got {self.margin}")
 
-    def applied(self, points: Iterable[Touch], outline: Rectangle) -> tuple[Touch, ...]:
+    def apply(self, points: Iterable[Touch], outline: Rectangle) -> tuple[Touch, ...]:
         """Touches of the points of contact on a gel of this outline, strongest first.
 
         Points whose indenters would overlap are one touch: their forces are added, at the mean
@@ -70,12 +71,12 @@ class TouchRules:
                 low, high = (point.indenter.reach(way * np.eye(2)) for way in (-1.0, 1.0))
             x, y = np.clip([point.x, point.y], low, np.maximum(extents - high, low)).tolist()
             inside.append(replace(point, x=x, y=y))
-        strong = [touch for touch in merged(inside) if touch.force >= self.least]
+        strong = [touch for touch in merge_overlapping(inside) if touch.force >= self.least]
         limited = [replace(touch, force=min(touch.force, self.most)) for touch in strong]
         return tuple(sorted(limited, key=lambda touch: (-touch.force, touch.x, touch.y)))
 
 
-def merged(touches: Iterable[Touch]) -> list[Touch]:
+def merge_overlapping(touches: Iterable[Touch]) -> list[Touch]:
     """Touches of which no indenters overlap; those that overlap most are merged first."""
     found = list(touches)
     while True:
@@ -85,14 +86,14 @@ def merged(touches: Iterable[Touch]) -> list[Touch]:
         most, i, j = max(overlaps, default=(0.0, 0, 0))
         if most <= 0.0:
             return found
-        one, other = found[i], found.pop(j)
-        force = one.force + other.force
-        share = other.force / force
-        strongest = one if one.force >= other.force else other
+        first, second = found[i], found.pop(j)
+        force = first.force + second.force
+        share = second.force / force
+        strongest = first if first.force >= second.force else second
         found[i] = replace(
             strongest,
-            x=one.x + share * (other.x - one.x),
-            y=one.y + share * (other.y - one.y),
+            x=first.x + share * (second.x - first.x),
+            y=first.y + share * (second.y - first.y),
             force=force,
         )
 
@@ -104,7 +105,7 @@ def touch_of_face(contacts: Array, indenter: AnyIndenter | None) -> Touch:
 
     Args:
         contacts: places and forces (x, y, force) of the points, (n, 3) [m, m, N].
-        indenter: of faces that are not larger; when None of single points.
+        indenter: indenter of faces that are not larger; when None of single points.
     """
     places, forces = contacts[:, :2], contacts[:, 2]
     pressed, total = forces @ places / forces.sum(), float(forces.sum())
@@ -153,7 +154,7 @@ class TouchTable:
         self._spline = NdBSpline(tuple(knots), coefficients, 3)
 
     @classmethod
-    def solved(
+    def load_or_solve(
         cls,
         simulator: Simulator,
         outline: Rectangle,
@@ -190,7 +191,7 @@ class TouchTable:
 
     def factors(self, touches: Sequence[Touch]) -> NDArray[np.complex128]:
         """Measurements under each touch over those of the untouched sensor, (touches, values)."""
-        points = np.array([(each.x, each.y, each.force) for each in touches]).reshape(-1, 3)
+        points = np.array([(touch.x, touch.y, touch.force) for touch in touches]).reshape(-1, 3)
         real, imaginary = np.split(self._spline(points), 2, axis=1)
         return np.asarray(np.exp(real + 1j * imaginary))
 
@@ -198,12 +199,16 @@ class TouchTable:
 def _axes(outline: Rectangle, rules: TouchRules, spacing: float) -> tuple[Array, Array, Array]:
     """Places along x and y [m] and forces [N] at which touches are solved."""
 
-    def along(length: float) -> Array:
+    def axis_positions(length: float) -> Array:
         margin = min(rules.margin, length / 3)
         count = int(np.ceil((length - 2.0 * margin) / spacing - 1e-9)) + 1
-        return np.linspace(margin, length - margin, max(count, FEWEST))
+        return np.linspace(margin, length - margin, max(count, MIN_PLACES))
 
-    return along(outline.length), along(outline.width), rules.most * np.array(FORCES)
+    return (
+        axis_positions(outline.length),
+        axis_positions(outline.width),
+        rules.most * np.array(FORCES),
+    )
 
 
 def _logarithms(

@@ -13,15 +13,16 @@ from scipy.spatial import ConvexHull
 
 from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
 # Walls are as steep as this at most: 80 degrees, so that every indenter is a height map.
-_STEEPEST = math.tan(math.radians(80.0))
+_MAX_WALL_SLOPE = math.tan(math.radians(80.0))
 _PROJECTIONS = 12
-_WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
-_NARROWEST = 1e-4  # m, a needle; the mesh of a sharper contact has more cells than memory holds
+_MAX_WIDTH = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
+_MIN_WIDTH = 1e-4  # m, a needle; the mesh of a sharper contact has more cells than memory holds
 _CLOSEST = 1e-9  # m, between radii of a profile, whose slope is a quotient
 _SHARPEST = 1e-3  # radius of a rim over that of the cylinder, for the same reason
 _RADII, _AZIMUTHS = 48, 72
@@ -50,12 +51,12 @@ class Indenter(ABC):
         """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
 
     @property
-    def tabled(self) -> "Indenter":
+    def table_indenter(self) -> "Indenter":
         """Body of revolution by whose dents this one presses."""
         return self
 
     @property
-    def corrected(self) -> "Indenter":
+    def correction_indenter(self) -> "Indenter":
         """Body of revolution by whose corrections in the finite stack this one presses."""
         return self
 
@@ -185,10 +186,10 @@ class Profile(Indenter):
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
         radii, heights = np.array(self.radii), np.array(self.heights)
         middles = 0.5 * (radii[1:] + radii[:-1])
-        slopes = np.minimum(np.diff(heights) / np.diff(radii), _STEEPEST)
+        slopes = np.minimum(np.diff(heights) / np.diff(radii), _MAX_WALL_SLOPE)
         end = radii[-1]
         knots = np.concatenate([[0.0], middles, [end, 1.02 * end]])
-        values = np.concatenate([slopes[:1], slopes, slopes[-1:], [_STEEPEST]])
+        values = np.concatenate([slopes[:1], slopes, slopes[-1:], [_MAX_WALL_SLOPE]])
         # Piecewise linear slope: heights at the knots by the trapezoidal rule, parabolas between.
         at_knots = np.concatenate(
             [[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(knots))]
@@ -201,6 +202,7 @@ class Profile(Indenter):
         return height, slope, bends[piece]
 
 
+@old_names(corrected="correction_indenter", tabled="table_indenter")
 @dataclass(frozen=True, slots=True)
 class Footprint(Indenter):
     """Flat-ended punch of a convex footprint: a rectangle, an ellipse or a polygon.
@@ -210,10 +212,10 @@ class Footprint(Indenter):
 
     Attributes:
         length, width: of a rectangle, or diameters of an ellipse [m].
-        angle_deg: from the sensor's x axis to the length.
+        angle_deg: angle from the sensor's x axis to the length.
         round: whether it is an ellipse.
-        corners: of a polygon, (x, y) from where the force acts [m]; instead of the length and
-            width.
+        corners: corners of a polygon, (x, y) from where the force acts [m]; instead of the length
+            and width.
         rough: whether the punch sticks to the touched face.
 
     Example:
@@ -241,15 +243,16 @@ class Footprint(Indenter):
                 _require_radius(0.5 * getattr(self, name))
             return
         points = np.array(self.corners, dtype=float)
-        if len(points) < 3 or not np.all(np.abs(points) <= _WIDEST):
+        if len(points) < 3 or not np.all(np.abs(points) <= _MAX_WIDTH):
             raise ConfigurationError(
-                f"a footprint needs three or more corners within {_WIDEST:g} m, got {self.corners}"
+                f"a footprint needs three or more corners within {_MAX_WIDTH:g} m, got "
+                f"{self.corners}"
             )
         steps = np.roll(points, -1, axis=0) - points
         ahead = np.roll(steps, -1, axis=0)
         turns = steps[:, 0] * ahead[:, 1] - steps[:, 1] * ahead[:, 0]
         turns *= np.sign(turns.sum())
-        if not turns.min() > -_CLOSEST * _WIDEST or not self.rims[1] > _NARROWEST:
+        if not turns.min() > -_CLOSEST * _MAX_WIDTH or not self.rims[1] > _MIN_WIDTH:
             raise ConfigurationError(
                 f"the corners of a footprint must go round a convex area, got {self.corners}"
             )
@@ -283,7 +286,7 @@ class Footprint(Indenter):
         return max(1, round(float(high / low)))
 
     @property
-    def tabled(self) -> Cylinder:
+    def table_indenter(self) -> Cylinder:
         default = Cylinder(rough=self.rough)
         radius = self.rims[1] / math.sqrt(self.count)
         # Few radii serve all footprints; rims are all as round as the default one's.
@@ -291,7 +294,7 @@ class Footprint(Indenter):
         return Cylinder(default.radius * larger, min(default.edge / larger, 1.0), self.rough)
 
     @property
-    def corrected(self) -> Cylinder:
+    def correction_indenter(self) -> Cylinder:
         return Cylinder(rough=self.rough)
 
     @property
@@ -368,21 +371,21 @@ def penetration(
 
 def _require_radius(radius: float) -> None:
     """Raise ConfigurationError unless `radius` [m] is that of a needle, or a wider tool."""
-    require_length("indenter radius", radius, _WIDEST)
-    if radius < _NARROWEST:
+    require_length("indenter radius", radius, _MAX_WIDTH)
+    if radius < _MIN_WIDTH:
         raise ConfigurationError(
-            f"indenter radius must be at least {_NARROWEST * 1e3:g} mm, got {radius:g} m; lengths "
+            f"indenter radius must be at least {_MIN_WIDTH * 1e3:g} mm, got {radius:g} m; lengths "
             "are in metres, so 5 mm is 0.005"
         )
 
 
 def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:
     """Circular arc, level at s = 0, continued by a straight line from the steepest slope on."""
-    last = radius * _STEEPEST / math.hypot(1.0, _STEEPEST)
+    last = radius * _MAX_WALL_SLOPE / math.hypot(1.0, _MAX_WALL_SLOPE)
     on_arc = np.minimum(s, last)
     root = np.sqrt(radius**2 - on_arc**2)
     slope = on_arc / root
-    height = on_arc**2 / (radius + root) + _STEEPEST * (s - on_arc)
+    height = on_arc**2 / (radius + root) + _MAX_WALL_SLOPE * (s - on_arc)
     return height, slope, np.where((s > 0.0) & (s < last), radius**2 / root**3, 0.0)
 
 
@@ -416,11 +419,11 @@ class ScannedIndenter(Indenter):
         return self._profile().profile(r)
 
     def _profile(self) -> Profile:
-        return _of_surface(Surface(self.file, self.scale), self.rough)
+        return _surface_profile(Surface(self.file, self.scale), self.rough)
 
 
 @lru_cache(maxsize=16)
-def _of_surface(surface: Surface, rough: bool) -> Profile:
+def _surface_profile(surface: Surface, rough: bool) -> Profile:
     """Mean profile of the hull; raises ConfigurationError where the hull is far from round."""
     points, _ = surface.triangles()
     hull = ConvexHull(points)

@@ -24,7 +24,7 @@ from eitskin.simulator.scene.indenters import (
 
 DEFAULT_FORCE = 10.0
 AnyIndenter: TypeAlias = Cylinder | Sphere | Profile | ScannedIndenter | Footprint
-_SAME = 1e-9  # difference of spans that count as equal [m]
+_SPAN_TOLERANCE = 1e-9  # difference of spans that count as equal [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +79,18 @@ class PressedTouch:
     """Depth, contact, pressure and expected error of one touch of a scene.
 
     Attributes:
-        touch: of the scene.
-        force: on the indenter now [N]; 0 after the release.
-        depth: of the dent: position of the indenter's lowest point, now or before its release,
-            below the undeformed top of the stack [m].
-        contact_radius: of the contact area in the deformed stack [m]; 0 without contact.
+        touch: touch of the scene.
+        force: force on the indenter now [N]; 0 after the release.
+        depth: depth of the dent: position of the indenter's lowest point, now or before its
+            release, below the undeformed top of the stack [m].
+        contact_radius: radius of the contact area in the deformed stack [m]; 0 without contact.
         peak_pressure: largest contact pressure [Pa].
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
-        edge_distance: from the axis to the nearest edge of the gel [m].
-        neighbour_distance: from the axis to that of the nearest other touch [m].
+        edge_distance: distance from the axis to the nearest edge of the gel [m].
+        neighbour_distance: neighbour distance from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/results/world.md); None at smaller distances or larger
-            depths than any comparison, beside re-entrant corners, on other outlines than
+            depths than any comparison, next to re-entrant corners, on other outlines than
             rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
             pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
@@ -152,13 +152,13 @@ class Scene:
     def __post_init__(self) -> None:
         """Raise ConfigurationError for indenters that overlap."""
         pressing = [touch for touch in self.touches if not touch.released]
-        for one, other in combinations(pressing, 2):
-            step = np.array([other.x - one.x, other.y - one.y])
+        for first, second in combinations(pressing, 2):
+            step = np.array([second.x - first.x, second.y - first.y])
             apart = float(np.hypot(*step))
-            least = apart - distance(one.indenter, other.indenter, step)
+            least = apart - distance(first.indenter, second.indenter, step)
             if apart < least * (1.0 - 1e-9):
                 raise ConfigurationError(
-                    f"touches at ({one.x:g}, {one.y:g}) and ({other.x:g}, {other.y:g}) m are "
+                    f"touches at ({first.x:g}, {first.y:g}) and ({second.x:g}, {second.y:g}) m are "
                     f"{apart:g} m apart, but their indenters need {least:g} m"
                 )
 
@@ -188,7 +188,7 @@ def require_bendable(support: Support, fixture: Fixture) -> None:
             "a bend of a sensor on plates needs the clamp of the plates as its fixture, got "
             f"{fixture}; use another fixture or support = 'rigid'"
         )
-    if abs(fixture.span - support.span) > _SAME:
+    if abs(fixture.span - support.span) > _SPAN_TOLERANCE:
         raise ConfigurationError(
             f"the support's plates are {support.span:g} m apart, but those of the fixture "
             f"{fixture.span:g} m; give both the same span"

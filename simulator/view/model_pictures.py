@@ -44,7 +44,7 @@ def model_for_pictures(design: SensorDesign, cells: CellKind | None = None) -> F
 
 def draw_mesh(mesh: Mesh, path: str | Path) -> None:
     """Draw the sensor with numbered electrodes, all cells, and the cells at electrode 0."""
-    render([_sensor(mesh), _cells(mesh), _cells_at(mesh, 0)], path)
+    render([_sensor(mesh), _cells(mesh), _cells_panel(mesh, 0)], path)
 
 
 def draw_drive(
@@ -55,11 +55,11 @@ def draw_drive(
     The real part is drawn where potential and current are complex.
 
     Args:
-        model: to be solved. Colours vary linearly between its points, which should be dense: see
-            `model_for_pictures`.
+        model: model to be solved. Colours vary linearly between its points, which should be dense:
+            see `model_for_pictures`.
         drive: electrodes where a current of 1 A enters and leaves.
-        path: of the PNG file.
-        mesh: with the cells to draw; the model's when omitted.
+        path: path of the PNG file.
+        mesh: mesh with the cells to draw; the model's when omitted.
 
     Raises ConfigurationError for electrodes that do not exist.
     """
@@ -75,8 +75,8 @@ def draw_drive(
         _cells(cells),
         _potential(model.mesh, potential, drive),
         _lines(model.mesh, density, drive),
-        _cells_at(cells, plus),
-        _density_at(model.mesh, density, plus),
+        _cells_panel(cells, plus),
+        _density_panel(model.mesh, density, plus),
     ]
     render(panels, path, columns=2)
 
@@ -95,13 +95,13 @@ def _cells(mesh: Mesh) -> Panel:
     return Panel(title, mesh.points, lambda plotter: _add_cells(plotter, mesh, 0.7))
 
 
-def _cells_at(mesh: Mesh, electrode: int) -> Panel:
+def _cells_panel(mesh: Mesh, electrode: int) -> Panel:
     """Panel of the cells around an electrode; those above one inside are taken off."""
     height = height_inside(mesh, electrode)
     title = f"cells at electrode {electrode}"
     return Panel(
         title if height is None else f"{title}, those above it taken off",
-        _around(mesh, electrode),
+        _box_around_electrode(mesh, electrode),
         lambda plotter: _add_cells(plotter, mesh, 1.2, height),
         direction=in_front(mesh, electrode),
     )
@@ -156,9 +156,9 @@ def _lines(mesh: Mesh, density: Array, drive: tuple[int, int]) -> Panel:
     return Panel(f"current, {_LINES} lines of equal share", mesh.points, draw, legend=True)
 
 
-def _density_at(mesh: Mesh, density: Array, electrode: int) -> Panel:
+def _density_panel(mesh: Mesh, density: Array, electrode: int) -> Panel:
     """Panel of the current density around an electrode, largest at the electrode's edges."""
-    around, eye = _around(mesh, electrode), in_front(mesh, electrode)
+    around, eye = _box_around_electrode(mesh, electrode), in_front(mesh, electrode)
 
     def draw(plotter: Any) -> None:
         cells = shapes.volume(mesh)
@@ -185,7 +185,7 @@ def _add_magnitude(
     plotter.add_mesh(body, scalars="magnitude", **colours, **style)
 
 
-def _around(mesh: Mesh, electrode: int) -> Array:
+def _box_around_electrode(mesh: Mesh, electrode: int) -> Array:
     """Corners, (8, 3) [m], of a box about an electrode, twice as large, within the body."""
     corners, _ = shapes.electrode_corners(mesh, electrode)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))

@@ -36,8 +36,8 @@ class Panel:
     """Panel of a picture: a drawing with its title and camera.
 
     Attributes:
-        title: above the drawing.
-        points: that the camera has to show, (n, 3) [m].
+        title: title above the drawing.
+        points: points that the camera has to show, (n, 3) [m].
         draw: function that adds actors to a pyvista plotter.
         legend: whether `draw` adds a colour scale, for which room is left.
         direction: unit vector from the body to the viewer.

@@ -27,7 +27,7 @@ Colour = Literal["conductance", "strain", "current"]
 
 # Cells along the longer side of the drawn mesh: finer than a dent where cells are cheap.
 CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
-_SMALLEST_RANGE = 0.01  # of the colours, so that rounding does not look like a deformation
+_MIN_RANGE = 0.01  # of the colours, so that rounding does not look like a deformation
 _ROUND = (1.0, 1.2, 1.6, 2.0, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0)
 _NET = 30.0  # lines of the flat body across its longer side
 _ROUNDING = 1e-9  # of the largest measurement: smaller changes count as zero
@@ -41,7 +41,7 @@ def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
     conductivity = sim.conductivity(scene)
     if conductivity is None:
         return np.zeros(len(points))
-    change: Array = conductivity(points)[:, 0, 0] / sim.design.conductivity_at(points) - 1.0
+    change: Array = conductivity(points)[:, 0, 0] / sim.design.evaluate_conductivity(points) - 1.0
     return change
 
 
@@ -59,8 +59,8 @@ def deformed_current_density(
     F at the cell's centre.
 
     Args:
-        model: of the flat body.
-        deformation: of the body; None where the body is flat.
+        model: model of the flat body.
+        deformation: deformation of the body; None where the body is flat.
         drive: electrodes where the current enters and leaves.
         conductivity: f(x), pulled back to the flat body; the design's own when omitted.
         area_ratio: f(x, normals), ratio of deformed to flat area; 1 when omitted.
@@ -73,7 +73,7 @@ def deformed_current_density(
     return moved
 
 
-def most_changed(sim: Simulator, scene: Scene) -> tuple[int, int]:
+def most_sensitive_pair(sim: Simulator, scene: Scene) -> tuple[int, int]:
     """Drive pair of the measurement with the largest relative change from the flat sensor.
 
     Without any change, the drive pair of the largest resistance.
@@ -102,11 +102,11 @@ def draw_scenes(
     Args:
         sim: the sensor.
         scenes: titles and scenes.
-        path: of the PNG file.
+        path: path of the PNG file.
         colour: "conductance", the change of `conductance_change`; "strain", `largest_strain`; or
             "current", the magnitude of `deformed_current_density`.
-        drive: electrodes where the current enters and leaves; `most_changed` of each scene when
-            omitted.
+        drive: electrodes where the current enters and leaves; `most_sensitive_pair` of each scene
+            when omitted.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
     the file cannot be written or the colour or an electrode does not exist.
@@ -123,7 +123,7 @@ def draw_scenes(
     flat = model.mesh if model else mesh_design(sim.design, grading)
     drawings = []
     for title, scene in scenes:
-        pair = (drive or most_changed(sim, scene)) if model else ()
+        pair = (drive or most_sensitive_pair(sim, scene)) if model else ()
         values = _values(sim, scene, flat, colour, model, pair)
         driven = f", driven from {pair[0]} to {pair[1]}" if pair else ""
         body = _deformed_grid(flat, sim.deformation(scene))
@@ -182,9 +182,9 @@ def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
         if press.force > 0.0:
             tip, turned = np.array([press.touch.x, press.touch.y, top - press.depth]), np.eye(3)
             if bent is not None:
-                left, _, right = np.linalg.svd(bent.gradient(tip))
-                tip, turned = bent.positions(tip), left @ right
-            bodies.append(shapes.revolved(press.touch.indenter, tip, turned))
+                left_vectors, _, right = np.linalg.svd(bent.gradient(tip))
+                tip, turned = bent.positions(tip), left_vectors @ right
+            bodies.append(shapes.indenter_surface(press.touch.indenter, tip, turned))
     return bodies
 
 
@@ -200,10 +200,10 @@ def _scale(colour: Colour, values: Array) -> dict[str, Any]:
         )
     elif colour == "strain":
         title, cmap = "largest principal strain, logarithmic [-]", "YlGnBu"
-        clim = (0.0, round_number(max(reach, _SMALLEST_RANGE)))
+        clim = (0.0, round_number(max(reach, _MIN_RANGE)))
     else:
         title, cmap = "change of conductance along x [%]", "RdBu"
-        reach = round_number(max(reach, 100.0 * _SMALLEST_RANGE))
+        reach = round_number(max(reach, 100.0 * _MIN_RANGE))
         clim = (-reach, reach)
     current = colour == "current"
     bar = colour_scale(title, fmt="%.2g" if current else "%.3g")

@@ -19,9 +19,9 @@ PLUS, MINUS = "#c0392b", "#2c5fa8"
 
 _VTK_TYPES = {8: 12, 6: 13, 4: 10}  # hexahedron, wedge, tetrahedron
 _LIFT = 3e-4  # of plates and lines off the surface, relative to the diagonal: else both flicker
-_AWAY = 0.045  # of numbers off their electrodes, relative to the diagonal
+_LABEL_OFFSET = 0.045  # of numbers off their electrodes, relative to the diagonal
 _RADII, _AZIMUTHS = 49, 72  # points of an indenter's profile, and copies of it around the axis
-_DRAWN = 1.2  # height of the drawn part of an indenter, relative to its radius
+_DRAWN_HEIGHT = 1.2  # height of the drawn part of an indenter, relative to its radius
 
 
 def volume(mesh: Mesh) -> Any:
@@ -42,18 +42,18 @@ def polygons(corners: Array) -> Any:
     return require("pyvista", "view").PolyData.from_regular_faces(points, faces)
 
 
-def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
+def indenter_surface(indenter: Indenter, tip: Array, turned: Array) -> Any:
     """Lower part of an indenter as a surface of revolution or over its footprint, open above.
 
     Args:
-        indenter: with the profile to revolve.
+        indenter: indenter with the profile to revolve.
         tip: position of the lowest point, (3,) [m].
         turned: rotation from the upright indenter, (3, 3).
     """
     rim = indenter.rims[1]
     r = np.linspace(0.0, rim, _RADII)
     height = indenter.profile(r)[0]
-    r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN * rim))
+    r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN_HEIGHT * rim))
     azimuth = 2.0 * np.pi / _AZIMUTHS * np.arange(_AZIMUTHS + 1)
     circle = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     if isinstance(indenter, Footprint):
@@ -111,7 +111,7 @@ def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
     places = []
     for electrode in electrodes:
         corners, normal = electrode_corners(mesh, electrode)
-        places.append(corners.mean(axis=(0, 1)) + _AWAY * diagonal(mesh) * normal)
+        places.append(corners.mean(axis=(0, 1)) + _LABEL_OFFSET * diagonal(mesh) * normal)
     plotter.add_point_labels(
         np.array(places),
         [str(electrode) for electrode in electrodes],

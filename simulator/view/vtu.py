@@ -89,16 +89,16 @@ def scene_grids(
     body["displacement_m"] = points - mesh.points
     body["largest_strain_1"] = largest_strain(deformation, mesh.points)
     body["thinning_1"] = thinning(sim, deformation, mesh.points)
-    body.point_data.update(_of_drives("potential_{}_{}_V_per_A", fields.potentials, pairs))
+    body.point_data.update(_values_by_drive("potential_{}_{}_V_per_A", fields.potentials, pairs))
     body["conductivity_S_per_m"] = spatial.reshape(-1, 9)
     body["pulled_back_conductivity_S_per_m"] = pulled_back.reshape(-1, 9)
     densities, name = forward @ fields.current_densities, "current_density_{}_{}_A_per_m2_per_A"
-    body.cell_data.update(_of_drives(name, densities, pairs))
+    body.cell_data.update(_values_by_drive(name, densities, pairs))
     electrodes = shapes.polygons(corners)
     electrodes["electrode"] = electrode
     electrodes["contact_impedance_ohm_m2"] = np.real(model.contact_impedance)[electrode]
     potentials = fields.electrode_potentials[electrode]
-    electrodes.cell_data.update(_of_drives("potential_{}_{}_V_per_A", potentials, pairs))
+    electrodes.cell_data.update(_values_by_drive("potential_{}_{}_V_per_A", potentials, pairs))
     return {BODY: body, ELECTRODES: electrodes}
 
 
@@ -135,7 +135,7 @@ def _pairs(sim: Simulator, drives: Sequence[Drive] | None) -> list[Drive]:
     return list(drives)
 
 
-def _of_drives(
+def _values_by_drive(
     name: str, values: NDArray[np.inexact], drives: Sequence[Drive]
 ) -> dict[str, NDArray[Any]]:
     """Values for each drive from those of the electrodes, (..., electrodes), by their names."""

@@ -49,13 +49,13 @@ from eitskin.datasets import (
 )
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store.schema import FIELDS
-from eitskin.datasets.store.shard import sealed, unsealed
+from eitskin.datasets.store.shard import append_checksum, verify_checksum
 from eitskin.errors import EitskinError
 from eitskin.files import TEMPORARY
 from eitskin.geometry import SensorDesign, Surface
 from eitskin.simulator import Protocol
 from eitskin.training import StoredReference, Zero, open_pipeline
-from eitskin.training.pipeline.saved_form import SHIPPED
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
 import small_dataset
 from shards_here import in_this_process, made_here
@@ -125,7 +125,7 @@ def shards(rng: random.Random, folder: Path) -> None:
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(folder / "whole", out)
     name = "shard-000000.h5"
-    image, _ = unsealed(files[name])
+    image, _ = verify_checksum(files[name])
     if rng.random() < 0.5:
         broken = damaged(image, rng)
     else:
@@ -133,7 +133,7 @@ def shards(rng: random.Random, folder: Path) -> None:
         path.write_bytes(image)
         change_hdf5(path, rng)
         broken = path.read_bytes()
-    (out / name).write_bytes(sealed(broken))
+    (out / name).write_bytes(append_checksum(broken))
     if rng.random() < 0.7:
         (out / "manifest.json").unlink()
     with mock_workers():
@@ -337,7 +337,7 @@ def numbers(rng: random.Random, folder: Path) -> None:
     opened = open_dataset(path)
     list(map(opened.frame, range(12)))
     export_dataset(path, folder / "exported", "parquet")
-    open_pipeline(SHIPPED).perceive(opened.select(range(3)))
+    open_pipeline(SHIPPED_PATH).perceive(opened.select(range(3)))
 
 
 def disks(rng: random.Random, folder: Path) -> None:

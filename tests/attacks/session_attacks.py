@@ -23,7 +23,7 @@ from eitskin.hardware import Counts, run_live
 from eitskin.hardware.streams import reading_record
 from eitskin.simulator import Frame
 from eitskin.training import open_pipeline
-from eitskin.training.pipeline.saved_form import DOCUMENT, GOLDEN, SHIPPED, SUMS
+from eitskin.training.pipeline.saved_form import DOCUMENT, GOLDEN, SHIPPED_PATH, SUMS
 
 from page_fakes import ask
 
@@ -54,7 +54,7 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
 @functools.cache
 def pipeline() -> Any:
     """The shipped pipeline."""
-    return open_pipeline(SHIPPED)
+    return open_pipeline(SHIPPED_PATH)
 
 
 def rest_frame(of: Any, numbers: np.random.Generator, count: int) -> Frame:
@@ -107,7 +107,7 @@ def pipelines(rng: random.Random, folder: Path) -> None:
 
     path = folder / "changed.eitmodel"
     shutil.rmtree(path, ignore_errors=True)
-    shutil.copytree(SHIPPED, path)
+    shutil.copytree(SHIPPED_PATH, path)
     name = rng.choice((DOCUMENT, DOCUMENT, DOCUMENT, "weights.safetensors", GOLDEN))
     content = (path / name).read_bytes()
     if name == DOCUMENT:
@@ -149,7 +149,7 @@ def pipelines(rng: random.Random, folder: Path) -> None:
         head = 8 + int.from_bytes(content[:8], "little")
         content = damaged(content[:head], rng) + content[head:]
     (path / name).write_bytes(content)
-    lines = (SHIPPED / SUMS).read_text().splitlines()
+    lines = (SHIPPED_PATH / SUMS).read_text().splitlines()
     digest = sha256(content).hexdigest()
     lines = [digest + line[64:] if line.endswith(name) else line for line in lines]
     (path / SUMS).write_text("\n".join(lines) + "\n")

@@ -50,7 +50,7 @@ from eitskin.training import (
     Zero,
     open_pipeline,
 )
-from eitskin.training.pipeline.saved_form import SHIPPED
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
 import small_dataset
 
@@ -97,11 +97,11 @@ def sound() -> dict[type, list[Any]]:
     """Sound values by type."""
     protocol, design = Protocol.pairwise(8), SensorDesign.reference()
     frames = [Frame(np.linspace(400, 820, 28) + 0j, protocol, 0.1 * n, n) for n in range(4)]
-    pipeline = open_pipeline(SHIPPED)
+    pipeline = open_pipeline(SHIPPED_PATH)
     data = small_dataset.make(12, design=design)
     simulator = Simulator(design, resolution="coarse", fixture=Hinge())
     model = ForwardModel(design, "coarse")
-    grid = PixelGrid.of(design.outline, 100)
+    grid = PixelGrid.from_outline(design.outline, 100)
     scene = Scene(Bend(10.0), (Touch(0.05, 0.03, 2.0),))
     reference = StoredReference(frames[0].impedance, protocol, 40e3, Zero.FLAT, 5, 1e-4, "2026")
     stage = Stage(simulator.impedance_matrix)
@@ -111,7 +111,7 @@ def sound() -> dict[type, list[Any]]:
         *(Bend(10.0), Hinge(), Roll(3.0), Twist(3.0), design.outline, design.electrodes[0], stage),
         *(Polygon(((0.0, 0.0), (0.1, 0.0), (0.1, 0.1))), model.mesh, model.mesh.contacts),
         *(scene.touches[0], scene.touches[0].indenter, Instrument.ad5940(), Mechanics()),
-        *(FourTerminalMeter(1e-5, 1e-5), Recipe.shipped("quick"), Step(Scene(), 2)),
+        *(FourTerminalMeter(1e-5, 1e-5), Recipe.from_shipped("quick"), Step(Scene(), 2)),
         *(Script((Step(Scene(), 2),)), TrainingSettings(), FrameLabel(1.0), TouchLabel(0.05, 0.02)),
         *(Reconstructor(design, protocol, pixels=100), Regularisation("lambda", 0.1)),
         *(pipeline.layout, np.random.default_rng(0), State.TOUCH, Zero.FLAT, Counts()),

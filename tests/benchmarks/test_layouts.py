@@ -16,13 +16,13 @@ from eitskin.benchmarks.layouts.bound import (
 )
 from eitskin.benchmarks.layouts.candidates import (
     SearchPlan,
-    at_arcs,
+    layout_from_arcs,
     paper,
     search,
     sweeps,
     with_electrodes,
 )
-from eitskin.benchmarks.layouts.run import JudgedLayout, figures_of
+from eitskin.benchmarks.layouts.run import JudgedLayout, table_row
 from eitskin.benchmarks.results import read_results
 from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator, Touch
@@ -71,7 +71,7 @@ def test_figures_of_a_bound():
     (sixteen,) = (each for each in sweeps()["count"] if each.name == "16 on the rim")
     signal, spectrum = np.linspace(10.0, 20.0, 11), 1.0 / np.arange(1.0, 29.0)
     bound = replace(flat_bound(1.0, signal, spectrum), place=np.linspace(0.0, 1e-3, 11)[None])
-    found = figures_of(JudgedLayout("count", sixteen, FEW, bound))
+    found = table_row(JudgedLayout("count", sixteen, FEW, bound))
     expected = {
         "place_mm": 0.5,
         "place_90_mm": 0.9,
@@ -110,7 +110,7 @@ def test_search_finds_the_best_layout_and_leaves_mirrors_where_a_half_turn_is_be
         return bounds
 
     mirrored, turned = search(judge, SearchPlan())
-    found = (at_arcs("", each.arcs) for each in (mirrored, turned))
+    found = (layout_from_arcs("", each.arcs) for each in (mirrored, turned))
     assert [len(mirrors(each.design, each.protocol)) for each in found] == [4, count]
     if count == 4:
         assert mirrored.score == pytest.approx(1e-3, abs=1e-12)

@@ -91,7 +91,7 @@ def made(_folder, seed, *_args):
     known = dataset([(angle, 0) for angle in (0.0, *KNOWN_DEG)], 90)
     calibration = {"bending": known, "touch": known}
     own, unseen = experiments(10 * seed), experiments(10 * seed + 100)
-    return Sets(known, own, unseen, calibration, Recipe.shipped("training"))
+    return Sets(known, own, unseen, calibration, Recipe.from_shipped("training"))
 
 
 @dataclasses.dataclass
@@ -104,7 +104,7 @@ class Known(Method):
     angle_deg: float
 
     def predict(self, observations):
-        return Predictions.joined([self._one(row) for row in observations.static])
+        return Predictions.concatenate([self._one(row) for row in observations.static])
 
     def _one(self, static):
         frames = [(each, row) for each in SETS for row in range(len(each))]
@@ -117,13 +117,13 @@ class Known(Method):
             np.array([data.bend_angle_deg[row] + self.angle_deg]),
             np.full(1, np.nan),
             np.zeros((1, 32, 80), np.float32),
-            (FoundTouches.of(places, np.ones(len(places))),),
+            (FoundTouches.from_arrays(places, np.ones(len(places))),),
             ((),),
         )
 
     def adapt(self, known):
         """Right to a tenth of what it was."""
-        np.testing.assert_allclose(known.angle_deg[known.bent], KNOWN_DEG)
+        np.testing.assert_allclose(known.angle_deg[known.is_bent], KNOWN_DEG)
         better = dataclasses.replace(self, angle_deg=self.angle_deg / 10)
         return better, Adaptation(
             1, 5, calibration=Calibration(KNOWN_DEG, (1,) * 5, (0.1,) * 5, 0.1)
@@ -144,7 +144,7 @@ class WithoutAngle(Known):
 def pipeline(place, angle_deg, kind=Known):
     layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
     said = {"frames": 7, "source": "simulated", "sha256": ""}
-    examples = Observations.of(dataset([(0, 0)], 77))
+    examples = Observations.from_dataset(dataset([(0, 0)], 77))
     return Pipeline(layout, kind(place, angle_deg), NOISE, TrainingSettings(), said, examples)
 
 
@@ -251,10 +251,10 @@ def test_bounds_are_those_of_the_frames_scenes():
 
 
 def test_recipes_are_the_papers_on_a_finer_mesh_with_the_training_recipes_instrument():
-    training = Recipe.shipped("training")
+    training = Recipe.from_shipped("training")
     whole = dict(recipes(1, quick=False))
     for name, count in SPECIMENS.items():
-        shipped, unseen = Recipe.shipped(f"paper_{name}"), whole[f"unseen-{name}"]
+        shipped, unseen = Recipe.from_shipped(f"paper_{name}"), whole[f"unseen-{name}"]
         assert unseen.instrument == training.instrument
         assert unseen.specimens == dataclasses.replace(training.specimens, count=count)
         assert unseen.scenes == shipped.scenes

@@ -7,12 +7,12 @@ from eitskin.benchmarks.world import cases
 ngsolve = pytest.importorskip("ngsolve", reason="needs the extra `reference` (NGSolve)")
 
 from eitskin.benchmarks.pressed_reference import (  # noqa: E402
-    Held,
+    HeldContact,
     MixedSolid,
     Numerics,
     ReferenceStack,
-    extruded,
-    triangulated,
+    extrude,
+    triangulate_box,
 )
 
 LENGTH, WIDTH, HEIGHT = 4.0, 3.0, 2.0
@@ -22,7 +22,7 @@ AREA = LENGTH * WIDTH
 def block(fixed, moduli, bulk_ratio=1e4, order=3):
     """Block of two layers, with its lower face at z = 0."""
     box = (0.0, LENGTH, 0.0, WIDTH)
-    points, triangles = triangulated(box, [], [], 1.0, Numerics(far=2.0))
+    points, triangles = triangulate_box(box, [], [], 1.0, Numerics(far=2.0))
 
     def boundary(centre):
         for axis, end in enumerate((LENGTH, WIDTH, HEIGHT)):
@@ -34,7 +34,7 @@ def block(fixed, moduli, bulk_ratio=1e4, order=3):
 
     heights = (0.0, 0.5 * HEIGHT, HEIGHT)
     material = lambda c: "lower" if c[2] < 0.5 * HEIGHT else "upper"  # noqa: E731
-    mesh = extruded(points, triangles, heights, material, boundary)
+    mesh = extrude(points, triangles, heights, material, boundary)
     return MixedSolid(mesh, moduli, order, fixed, bulk_ratio)
 
 
@@ -43,7 +43,7 @@ def test_confined_compression_has_the_law_of_volume_changes():
     solid = block({**walls, "low 2": "xyz"}, {"lower": 20.0, "upper": 20.0}, bulk_ratio=10.0)
     J = 0.8
     P = 20.0 * J ** (-2 / 3) * (J - (2.0 + J**2) / (3.0 * J)) + 200.0 * (J - 1.0)
-    solid.settle([Held("high 2", ngsolve.CF((0, 0, 0)), -P * AREA)])
+    solid.settle([HeldContact("high 2", ngsolve.CF((0, 0, 0)), -P * AREA)])
     assert solid.steps[0] == pytest.approx((1.0 - J) * HEIGHT, rel=1e-6)
 
 
@@ -51,7 +51,7 @@ def test_sheared_layers_share_the_traction():
     walls = {f"{end} {axis}": "yz" for end in ("low", "high") for axis in (0, 1)}
     solid = block({**walls, "low 2": "xyz"}, {"lower": 20.0, "upper": 50.0}, 1e7)
     traction = 16.0
-    solid.settle([Held("high 2", ngsolve.CF((0, 0, 0)), traction * AREA, (1.0, 0.0, 0.0))])
+    solid.settle([HeldContact("high 2", ngsolve.CF((0, 0, 0)), traction * AREA, (1.0, 0.0, 0.0))])
     slide = 0.5 * HEIGHT * (traction / 20.0 + traction / 50.0)
     assert solid.steps[0] == pytest.approx(slide, rel=1e-6)
 

@@ -10,7 +10,7 @@ from eitskin.benchmarks.results import (
     ReportTable,
     Results,
     found_results,
-    measured,
+    make_results,
     read_results,
     write_index,
 )
@@ -44,7 +44,7 @@ def test_what_is_written_is_read_and_named_in_the_index(tmp_path):
 
 def test_a_figure_that_is_no_number_is_left_out():
     figures = {"a": 1.0, "b": math.nan, "c": math.inf}
-    assert measured("one", figures.items(), began=0.0).figures == {"a": 1.0}
+    assert make_results("one", figures.items(), began=0.0).figures == {"a": 1.0}
 
 
 def test_a_picture_that_fails_leaves_no_results_that_vouch_for_it(tmp_path):
@@ -84,6 +84,6 @@ def test_numbers_of_a_table_are_figures_by_title_row_and_heading():
     }
     columns = {"row": ("name", "", 1), "a [%]": ("a", ".1f", 100.0)}
     values = [{"name": "error", "a": 0.01}, {"name": "error", "a": None}, {"name": "  of it"}]
-    table = ReportTable.of(values, columns)
+    table = ReportTable.from_rows(values, columns)
     assert table.rows == [("error", "1.0"), ("error", ""), ("  of it", "")]
     assert dict(table.figures()) == {"error / a [%]": 1.0}

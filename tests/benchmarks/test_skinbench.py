@@ -23,7 +23,7 @@ from eitskin.benchmarks.leaderboard import (
 )
 from eitskin.benchmarks.methods import FRAMES, SPECIMENS, small_recipe
 from eitskin.benchmarks.paper import sets as paper_sets
-from eitskin.benchmarks.result_pages import PUBLISHED
+from eitskin.benchmarks.result_pages import PUBLISHED_FOLDER
 from eitskin.benchmarks.results import Report, ReportTable, Results, read_results
 from eitskin.benchmarks.transfer import WORLDS
 from eitskin.datasets import Recipe
@@ -137,7 +137,7 @@ def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
 
 def test_the_file_is_that_of_the_published_results():
     board = read_leaderboard(ROOT / "docs" / "results" / "leaderboard.json")
-    files = [PUBLISHED / track.results / "results.json" for track in TRACKS]
+    files = [PUBLISHED_FOLDER / track.results / "results.json" for track in TRACKS]
     for path in files:
         assert board.with_results(read_results(path)) == board
     published = {read_results(path).command for path in files}

@@ -51,7 +51,7 @@ def test_scenes_have_touches_and_specimens_as_the_workload_says(workload):
 @pytest.mark.slow
 def test_a_workload_without_tolerance_is_off_by_its_mesh_alone(monkeypatch):
     """Against itself it has no error; a coarser mesh has."""
-    monkeypatch.setattr(speed, "JUDGED", 2)
+    monkeypatch.setattr(speed, "JUDGED_SCENES", 2)
     standard = Workload("", resolution="standard", tolerance=0.0)
     truth = speed._signals(standard)
     monkeypatch.setattr(speed, "_true_signals", lambda *_: truth)

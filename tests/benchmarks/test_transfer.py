@@ -10,7 +10,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.benchmarks import transfer
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.transfer import Labelled, judge
+from eitskin.benchmarks.transfer import LabelledCounts, judge
 from eitskin.datasets import State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
@@ -46,7 +46,7 @@ def test_presses_that_were_drawn_as_judged_frames_are_left_out():
     judged = numbered([0, 1, 2, 3], [0, 0, 1, 1], [State.TOUCH] * 4)
     states = [State.BEND, State.TOUCH, State.TOUCH, State.TOUCH, State.TOUCH]
     known = numbered([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], states)
-    assert transfer._apart(judged, known) == [0, 2, 4]
+    assert transfer._exclude_same_draws(judged, known) == [0, 2, 4]
 
 
 def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others():
@@ -54,11 +54,11 @@ def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others(
         state=np.array([State.TOUCH, State.BEND, State.IDLE, *[State.BEND] * 5, State.TOUCH]),
         bend_angle_deg=np.array([0.0, 49.0, 0.0, *transfer.KNOWN_DEG, 0.0], dtype=np.float32),
     )
-    assert Labelled(1, 0).rows(mine) == [2, 7]
-    assert Labelled(6, 1).rows(mine) == [2, 7, 6, 5, 3, 4, 1, 0]
-    assert Labelled(5, 9).rows(mine)[-2:] == [0, 8]
+    assert LabelledCounts(1, 0).rows(mine) == [2, 7]
+    assert LabelledCounts(6, 1).rows(mine) == [2, 7, 6, 5, 3, 4, 1, 0]
+    assert LabelledCounts(5, 9).rows(mine)[-2:] == [0, 8]
     with pytest.raises(DataError):
-        Labelled(7, 0).rows(mine)
+        LabelledCounts(7, 0).rows(mine)
 
 
 def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
@@ -75,8 +75,8 @@ def test_predictions_are_judged_by_hand():
     labels = {"state": [State.IDLE, State.BEND, State.TOUCH], "bend_angle_deg": [0.0, 10.0, 0.0]}
     places = [[], [], [(0.02, 0.03), (0.09, 0.03)]]
     data = touched_dataset(np.ones((3, 6)), np.ones(6), places, **labels)
-    none, wrong = FoundTouches.of([], []), FoundTouches.of([[0.05, 0.03]], [1.0])
-    near = FoundTouches.of([[0.02, 0.034]], [1.0], deviation=[0.002])
+    none, wrong = FoundTouches.from_arrays([], []), FoundTouches.from_arrays([[0.05, 0.03]], [1.0])
+    near = FoundTouches.from_arrays([[0.02, 0.034]], [1.0], deviation=[0.002])
     predictions = Predictions(
         np.eye(3)[[State.IDLE, State.TOUCH, State.TOUCH]],
         np.array([1.0, 7.0, 0.0]),
@@ -105,7 +105,7 @@ def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
     monkeypatch.setattr(transfer, "SENSOR_FRAMES", transfer.SENSOR_FRAMES[::2])
     few = (*transfer.KNOWN_FRAMES[:6], replace(transfer.KNOWN_FRAMES[-1], count=6))
     monkeypatch.setattr(transfer, "KNOWN_FRAMES", few)
-    monkeypatch.setattr(transfer, "LABELLED", (Labelled(0, 0), Labelled(5, 6)))
+    monkeypatch.setattr(transfer, "LABELLED_COUNTS", (LabelledCounts(0, 0), LabelledCounts(5, 6)))
     found = printed_json(
         "bench", "transfer", "reference.eitmodel", "--quick", "--workers", 1, "--out", tmp_path
     )["figures"]

@@ -8,8 +8,8 @@ from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world import (
     KINDS,
     KINEMATIC,
-    SOLVED,
-    TABULATED,
+    SOLVED_MODEL,
+    TABLE_MODEL,
     ModelError,
     cases,
     figures,
@@ -19,7 +19,7 @@ from eitskin.benchmarks.world import (
 CASES = {case.name: case for case in cases()}
 
 
-def error(case, value, model=TABULATED, kind="press"):
+def error(case, value, model=TABLE_MODEL, kind="press"):
     return ModelError(case, kind, model, value, 0.1, 0.02, None, None)
 
 
@@ -33,7 +33,7 @@ def test_cases_are_presses_and_bends():
 def test_median_and_worst_are_of_the_tables_and_of_3d_solutions_where_there_is_none():
     errors = (
         *(error("a", 0.01), error("b", 0.05), error("c", 1.1, KINEMATIC)),
-        *(error("a", 0.2, SOLVED), error("c", 0.02, SOLVED)),
+        *(error("a", 0.2, SOLVED_MODEL), error("c", 0.02, SOLVED_MODEL)),
         error("d", 0.003, kind="bend"),
     )
     named = dict(figures(errors))
@@ -59,7 +59,7 @@ def test_a_quick_run_compares_a_press_and_a_bend(tmp_path):
     data = printed_json("bench", "world", "--quick", "--out", tmp_path, "--seed", "3")
     found = {(row["case"], row["model"]): row["error"] for row in data["rows"]}
     for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
-        assert found[case, TABULATED] < limit
+        assert found[case, TABLE_MODEL] < limit
         assert found[case, KINEMATIC] > 0.5
     results = read_results(tmp_path / "world" / "results.json")
     assert results.quick

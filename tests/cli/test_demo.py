@@ -82,14 +82,14 @@ def run(folder, at=None, data=None):
 @pytest.fixture(scope="module", autouse=True)
 def quickly():
     """Leave out what has tests of its own and takes seconds: pictures, and processes."""
-    drawn, rendered = count(), pictures.rendered
+    drawn, rendered = count(), pictures.render_picture
 
     def quick(_, *texts):
         return rendered(lambda path: shutil.copyfile("docs/gallery/live_page.png", path), *texts)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "_svg", lambda _: f"<svg>{next(drawn)}</svg>".encode())
-        patch.setattr(stages, "rendered", quick)
+        patch.setattr(stages, "render_picture", quick)
         patch.setattr(stages, "episode_film", lambda *_: b"film")
         patch.setattr(generation, "make_shards", make_shards)
         yield

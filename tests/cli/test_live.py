@@ -137,7 +137,9 @@ def test_a_frame_without_estimate_says_why():
 
 
 def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
-    session = session_of(QuietBoard(), pipeline=types.SimpleNamespace(expected=np.full(28, 600.0)))
+    session = session_of(
+        QuietBoard(), pipeline=types.SimpleNamespace(expected_magnitudes=np.full(28, 600.0))
+    )
     with session.output.notes.capture() as capture:
         for number in range(40):
             status = np.zeros(28, np.uint8)
@@ -297,7 +299,7 @@ def test_what_is_lost_is_said_unless_an_error_ends_the_session(
         raise ending
 
     monkeypatch.setattr(Writer, "close", full)
-    monkeypatch.setattr(LiveSession, "sum_up", end)
+    monkeypatch.setattr(LiveSession, "note_totals", end)
     result = run(FakePipeline(), *BOARD, "--frames", "2", "--mcap", str(tmp_path / "run.mcap"))
     assert type(result.exception) is raised
 
@@ -348,7 +350,7 @@ def test_the_service_takes_a_zero_of_the_session_s_kind():
 
     def tare(*arguments):
         asked.append(arguments)
-        pipeline.stored = types.SimpleNamespace(zero=Zero.MOUNTED)
+        pipeline.stored_reference = types.SimpleNamespace(zero=Zero.MOUNTED)
 
     pipeline, frames = types.SimpleNamespace(tare=tare), [frame(0), frame(1)]
     session = LiveSession(Connection(board), Output(quiet=True), pipeline)

@@ -269,7 +269,7 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
     ]
     assert Pipeline.load(saved).adaptation["bends"] == 3
     assert session.pipeline is not pipeline  # which the answer wanted
-    assert str(session.stored.zero) == "flat"
+    assert str(session.stored_reference.zero) == "flat"
     assert f"eitskin live {saved}" in task["text"]
     assert [each.suffix for each in sorted(tmp_path.iterdir())].count(".json") == 1
 

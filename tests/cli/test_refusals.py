@@ -89,7 +89,7 @@ REFUSALS = [
     ),
     (f"live {MODEL} --board virtual: --mcap log.csv --record new", USAGE, "mcap"),
     # fits
-    ("instrument fit flat.toml ring --out a.toml --first 2", USAGE, "frames to judge on"),
+    ("instrument fit flat.toml ring --out a.toml --first 2", USAGE, "frames to test on"),
     ("instrument fit flat.toml ring --out no/a.toml", USAGE, "there is no folder"),
     ("instrument fit flat.toml missing --out a.toml", DATA, r"no dataset and no file .*missing"),
     ("instrument fit disc.toml ring --out a.toml", USAGE, "design of the sensor"),

@@ -9,7 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from eitskin.cli.commands.own_sensor import setup as setup_command
-from eitskin.cli.commands.own_sensor.poses import as_dataset, bent, place_map, press_places, pressed
+from eitskin.cli.commands.own_sensor.poses import (
+    as_dataset,
+    bent_pose,
+    place_map,
+    press_places,
+    pressed_pose,
+)
 from eitskin.cli.main import app
 from eitskin.datasets import State, open_dataset
 from eitskin.errors import ConfigurationError, DataError
@@ -108,8 +114,8 @@ def test_places_are_on_the_sensor_far_apart_and_on_its_map():
 
 
 def test_frames_in_poses_are_a_dataset_with_the_latest_untouched_reference():
-    protocol, poses = Protocol.pairwise(8), [bent(0.0), bent(20.0), bent(0.0)]
-    poses.append(pressed("1", 0.03, 0.02))
+    protocol, poses = Protocol.pairwise(8), [bent_pose(0.0), bent_pose(20.0), bent_pose(0.0)]
+    poses.append(pressed_pose("1", 0.03, 0.02))
     scale = [1.0, 1.2, 1.01, 1.05]
     taken = [
         (Frame(FLAT * each, protocol, number=k), pose.label)

@@ -10,7 +10,7 @@ from eitskin.cli import entry
 from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import open_board
-from eitskin.hardware.streams import address_of
+from eitskin.hardware.streams import parse_address
 from eitskin.simulator import Scene
 from eitskin.training import TrainingSettings
 
@@ -38,7 +38,7 @@ def test_seeds_are_not_negative(scene):
 @pytest.mark.parametrize("host", ["\u202e", LONG, "..", "x\u0000", "x y"])
 def test_hosts_are_names_or_numbers(host):
     with pytest.raises(ConfigurationError, match="--udp: expected a name"):
-        address_of("--udp", f"{host}:5")
+        parse_address("--udp", f"{host}:5")
 
 
 def test_a_byte_order_mark_is_no_part_of_a_file(scene):

@@ -13,7 +13,7 @@ import yaml
 from command_line import printed_json, run
 
 from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
-from eitskin.datasets.export.frame_table import SPLITS, specimen_splits, split_of
+from eitskin.datasets.export.frame_table import SPLITS, parse_split, specimen_splits
 from eitskin.datasets.store.manifest import Names
 from eitskin.errors import ConfigurationError, DataError, PartialError
 
@@ -177,15 +177,15 @@ class TestSplits:
         assert named == specimen_splits([5, 6], Names({5: "left hand", 6: "right arm"}), 9)
 
     def test_they_stay_as_they_were_published(self):
-        assert [split_of(f"7:{n}") for n in range(12)] == PUBLISHED
+        assert [parse_split(f"7:{n}") for n in range(12)] == PUBLISHED
 
     def test_shares_are_as_told(self):
-        found = [split_of(f"0:{n}") for n in range(20_000)]
+        found = [parse_split(f"0:{n}") for n in range(20_000)]
         shares = [found.count(name) / len(found) for name in SPLITS]
         assert shares == pytest.approx([0.8, 0.1, 0.1], abs=4 * 0.4 / 20_000**0.5)
 
     def test_without_one_for_training_all_are(self):
-        lone = next(n for n in range(99) if split_of(f"0:{n}") == "test")
+        lone = next(n for n in range(99) if parse_split(f"0:{n}") == "test")
         assert specimen_splits([lone], Names(), 0) == {lone: "train"}
 
 

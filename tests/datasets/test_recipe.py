@@ -63,28 +63,30 @@ AWKWARD = dataclasses.replace(
 
 
 @pytest.mark.parametrize(
-    "recipe", [*map(Recipe.shipped, shipped_names()), EPISODES, AWKWARD], ids=lambda each: each.name
+    "recipe",
+    [*map(Recipe.from_shipped, shipped_names()), EPISODES, AWKWARD],
+    ids=lambda each: each.name,
 )
 def test_recipes_are_the_same_after_writing_and_reading(recipe, tmp_path):
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 
 
 def test_paper_recipes_hold_the_numbers_of_the_paper():
-    assert all(Recipe.shipped(name).name == name for name in shipped_names())
-    idle, bent, pressed = Recipe.shipped("paper_states").scenes
+    assert all(Recipe.from_shipped(name).name == name for name in shipped_names())
+    idle, bent, pressed = Recipe.from_shipped("paper_states").scenes
     assert [idle.frames, bent.frames, pressed.frames] == [360] * 3
     assert (bent.angle_deg, pressed.touches) == ((-20.0, 50.0), (1, 4))
-    bending = Recipe.shipped("paper_bending")
+    bending = Recipe.from_shipped("paper_bending")
     assert (bending.snapshots, bending.episodes[0].angles_deg) == (360, (-20.0, 50.0))
-    (indentation,) = Recipe.shipped("paper_indentation").scenes
+    (indentation,) = Recipe.from_shipped("paper_indentation").scenes
     grid = np.array([(x, y) for x in np.arange(15, 136, 15) for y in (15, 30, 45)]) / 1e3
     assert np.allclose(sorted(indentation.positions), grid)
     assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
-    assert [(g.touches, g.angle_deg) for g in Recipe.shipped("paper_touch").scenes] == [
+    assert [(g.touches, g.angle_deg) for g in Recipe.from_shipped("paper_touch").scenes] == [
         ((1, 1), (-10.0, 50.0)),
         *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
     ]
-    (demo,) = Recipe.shipped("paper_demo").episodes
+    (demo,) = Recipe.from_shipped("paper_demo").episodes
     presses = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
     assert presses == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
     assert demo.period == 0.303
@@ -92,10 +94,10 @@ def test_paper_recipes_hold_the_numbers_of_the_paper():
 
 def test_shipped_recipes_have_episodes_or_terms_of_a_board_for_those_who_ask():
     for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
-        recipe = Recipe.shipped(name)
+        recipe = Recipe.from_shipped(name)
         assert (recipe.episodes, recipe.specimens.count) == ((), 1)
         assert recipe.instrument == Instrument(75.0)
-    training = Recipe.shipped("training")
+    training = Recipe.from_shipped("training")
     assert training.specimens.count >= 50
     assert training.instrument.measurement_time > 0.0
     assert any(group.per_bend > 1 for group in training.scenes)

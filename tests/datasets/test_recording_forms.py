@@ -334,7 +334,7 @@ def test_frequencies_and_factors_are_numbers_that_can_be(tmp_path):
             read_recording(tmp_path / "a.csv", RecordingNames("v"), frequency=frequency)
     for factor in ("0", "-0.0", "1e-400", "1e400"):
         with pytest.raises(ConfigurationError, match="place of a label"):
-            Place.parsed(f"x*{factor}")
+            Place.from_text(f"x*{factor}")
 
 
 def test_columns_of_text_are_never_more_than_names(tmp_path):

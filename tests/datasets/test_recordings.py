@@ -199,7 +199,7 @@ def test_the_round_skin_drives_facing_electrodes_in_both_directions():
         drive = (k, (k + 4) % n)
         table += [(*drive, (j + 1) % n, j) for j in range(n) if not {*drive} & {j, (j + 1) % n}]
     folder = GUIDES / "recordings"
-    assert Protocol.named(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
+    assert Protocol.from_name(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
     electrodes = SensorDesign.from_toml(folder / "round-skin.toml").electrodes
     turns = 2 * np.pi * np.arange(n) / n
     places = 0.090 + 0.085 * np.stack([np.sin(turns), -np.cos(turns)], axis=1)

@@ -22,7 +22,7 @@ from eitskin.datasets import (
 )
 from eitskin.datasets.store import manifest, shard_reader
 from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
-from eitskin.datasets.store.shard import sealed, shard_bytes, unsealed
+from eitskin.datasets.store.shard import append_checksum, shard_bytes, verify_checksum
 from eitskin.errors import DataError, PartialError
 
 from small_dataset import assert_same, make
@@ -150,7 +150,7 @@ def test_flipped_bytes_are_noticed_in_values_without_a_seal(shard):
     with h5py.File(shard) as file:
         chunk = file["impedance"].id.get_chunk_info(0)
     places = chunk.byte_offset + rng.integers(0, chunk.size, 50)
-    for broken in flipped(unsealed(shard.read_bytes())[0], 0x01, places):
+    for broken in flipped(verify_checksum(shard.read_bytes())[0], 0x01, places):
         shard.write_bytes(broken)
         with pytest.raises(DataError, match="make or copy"):
             read_shard(shard)
@@ -158,7 +158,7 @@ def test_flipped_bytes_are_noticed_in_values_without_a_seal(shard):
 
 def test_chunks_that_a_flipped_bit_would_leave_compressed_are_refused(shard):
     """The list of filters has another type; a chunk lies elsewhere, or is marked as raw."""
-    whole, _ = unsealed(shard.read_bytes())
+    whole, _ = verify_checksum(shard.read_bytes())
     pipeline = bytes.fromhex("0b00500001000000")  # type of message, size, flags
     places = [place for place in range(len(whole)) if whole[place : place + 8] == pipeline]
     assert len(places) >= len(FIELDS) - 1
@@ -317,15 +317,15 @@ def test_damage_anywhere_in_a_lone_shard_is_noticed_before_hdf5_sees_it(shard, m
 
 def test_shards_without_a_seal_open_and_changes_by_other_programs_take_it_off(shard):
     whole = shard.read_bytes()
-    image, was_sealed = unsealed(whole)
+    image, was_sealed = verify_checksum(whole)
     assert was_sealed
-    assert whole == sealed(image)
+    assert whole == append_checksum(image)
     shard.write_bytes(image)
     assert_same(read_shard(shard), make())
     shard.write_bytes(whole)
     with h5py.File(shard, "r+") as file:
         file["touch/force"][0, 0] = 3.0
-    assert not unsealed(shard.read_bytes())[1]
+    assert not verify_checksum(shard.read_bytes())[1]
     assert read_shard(shard).touch_force[0, 0] == 3.0
 
 
@@ -339,8 +339,8 @@ def looping(image):
 def test_a_shard_that_harms_hdf5_harms_only_a_child(shard, monkeypatch):
     """The seal of somebody else tells nothing of what he meant."""
     monkeypatch.setattr(shard_reader, "SECONDS", 1)
-    image, _ = unsealed(shard.read_bytes())
-    shard.write_bytes(sealed(looping(image)))
+    image, _ = verify_checksum(shard.read_bytes())
+    shard.write_bytes(append_checksum(looping(image)))
     with pytest.raises(DataError, match="processor time"):
         read_shard(shard)
 
@@ -389,7 +389,7 @@ def test_a_filter_used_twice_is_refused(shard):
 def test_shards_from_elsewhere_are_read_in_a_child_once(tmp_path, monkeypatch):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "mine"))
     tried = []
-    monkeypatch.setattr(shard_reader, "contained", lambda *task: tried.append(task) or ())
+    monkeypatch.setattr(shard_reader, "read_in_subprocess", lambda *task: tried.append(task) or ())
     folder = tmp_path / "set"
     save_dataset(make(), folder, frames_per_shard=10)
     open_dataset(folder)
@@ -425,8 +425,8 @@ def test_a_manifest_has_no_say_in_what_is_known(tmp_path, monkeypatch):
         ({"shards": []}, r"40 frames.*0"),
         ({"seed": "x"}, "not a manifest"),
         ({"seed": int("9" * 4000)}, "not a manifest"),
-        ({"shards": [{"name": "../a", "first_index": 0, "count": 40, "sha256": ""}]}, "beside"),
-        ({"shards": [{"name": "a\0", "first_index": 0, "count": 40, "sha256": ""}]}, "beside"),
+        ({"shards": [{"name": "../a", "first_index": 0, "count": 40, "sha256": ""}]}, "next to"),
+        ({"shards": [{"name": "a\0", "first_index": 0, "count": 40, "sha256": ""}]}, "next to"),
         (
             {"shards": [{"name": "a", "first_index": 0, "count": 1 << 40, "sha256": ""}]},
             "not a manifest",

@@ -13,7 +13,7 @@ from eitskin.geometry.deformation.electrode_shift import electrode_shift
 from eitskin.geometry.deformation.fixtures import FreeArc, Roll, Twist
 from eitskin.geometry.deformation.kinematics import (
     WHOLE_TENSOR,
-    Composed,
+    Composition,
     Displaced,
     area_ratio,
     pulled_back_entries,
@@ -59,10 +59,12 @@ DEFORMATIONS = {
     "free arc over a part": FreeArc(0.06, 0.01, 0.3).flexure(DESIGN, Bend(-120.0)),
     "twist": Twist(40.0).deformation(DESIGN),
     "roll": Roll(-200.0).deformation(DESIGN),
-    "roll, then twist": Composed(Roll(30.0).deformation(DESIGN), Twist(20.0).deformation(DESIGN)),
+    "roll, then twist": Composition(
+        Roll(30.0).deformation(DESIGN), Twist(20.0).deformation(DESIGN)
+    ),
     "displaced": Displaced(lambda x: 0.02 * np.sin(10 * x[..., [1, 2, 0]])),
     "dents": DENTS,
-    "dents, then bend": Composed(DENTS, HINGE.flexure(DESIGN, Bend(30.0))),
+    "dents, then bend": Composition(DENTS, HINGE.flexure(DESIGN, Bend(30.0))),
 }
 
 
@@ -154,7 +156,7 @@ def test_deformations_inside_out_are_refused() -> None:
     shrunk = Displaced(
         lambda x: -0.5 * x, lambda x: np.broadcast_to(-0.5 * np.eye(3), (*x.shape, 3))
     )
-    F = Composed(shrunk, shrunk).gradient(np.zeros((4, 3)))
+    F = Composition(shrunk, shrunk).gradient(np.zeros((4, 3)))
     assert pytest.approx(0.25 * np.eye(3)) == F[0]
     F[2, 0, 0] *= -1.0
     with pytest.raises(ConfigurationError, match="at 1 of 4 points"):
@@ -190,7 +192,7 @@ def test_electrodes_and_sides_come_to_lie_on_those_of_the_specimen() -> None:
         edge = x.copy()
         edge[:, axis] = end
         assert shift.positions(edge)[:, axis] == pytest.approx(end, abs=1e-15)
-    assert shift.mapped(x)[0] is shift.mapped(x)[0]  # all scenes share the points
+    assert shift.map_points(x)[0] is shift.map_points(x)[0]  # all scenes share the points
 
 
 def test_only_sensors_that_differ_by_side_electrodes_and_thickness_are_mapped() -> None:

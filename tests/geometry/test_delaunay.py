@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Disc, Polygon, Rectangle
-from eitskin.geometry.meshing.delaunay import triangulated
+from eitskin.geometry.meshing.delaunay import triangulate
 
 SLAB = Rectangle(0.15, 0.06)
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
@@ -16,13 +16,13 @@ SPLINTER = Polygon(((0, 0), (0.1, 0), (0.1, 0.01)))  # its corner is 5.7 degrees
 
 def sized(outline, ends, finest, growth=0.5, coarsest=5e-3):
     """Triangles refined around arc lengths `ends`; the size function beside them."""
-    places = outline.at(np.asarray(ends))
+    places = outline.rim_points(np.asarray(ends))
 
     def size(x):
         distance = np.linalg.norm(x[:, None] - places, axis=2).min(axis=1)
         return np.minimum(coarsest, finest + growth * distance)
 
-    return *triangulated(outline, np.asarray(ends), size), size
+    return *triangulate(outline, np.asarray(ends), size), size
 
 
 def angles(points, triangles):
@@ -84,7 +84,7 @@ def test_rims_of_discs_are_on_the_circle_with_points_at_the_ends_wanted():
     disc = Disc(0.05)
     ends = np.array([-1e-17, 0.0123, 0.0123001, 0.05, disc.perimeter - 1e-6])
     points, triangles, _ = sized(disc, ends, 1e-3)
-    apart = np.linalg.norm(points[:, None] - disc.at(ends), axis=2)
+    apart = np.linalg.norm(points[:, None] - disc.rim_points(ends), axis=2)
     assert apart.min(axis=0).max() < 1e-12
     distance = np.linalg.norm(points - disc.radius, axis=1)
     assert np.abs(distance[rim_of(triangles)] - disc.radius).max() < 1e-15

@@ -49,12 +49,12 @@ def test_conductivity_is_that_of_the_layer_at_each_height(tmp_path) -> None:
     z = np.array([[-0.001, 0.0, 0.0009], [0.0011, 0.0039, 0.0041], [0.005, 0.006, 0.0025]])
     points = np.stack([np.full_like(z, 0.03), np.full_like(z, 0.02), z], axis=-1)
     expected = [[0.5, 0.5, 0.5], [2.0, 2.0, 10.0], [10.0, 10.0, 2.0]]
-    assert np.array_equal(design.conductivity_at(points), expected)
+    assert np.array_equal(design.evaluate_conductivity(points), expected)
     plain = dataclasses.replace(design, layers=(), conductivity=0.7)
-    assert np.array_equal(plain.conductivity_at(points), np.full((3, 3), 0.7))
+    assert np.array_equal(plain.evaluate_conductivity(points), np.full((3, 3), 0.7))
     # Those of a surface start at its lowest point.
     ball = on_a_ball(tmp_path, layers=(Layer(0.04, 1.0), Layer(0.06, 3.0)))
-    assert np.array_equal(ball.conductivity_at([[0, 0, -0.011], [0, 0, -0.009]]), [1.0, 3.0])
+    assert np.array_equal(ball.evaluate_conductivity([[0, 0, -0.011], [0, 0, -0.009]]), [1.0, 3.0])
 
 
 def test_a_design_is_on_a_rigid_base_and_plates_leave_its_middle_free() -> None:

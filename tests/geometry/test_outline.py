@@ -26,19 +26,19 @@ def test_extents_and_perimeter(outline, perimeter, extent):
 
 
 def test_arc_length_runs_counter_clockwise_from_where_it_is_said_to():
-    x, y = Rectangle(0.15, 0.06).at([0.0, 0.15, 0.18, 0.21, 0.36, 0.39, 0.42]).T
+    x, y = Rectangle(0.15, 0.06).rim_points([0.0, 0.15, 0.18, 0.21, 0.36, 0.39, 0.42]).T
     assert x == pytest.approx([0, 0.15, 0.15, 0.15, 0, 0, 0])
     assert y == pytest.approx([0, 0, 0.03, 0.06, 0.06, 0.03, 0])
-    assert Disc(0.05).at([0.0, 0.025 * math.pi]) == pytest.approx(
+    assert Disc(0.05).rim_points([0.0, 0.025 * math.pi]) == pytest.approx(
         np.array([[0.1, 0.05], [0.05, 0.1]])
     )
-    assert L_SHAPE.at(L_SHAPE.corners) == pytest.approx(np.array(L_SHAPE.points))
+    assert L_SHAPE.rim_points(L_SHAPE.corners) == pytest.approx(np.array(L_SHAPE.points))
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
 def test_places_are_unit_speed_and_found_again_even_if_rounded(outline):
     s = np.linspace(0.0, outline.perimeter, 301)[:-1] + 1e-6
-    places = outline.at(s)
+    places = outline.rim_points(s)
     turns = np.searchsorted(outline.corners, s)
     straight = turns[1:] == turns[:-1]
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(s)
@@ -48,7 +48,7 @@ def test_places_are_unit_speed_and_found_again_even_if_rounded(outline):
         apart = np.abs(located - s)
         turned = outline.perimeter - apart  # rounding may go past the first corner
         assert np.minimum(apart, turned).max() < 10.0**-digits + 1e-12
-    assert outline.at(s + 2 * outline.perimeter) == pytest.approx(places, abs=1e-12)
+    assert outline.rim_points(s + 2 * outline.perimeter) == pytest.approx(places, abs=1e-12)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -57,7 +57,7 @@ def test_margin_is_the_distance_from_the_rim_and_the_inside_has_greens_area(outl
     rng = np.random.default_rng(0)
     extent = 0.02 + max(outline.length, outline.width)
     points = rng.uniform(-0.01, extent - 0.01, size=(2000, 2))
-    rim = outline.at(np.linspace(0.0, outline.perimeter, 1001))
+    rim = outline.rim_points(np.linspace(0.0, outline.perimeter, 1001))
     distance = np.linalg.norm(points[:, None] - rim, axis=-1).min(axis=1)
     inside = outline.contains(points)
     x, y = rim.T

@@ -35,10 +35,10 @@ def side_of(outline, count=3000):
     """Random places on the side: arc length, height, place, outward normal."""
     rng = np.random.default_rng(0)
     s, z = rng.uniform(0, outline.perimeter, count), rng.uniform(0, THICKNESS, count)
-    ahead, behind = outline.at(s + 1e-9), outline.at(s - 1e-9)
+    ahead, behind = outline.rim_points(s + 1e-9), outline.rim_points(s - 1e-9)
     along = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1)[:, None]
     normals = np.column_stack([along[:, 1], -along[:, 0], np.zeros(count)])
-    return s, z, np.column_stack([outline.at(s), z]), normals
+    return s, z, np.column_stack([outline.rim_points(s), z]), normals
 
 
 @pytest.mark.parametrize("outline", [SLAB, TRIANGLE, FORK, Disc(0.02)])

@@ -95,7 +95,7 @@ def test_slivers_are_degenerate_and_thin_boxes_are_not():
     flat = mesh_of(TETRAHEDRON * [1, 1, 1e-4])
     with pytest.raises(ConfigurationError, match=r"1 of 1 cells .* degenerate"):
         check_quality(flat)
-    check_quality(flat, least=1e-5)
+    check_quality(flat, quality=1e-5)
     thin = structured_mesh(SensorDesign.reference(), Grading(5e-6, 5e-3, 0.7))
     check_quality(thin)
     assert quality(thin).aspect_ratio > 500

@@ -28,7 +28,7 @@ from eitskin.geometry import (
 )
 from eitskin.geometry.deformation.kinematics import Displaced
 from eitskin.geometry.design.regular_layouts import grid, uniform
-from eitskin.geometry.meshing.delaunay import triangulated
+from eitskin.geometry.meshing.delaunay import triangulate
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import triangulated_mesh
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
@@ -141,7 +141,7 @@ REFUSALS = [
         r"2.7e\+10 points.*4.2e\+04 GB",
     ),
     (
-        lambda: triangulated(SLAB, np.array([0.05]), lambda x: np.full(len(x), 1e-5)),
+        lambda: triangulate(SLAB, np.array([0.05]), lambda x: np.full(len(x), 1e-5)),
         r"500000 points.*finest",
     ),
 ]

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import volumes
-from eitskin.geometry.meshing.tetrahedra import TriangleSurface, _sizing, snapped
+from eitskin.geometry.meshing.tetrahedra import TriangleSurface, _sizing, snap_boundary
 
 from cut_blocks import block
 from on_demand import OnDemand
@@ -19,7 +19,7 @@ BOX_FACES = np.array(
         *([2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
     ]
 )
-SURFACE = TriangleSurface.of(BOX, BOX_FACES)
+SURFACE = TriangleSurface.from_triangles(BOX, BOX_FACES)
 
 
 def test_boxes_and_prisms_have_the_edges_and_corners_that_are_sharp():
@@ -28,7 +28,7 @@ def test_boxes_and_prisms_have_the_edges_and_corners_that_are_sharp():
     assert (np.count_nonzero(np.ptp(BOX[SURFACE.edges], axis=1), axis=1) == 1).all()
     for sides, edges, corners in ((48, 96, 0), (6, 18, 12)):  # at 7.5 degrees: the rims alone
         mesh = trimesh.creation.cylinder(1.0, 1.0, sections=sides)
-        found = TriangleSurface.of(mesh.vertices, mesh.faces)
+        found = TriangleSurface.from_triangles(mesh.vertices, mesh.faces)
         assert (len(found.edges), len(found.corners)) == (edges, corners)
 
 
@@ -57,7 +57,7 @@ def test_a_dented_box_becomes_plane_again():
     away = rng.normal(size=points.shape) * (np.isclose(points, 0) | np.isclose(points, [3, 2, 1]))
     rough += 0.02 * away / np.maximum(np.linalg.norm(away, axis=1), 1e-9)[:, None]
     assert abs(volumes(rough, cells).sum() / 6 - 1) > 1e-4
-    smooth = snapped(rough, cells, SURFACE, 0.03)
+    smooth = snap_boundary(rough, cells, SURFACE, 0.03)
     assert np.array_equal(smooth[inside], points[inside])
     assert smooth == pytest.approx(points, abs=1e-12)
 
@@ -73,7 +73,7 @@ def test_points_stay_where_moving_would_flatten_a_cell_and_only_there():
     points = np.array([*flat, *tall, *free, *held])
     cells = np.array([[0, 2, 1, 3]]) + 4 * np.arange(4)[:, None]
     assert volumes(points, cells).min() > 0
-    found = snapped(points, cells, SURFACE, 0.08)
+    found = snap_boundary(points, cells, SURFACE, 0.08)
     assert np.array_equal(found[:4], points[:4])
     assert found[[4, 8, 12]] == pytest.approx(
         np.array([[2.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.06, 1.0]])

@@ -25,7 +25,7 @@ from eitskin.hardware.boards.port import (
     PortInfo,
     connector,
     open_port,
-    usb_serial_of,
+    usb_serial_number,
 )
 from eitskin.hardware.protocol.messages import Table
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
@@ -97,7 +97,7 @@ def test_gives_frames_of_its_protocol_in_order(board):
     assert np.allclose(np.diff(times), board.info.period)
     assert (board.counts.frames, board.lost, board.counts.dropped) == (10, 0, {})
     assert (board.info.frequency, board.info.n_measurements) == (40e3, 28)
-    assert board.info.table_crc32 == Table.of(PROTOCOL).crc32
+    assert board.info.table_crc32 == Table.from_protocol(PROTOCOL).crc32
 
 
 def test_closing_twice_does_nothing(board):
@@ -294,10 +294,10 @@ def bus(monkeypatch):
 def test_the_serial_number_of_a_path_or_a_link_to_it(bus, tmp_path):
     bus.ports = (BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
     (tmp_path / "by-id").symlink_to(tmp_path / "real")
-    assert usb_serial_of(str(tmp_path / "real")) == "205A3D"
-    assert usb_serial_of(str(tmp_path / "by-id")) == "205A3D"
-    assert usb_serial_of("/dev/ttyS0") == ""
-    assert usb_serial_of("/dev/none") == ""
+    assert usb_serial_number(str(tmp_path / "real")) == "205A3D"
+    assert usb_serial_number(str(tmp_path / "by-id")) == "205A3D"
+    assert usb_serial_number("/dev/ttyS0") == ""
+    assert usb_serial_number("/dev/none") == ""
 
 
 def test_the_only_usb_port_needs_no_name(bus):

@@ -242,7 +242,7 @@ def arrivals(count, drift=0.0, offset=1000.0, shortest=0.002):
 def test_begin_is_known_but_for_the_shortest_time_on_the_line():
     clock = AcquisitionClock()
     begun, came = arrivals(200)
-    found = [clock.begun(timed(k), at) for k, at in enumerate(came)]
+    found = [clock.measurement_start(timed(k), at) for k, at in enumerate(came)]
     assert found == pytest.approx(begun + 0.002, abs=1e-9 + 200 * PERIOD * DRIFT)
     assert found[0] == pytest.approx(begun[0] + 0.002, abs=1e-9)
 
@@ -253,18 +253,23 @@ def test_clocks_that_drift_apart_are_followed_for_hours(drift):
     begun, came = arrivals(20_000, drift)
     one = timed(0)
     found = [
-        clock.begun(dataclasses.replace(one, time=PERIOD * k), at) for k, at in enumerate(came)
+        clock.measurement_start(dataclasses.replace(one, time=PERIOD * k), at)
+        for k, at in enumerate(came)
     ]
     assert np.abs(found - begun - 0.002).max() < 0.003  # 100 minutes apart by 0.3 s
 
 
 def test_another_session_has_another_clock():
     clock = AcquisitionClock()
-    assert clock.begun(timed(0, time=100.0), 5.0) == pytest.approx(5.0 - DURATION)
-    assert clock.begun(timed(0, time=7000.0, session=2), 6.0) == pytest.approx(6.0 - DURATION)
+    assert clock.measurement_start(timed(0, time=100.0), 5.0) == pytest.approx(5.0 - DURATION)
+    assert clock.measurement_start(timed(0, time=7000.0, session=2), 6.0) == pytest.approx(
+        6.0 - DURATION
+    )
     # A board that counts its time anew without saying so.
-    assert clock.begun(timed(0, time=1.0, session=2), 9.0) == pytest.approx(9.0 - DURATION)
+    assert clock.measurement_start(timed(0, time=1.0, session=2), 9.0) == pytest.approx(
+        9.0 - DURATION
+    )
 
 
 def test_without_a_duration_nothing_is_known():
-    assert math.isnan(AcquisitionClock().begun(timed(0, duration=math.nan), 5.0))
+    assert math.isnan(AcquisitionClock().measurement_start(timed(0, duration=math.nan), 5.0))

@@ -44,7 +44,9 @@ def a_frame(time=0.0, session=0, number=0):
 
 def an_estimate(**changes):
     rng = np.random.default_rng(2)
-    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.04]], [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3])
+    found = FoundTouches.from_arrays(
+        [[0.05, 0.02], [0.1, 0.04]], [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3]
+    )
     known = {
         "state": State.TOUCH,
         "probabilities": np.array([0.01, 0.98, 0.01]),
@@ -190,7 +192,7 @@ def test_the_layout_for_foxglove_names_topics_that_there_are_and_shows_every_pan
 def test_sessions_of_a_recording_follow_each_other_by_a_second() -> None:
     stamps = Stamps()
     times = [(0, 5.0), (0, 5.25), (1, 0.0), (1, 0.5), (1, 0.5), (1, 0.2), (1, 0.3)]
-    found = [stamps.of(a_frame(time, session)) for session, time in times]
+    found = [stamps.stamp_frame(a_frame(time, session)) for session, time in times]
     assert [stamp for stamp, _ in found] == [
         GAP,
         GAP + 250_000_000,
@@ -207,7 +209,7 @@ def test_live_a_session_begins_by_the_clock_and_stamps_never_go_back() -> None:
     clock = iter([1_700_000_000 * 10**9, 1_600_000_000 * 10**9])
     stamps = Stamps(lambda: next(clock))
     frames = [a_frame(100.0), a_frame(100.3), a_frame(0.0, session=1)]
-    first, second, third = (stamps.of(frame)[0] for frame in frames)
+    first, second, third = (stamps.stamp_frame(frame)[0] for frame in frames)
     assert first == 1_700_000_000 * 10**9
     assert second == first + 300_000_000
     assert third == second + 1  # the clock was set back

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eitskin.hardware.protocol.frame_parts import (
-    MOST_MEASUREMENTS,
+    MAX_MEASUREMENTS,
     PER_PACKET,
     FrameAssembly,
     FrameData,
@@ -58,7 +58,7 @@ INFO = Info("eitskin 1.0", b"0123456789ab", 3, 8, 28, 0xDEADBEEF, 40e3, 0.5, 1e3
 LARGE_INFO = Info(
     "eitskin 2.0", b"0123456789ab", 3, 32, 928, 0xDEADBEEF, 40e3, 0.5, 1e3, 200.0, 9800000 * 1e-6
 )
-LARGEST_INFO = replace(LARGE_INFO, n_measurements=MOST_MEASUREMENTS)
+LARGEST_INFO = replace(LARGE_INFO, n_measurements=MAX_MEASUREMENTS)
 VERSION_2 = [LARGE_INFO, LARGEST_INFO, GetTable(300), TablePart(928, 5, ((0, 1, 2, 3),))]
 
 
@@ -116,7 +116,7 @@ def test_buffer_is_bounded_and_the_decoder_recovers():
     decoder = Decoder()
     for _ in range(1000):
         assert list(decoder.feed(b"x" * 1000)) == []
-        assert decoder.buffered <= MAX_PACKET
+        assert decoder.buffered_bytes <= MAX_PACKET
     assert [packet.type for packet in decoder.feed(encode(pack(Hello(), 0)) * 2)] == [1, 1]
     assert decoder.drops == {PacketDrop.TOO_LONG: 1}
 
@@ -319,10 +319,10 @@ def test_the_newest_unfinished_frame_is_all_that_is_held():
 
 
 def test_a_long_table_is_sent_in_parts_that_say_where_they_belong():
-    table = Table.of(Protocol.adjacent(32))
+    table = Table.from_protocol(Protocol.adjacent(32))
     rows = ()
     while len(rows) < 928:
-        (packet,) = Decoder().feed(encode(pack(TablePart.of(table, len(rows)), 1)))
+        (packet,) = Decoder().feed(encode(pack(TablePart.from_table(table, len(rows)), 1)))
         part = unpack(packet)
         assert (part.total, part.first) == (928, len(rows))
         rows += part.rows

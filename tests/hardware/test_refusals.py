@@ -14,10 +14,10 @@ from eitskin.hardware.boards.port import PortInfo, connector, find_port
 from eitskin.hardware.boards.text_board import open_text
 from eitskin.hardware.diagnosis.reading_check import check_frames, check_readings
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
-from eitskin.hardware.protocol.frame_parts import MOST_MEASUREMENTS
+from eitskin.hardware.protocol.frame_parts import MAX_MEASUREMENTS
 from eitskin.hardware.protocol.messages import Table
 from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet, encode
-from eitskin.hardware.streams import UdpOutlet, address_of
+from eitskin.hardware.streams import UdpOutlet, parse_address
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Frame, Protocol, Scene
@@ -28,7 +28,7 @@ BUILT_IN = PortInfo("/dev/ttyS0")
 BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
 TWIN = dataclasses.replace(BOARD, device="/dev/ttyACM1")
 FRAME = Frame(np.ones(28), PROTOCOL)
-TABLE = Protocol(((0, 1, 2, 3),) * (MOST_MEASUREMENTS + 1), 4)
+TABLE = Protocol(((0, 1, 2, 3),) * (MAX_MEASUREMENTS + 1), 4)
 
 
 def among(ports, call, *arguments):
@@ -47,7 +47,7 @@ URIS = {
     "replay:x?speed=fast": "speed must be one of real, max",
     "virtual:?sped=max": "no option 'sped'; it has speed",
     "virtual:?seed=one": "option seed must be a number",
-    "virtual:?simulator=x": "cannot be said in a URI",
+    "virtual:?simulator=x": "cannot be given in a URI",
     "virtual:scene.toml": r"write virtual:\?scene=scene.toml",
     "virtual:?speed=fast": "speed must be one of real, max",
     "virtual:?resolution=best": "resolution must be one of coarse, fast, standard, fine",
@@ -77,7 +77,7 @@ CONFIGURATION = {
     "script": (lambda: Script(()), "one step"),
     "step": (lambda: Step(Scene(), 0), "one frame"),
     "payload": (lambda: encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1))), r"1009 bytes.*1010"),
-    "table": (lambda: Table.of(TABLE), "at most 65535 measurements of 255 electrodes"),
+    "table": (lambda: Table.from_protocol(TABLE), "at most 65535 measurements of 255 electrodes"),
     "host": (lambda: UdpOutlet("no host", 1), "cannot find"),
     "expected shape": (lambda: check_sensor([FRAME], np.ones(27)), "shape"),
     "expected zero": (lambda: check_sensor([FRAME], np.zeros(28)), "positive"),
@@ -135,7 +135,7 @@ REFUSALS = [
     *(
         (
             f"address {text}",
-            partial(address_of, "--udp", text),
+            partial(parse_address, "--udp", text),
             ConfigurationError,
             "--udp must be PORT or HOST:PORT",
         )

@@ -264,11 +264,11 @@ def test_the_node_of_rclpy_publishes_what_the_mcap_files_have(monkeypatch):
     for each in readings:
         node.publish(each)
     messages = RosMessages(NAME)
-    expected = list(messages.of(readings[0], 10 * 10**9).items())
+    expected = list(messages.make_messages(readings[0], 10 * 10**9).items())
     expected += messages.sensor(readings[0].frame).items()
-    expected += messages.of(readings[1], 11 * 10**9).items()
+    expected += messages.make_messages(readings[1], 11 * 10**9).items()
     assert node.published == [
-        (topic, messages.types[topic], messages.serialised(topic, message))
+        (topic, messages.types[topic], messages.serialise(topic, message))
         for topic, message in expected
     ]
     assert node.node == (NAME, "skin")

@@ -31,7 +31,7 @@ FULL_SCALE = 846.0
 @lru_cache
 def flat(number=None):
     """Noise-free values of a specimen, or of the design."""
-    recipe = Recipe.shipped("training")
+    recipe = Recipe.from_shipped("training")
     design = recipe.sensor if number is None else specimen(recipe, number).design
     return Simulator(design, recipe.resolution).measure(Scene()).impedance
 

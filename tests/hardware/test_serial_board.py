@@ -11,7 +11,7 @@ import serial
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, SerialBoard, Step, open_board
-from eitskin.hardware.boards.board import FIRST_PAUSE, LONGEST_PAUSE, longest_silence
+from eitskin.hardware.boards.board import FIRST_PAUSE, MAX_PAUSE, longest_silence
 from eitskin.hardware.boards.port import ReopenablePort, UnrecoverableError
 from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import Ack, Event, pack
@@ -244,7 +244,7 @@ def test_frames_go_on_after_the_board_has_been_away():
     assert connection.problem == ""
     # Doubled up to the longest, also where it goes away at once; anew after a frame.
     assert waits[:3] == pytest.approx([FIRST_PAUSE, 0.2, 0.4])
-    assert waits[7:] == [LONGEST_PAUSE, LONGEST_PAUSE, FIRST_PAUSE]
+    assert waits[7:] == [MAX_PAUSE, MAX_PAUSE, FIRST_PAUSE]
 
 
 def skip_five(board):
@@ -436,7 +436,7 @@ def test_faults_that_are_injected_strike_at_once_and_are_named():
 def test_only_the_newest_scenes_are_remembered():
     board = firmware()
     for _ in range(5000):
-        board.stage.measured(0)
+        board.stage.impedance_at_frame(0)
         board.stage.record_truth(board.stage.frames)
         board.stage.frames += 1
     assert board.stage.truth(4999 - 4096) is None

@@ -20,12 +20,12 @@ from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection, Reading
 from eitskin.hardware.streams import (
-    MOST_CLIENTS,
+    MAX_CLIENTS,
     ReadingPublisher,
     UdpOutlet,
     WebSocketOutlet,
-    address_of,
     open_publisher,
+    parse_address,
     reading_record,
     silence_record,
 )
@@ -67,7 +67,9 @@ def served():
 
 
 def test_a_record_has_forces_and_standard_errors():
-    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan], [1e-3, 2e-3])
+    found = FoundTouches.from_arrays(
+        [[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan], [1e-3, 2e-3]
+    )
     estimate = Estimate(touches=tuple(found))
     estimate.bend_deviation_deg = 0.4
     record = reading_record(Reading(frame(), estimate, 0.001, 3.0), FakeBoard.counts)
@@ -113,7 +115,7 @@ def test_nobody_listening_and_messages_too_long_are_no_error(udp, listener):
     [("5005", ("127.0.0.1", 5005)), ("robot:1", ("robot", 1)), ("[::1]:9", ("::1", 9))],
 )
 def test_an_address_is_of_this_machine_unless_it_says_so(text, address):
-    assert address_of("--udp", text) == address
+    assert parse_address("--udp", text) == address
 
 
 # WebSocket
@@ -131,7 +133,7 @@ def test_a_client_that_reads_late_gets_the_newest_after_a_few_old_ones(served):
 
 
 def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
-    monkeypatch.setattr("eitskin.hardware.streams.STALLED", 0.5)
+    monkeypatch.setattr("eitskin.hardware.streams.STALL_TIMEOUT", 0.5)
     big = "x" * 2**20
     with ExitStack() as stack:
         stalled = stack.enter_context(connect(served.url, max_queue=1, max_size=None))
@@ -149,9 +151,9 @@ def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monke
 
 def test_a_client_that_vanishes_frees_its_seat_and_one_too_many_is_told(served):
     with ExitStack() as stack:
-        clients = [stack.enter_context(connect(served.url)) for _ in range(MOST_CLIENTS)]
+        clients = [stack.enter_context(connect(served.url)) for _ in range(MAX_CLIENTS)]
         served.send("1")
-        assert [client.recv(300.0) for client in clients] == ["1"] * MOST_CLIENTS
+        assert [client.recv(300.0) for client in clients] == ["1"] * MAX_CLIENTS
         late = stack.enter_context(connect(served.url))
         with pytest.raises(ConnectionClosed) as closed:
             late.recv(300.0)
@@ -213,7 +215,7 @@ def compiled(tmp_path_factory):
 
 def messages():
     tricky = ('an electrode is "open": "state": "bend", {[',)
-    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan])
+    found = FoundTouches.from_arrays([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan])
     two = Estimate(touches=tuple(found))
     none = Estimate(None, (np.nan,) * 3, float("nan"), None, None, tricky)
     each = (

@@ -46,7 +46,7 @@ def test_a_script_changes_the_scene_while_the_board_runs():
 
 def test_scenes_may_come_from_any_function():
     stage = Stage(SimulatedSensor(FakeSimulator()).solve, lambda now: Scene(bend=Bend(float(now))))
-    assert np.allclose(PROTOCOL.measure(stage.measured(30)), FLAT * 1.03)
+    assert np.allclose(PROTOCOL.measure(stage.impedance_at_frame(30)), FLAT * 1.03)
 
 
 def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):

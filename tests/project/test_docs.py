@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from eitskin.cli.help import examples_of
+from eitskin.cli.help import command_examples
 from eitskin.cli.main import app
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
@@ -181,7 +181,7 @@ def paths(command=COMMAND, path="eitskin"):
 
 def test_every_command_has_two_examples():
     assert len(paths()) > 35
-    assert not [path for path in paths() if len(examples_of(path)) != 2]
+    assert not [path for path in paths() if len(command_examples(path)) != 2]
 
 
 def test_pages_made_from_the_code_are_up_to_date():

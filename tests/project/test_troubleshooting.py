@@ -38,7 +38,7 @@ from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.interface import Calibration
 from eitskin.training.pipeline.methods import method_class
-from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline, require_writable
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH, SUMS, read_pipeline, require_writable
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "troubleshooting.md"
 SECTIONS = re.split(r"^## .*exit code (\d+)$", PAGE.read_text(), flags=re.MULTILINE)[1:]
@@ -130,7 +130,7 @@ def changed_dataset(folder):
 def model(change):
     def provoke(folder):
         copy = folder / "copy.eitmodel"
-        shutil.copytree(SHIPPED, copy)
+        shutil.copytree(SHIPPED_PATH, copy)
         change(copy)
         read_pipeline(copy)
 
@@ -231,15 +231,17 @@ PROVOKED = {
     "electrode ...: ": design("thickness = 0.004\n" + SENSOR + INSIDE),
     "bending and touches": bends_a_surface,
     "sensor: a design file": recipe('name = "a"\nsensor = { file = "six.toml" }\n'),
-    "there is no shipped": lambda _: Recipe.shipped("quikc"),
+    "there is no shipped": lambda _: Recipe.from_shipped("quikc"),
     "the surface in": surface(a_triangle()),
     "... holds no triangles": surface(""),
     "a grid of": lambda _: structured_mesh(SensorDesign.reference(), Grading(1e-5, 1e-5, 1.0)),
     "a forward model of": lambda _: ForwardModel(
         SensorDesign.reference(), ((10,) * 6, Grading(5e-3, 1e-2, 1.0))
     ),
-    "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
-    "... exists and is not replaced": lambda _: require_writable(SHIPPED, replace=False),
+    "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED_PATH).save(
+        folder / "a.zip"
+    ),
+    "... exists and is not replaced": lambda _: require_writable(SHIPPED_PATH, replace=False),
     "this pipeline was trained by": lambda _: method_class("my:Net"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.bounds import drawn, require_positive
+from eitskin.bounds import require_positive, sample_uniform
 from eitskin.datasets import touch_maps
 from eitskin.errors import ConfigurationError, EitskinError
 from eitskin.geometry import Hinge, Rectangle, SensorDesign
@@ -59,7 +59,7 @@ def test_readings_beyond_all_sensors_are_left_out():
 
 def test_arguments_that_no_map_picture_or_prior_can_have_are_refused():
     """Each was accepted, and gave NaN, infinity or an error of NumPy."""
-    grid = PixelGrid.of(Rectangle(0.1, 0.06), 100)
+    grid = PixelGrid.from_outline(Rectangle(0.1, 0.06), 100)
     picture = np.ones(len(grid))
     one = np.full((1, 1), 0.03)
     calls = {
@@ -73,7 +73,7 @@ def test_arguments_that_no_map_picture_or_prior_can_have_are_refused():
         "margin": lambda: Mechanics(margin=1e300),
         "discs need": lambda: grid.discs([[float("nan"), 0.03]], 0.01),
         "lines of a mesh": lambda: ForwardModel(SensorDesign.reference(), "coarse", (1e-12,)),
-        "every channel is bad": lambda: StoredReference.of(
+        "every channel is bad": lambda: StoredReference.from_frames(
             [np.full(28, 1e300)], PROTOCOL, 40e3, Zero.FLAT
         ),
         "hinge offset": lambda: Hinge(offset=1.7e308),
@@ -91,13 +91,16 @@ def test_arguments_that_no_map_picture_or_prior_can_have_are_refused():
 def test_readings_beyond_all_sensors_are_no_part_of_a_stored_reference():
     values = np.array([FLAT + 0j, FLAT + 0j])
     values[1, 0] = -np.inf
-    stored = StoredReference.of(list(values), PROTOCOL, 40e3, Zero.FLAT)
+    stored = StoredReference.from_frames(list(values), PROTOCOL, 40e3, Zero.FLAT)
     assert np.isfinite(stored.noise)
     assert np.all(np.isfinite(stored.impedance[1:]))
 
 
 def test_a_range_may_end_at_minus_zero():
     rng = np.random.default_rng(0)
-    assert drawn(rng, (0.0, -0.0)) == 0.0
-    same = [np.random.default_rng(1).uniform(2.0, 3.0), drawn(np.random.default_rng(1), (2.0, 3.0))]
+    assert sample_uniform(rng, (0.0, -0.0)) == 0.0
+    same = [
+        np.random.default_rng(1).uniform(2.0, 3.0),
+        sample_uniform(np.random.default_rng(1), (2.0, 3.0)),
+    ]
     assert same[0] == same[1]

@@ -19,7 +19,7 @@ from eitskin.files import (
     atomic_folder,
     parse_json,
     printable,
-    quoted,
+    quote_value,
     read_bytes,
     remove_file,
     remove_leftovers,
@@ -157,8 +157,8 @@ def test_json_that_python_cannot_hold_is_refused():
 
 
 def test_values_of_files_are_quoted_in_part():
-    assert quoted("a\x1b") == r"'a\x1b'"
-    assert len(quoted("x" * 10**6)) < 150
+    assert quote_value("a\x1b") == r"'a\x1b'"
+    assert len(quote_value("x" * 10**6)) < 150
     assert printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"
     long = f"expected {'x' * 9000} at the end"
     assert printable(long) == str(DataError(long)) == f"{long[:2000]} ... {long[-2000:]}"

@@ -45,24 +45,28 @@ def test_a_file_gives_back_what_was_written(tmp_path) -> None:
     Protocol.adjacent(8).to_file(path)
     assert path.read_text().startswith("drive_plus,drive_minus,sense_plus,sense_minus\n0,1,2,3\n")
     assert Protocol.from_file(path, 8) == Protocol.adjacent(8)
-    assert Protocol.named(str(path), 8) == Protocol.adjacent(8)
+    assert Protocol.from_name(str(path), 8) == Protocol.adjacent(8)
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_number_of_electrodes_comes_from_the_text_or_the_sensor(tmp_path) -> None:
-    assert Protocol.named("adjacent:16") == Protocol.named("adjacent", 16) == Protocol.adjacent(16)
-    assert Protocol.named("adjacent:16", 16) == Protocol.adjacent(16)
-    assert Protocol.named("skip:2:16") == Protocol.skip(16, 2)
+    assert (
+        Protocol.from_name("adjacent:16")
+        == Protocol.from_name("adjacent", 16)
+        == Protocol.adjacent(16)
+    )
+    assert Protocol.from_name("adjacent:16", 16) == Protocol.adjacent(16)
+    assert Protocol.from_name("skip:2:16") == Protocol.skip(16, 2)
     path = tmp_path / "own:2.csv"
     Protocol(((0, 1, 2, 3),), 8).to_file(path)
-    assert Protocol.named(str(path)).n_electrodes == 4
-    assert Protocol.named(f"{path}:8").n_electrodes == 8
-    assert Protocol.named(str(path), 8).n_electrodes == 8
+    assert Protocol.from_name(str(path)).n_electrodes == 4
+    assert Protocol.from_name(f"{path}:8").n_electrodes == 8
+    assert Protocol.from_name(str(path), 8).n_electrodes == 8
 
 
 @pytest.mark.parametrize("name", ["pairwise:8", "adjacent:16", "opposite:8", "skip:2:16"])
 def test_a_protocol_is_written_with_the_name_that_it_is_read_by(name) -> None:
-    protocol = Protocol.named(name)
+    protocol = Protocol.from_name(name)
     assert str(protocol) == f"{name} ({len(protocol)} measurements)"
     other = Protocol(protocol.table[::-1], protocol.n_electrodes)
     assert "a table for" in str(other)
@@ -114,7 +118,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, text, message
 
 
 REFUSED = {
-    "one measurement": [lambda: Protocol((), 8), lambda: Protocol.named("pairwise:1")],
+    "one measurement": [lambda: Protocol((), 8), lambda: Protocol.from_name("pairwise:1")],
     "each from 0 to 7|expected 4 items": [
         lambda: Protocol(((0, 1, 0, 8),), 8),
         lambda: Protocol(((0, 1, 2),), 8),
@@ -123,13 +127,13 @@ REFUSED = {
     r"\(8, 8\)": [lambda: Protocol.pairwise(8).measure(np.eye(7))],
     "cannot write": [lambda: Protocol.pairwise(8).to_file("none/protocol.csv")],
     "needs a number of electrodes.*:16": [
-        lambda t=t: Protocol.named(t) for t in ("pairwise", "adjacent", "skip:2")
+        lambda t=t: Protocol.from_name(t) for t in ("pairwise", "adjacent", "skip:2")
     ],
     "skip:N, each with :ELECTRODES": [
-        lambda t=t: Protocol.named(t)
+        lambda t=t: Protocol.from_name(t)
         for t in ("pairwise:x", "skip:", "", "none.csv:16", "adjacent:16\n", "\0", "adjacnet")
     ],
-    "for 16 electrodes, the sensor has 8": [lambda: Protocol.named("adjacent:16", 8)],
+    "for 16 electrodes, the sensor has 8": [lambda: Protocol.from_name("adjacent:16", 8)],
     "even.*7": [lambda: Protocol.opposite(7)],
     "can skip 0 to 6": [lambda: Protocol.skip(8, 7), lambda: Protocol.skip(8, -1)],
     "shares an electrode": [lambda: Protocol.adjacent(3)],
@@ -148,7 +152,7 @@ def test_a_table_that_counts_from_one_is_read_as_such_or_asked_about(tmp_path):
     protocol, path = Protocol.adjacent(5), tmp_path / "one.csv"
     rows = [",".join(str(electrode + 1) for electrode in row) for row in protocol.table]
     path.write_text("\n".join(["drive_plus,drive_minus,sense_plus,sense_minus", *rows]))
-    assert Protocol.from_file(path, 5) == Protocol.named(f"{path}:5") == protocol
+    assert Protocol.from_file(path, 5) == Protocol.from_name(f"{path}:5") == protocol
     assert Protocol.from_file(path, 6).table[0] == (1, 2, 3, 4)
     with pytest.raises(ConfigurationError, match=r"no electrode 0.*one.csv:5'.*one.csv:6'"):
         Protocol.from_file(path)

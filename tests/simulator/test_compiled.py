@@ -10,7 +10,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 
 KERNELS = "eitskin.simulator.deformation.kernels"
-if compiled.loaded(KERNELS) is None:
+if compiled.load_kernels(KERNELS) is None:
     pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
 
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
@@ -53,14 +53,14 @@ def test_scenes_in_single_precision_are_those_of_plain_numpy(monkeypatch) -> Non
     sim = Simulator(SensorDesign.reference(), "coarse")
     scenes = [Scene(Bend(20.0), PRESSED), Scene(touches=PRESSED[:1]), Scene(Bend(-10.0))]
     found = sim.impedances(scenes, 1e-5)
-    monkeypatch.setattr(compiled, "loaded", lambda _: None)
+    monkeypatch.setattr(compiled, "load_kernels", lambda _: None)
     plain = sim.impedances(scenes, 1e-5)
     assert not np.array_equal(found, plain)
     assert np.abs(found - plain).max() < 1e-6 * np.abs(plain).max()
 
 
 def test_kernels_can_be_left_out(monkeypatch) -> None:
-    assert compiled.compiled(KERNELS) is None
-    assert with_kernels(compiled.compiled, KERNELS) is not None
+    assert compiled.compiled_kernels(KERNELS) is None
+    assert with_kernels(compiled.compiled_kernels, KERNELS) is not None
     monkeypatch.setenv("EITSKIN_PLAIN", "1")
-    assert compiled.loaded.__wrapped__(KERNELS) is None
+    assert compiled.load_kernels.__wrapped__(KERNELS) is None

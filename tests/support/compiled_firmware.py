@@ -275,7 +275,7 @@ def messages(data):
     decoder = Decoder()
     found = [unpack(packet) for packet in decoder.feed(data)]
     assert not decoder.drops
-    assert decoder.buffered == 0
+    assert decoder.buffered_bytes == 0
     return found
 
 

@@ -28,7 +28,7 @@ class Estimate:
 class FakePipeline:
     """Gives one estimate for every frame; may be slow, or be interrupted."""
 
-    stored, expected, flat_sensors = None, None, "known"
+    stored_reference, expected_magnitudes, flat_sensors = None, None, "known"
 
     def __init__(self, estimate=None, interrupt_at=None):
         self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at

@@ -24,10 +24,10 @@ from smooth_sensor import (
 RESPONSE = response()
 CURVE = curve()
 FAULTS = possible_faults(PROTOCOL, FLAT)
-ONE = RESPONSE.of(())
+ONE = RESPONSE.for_specimen(())
 STIFF = replace(
     RESPONSE, weights=(RESPONSE.weights[0] * [1.0, 1.0, 1.0, 0.0], *RESPONSE.weights[1:])
-).of(())
+).for_specimen(())
 TWO_FRAMES = 2.0 * NOISE**2 * np.eye(28)  # covariance of the difference of two
 
 
@@ -48,8 +48,8 @@ def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
     change = change + ONE(touches, angle_deg).sum(axis=0)
     if rng is not None:
         change = change + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
-    told = replace(RESPONSE, mismatch=mismatch).of(())
-    combined = MEASUREMENTS.combined(change, 2.0, 0.0)
+    told = replace(RESPONSE, mismatch=mismatch).for_specimen(())
+    combined = MEASUREMENTS.combine(change, 2.0, 0.0)
     return TouchObjective(combined, reference_deg, told, CURVE, TOUCH_PRIOR)
 
 
@@ -62,7 +62,7 @@ def residual(objective, unknowns):
 
 def changed(objective, change):
     """Objective with another change."""
-    return replace(objective, combined=MEASUREMENTS.combined(change, 2.0, 0.0))
+    return replace(objective, combined=MEASUREMENTS.combine(change, 2.0, 0.0))
 
 
 def explained(objective, proposed=None):

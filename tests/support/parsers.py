@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin.config import read_toml, to_toml
-from eitskin.contained import Answer
 from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recordings.source import read_source
@@ -27,13 +26,14 @@ from eitskin.hardware.protocol.messages import unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageError, encode
 from eitskin.hardware.virtual.stage import Script
 from eitskin.protocol import Protocol
+from eitskin.reader_process import Answer
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.training.method.predictions import Zero
 from eitskin.training.pipeline.pipeline import open_pipeline
 from eitskin.training.pipeline.references import StoredReference
-from eitskin.training.pipeline.saved_form import DOCUMENT, SHIPPED, SUMS
+from eitskin.training.pipeline.saved_form import DOCUMENT, SHIPPED_PATH, SUMS
 from eitskin.training.twin.parameters import TwinPrior
 
 import small_dataset
@@ -78,13 +78,13 @@ LINE = b"Freq:40000.00 RzMag: 612.500000 Ohm , RzPhase: -1.250000\r\n"
 
 @lru_cache
 def _designs() -> tuple[bytes, ...]:
-    recipes = [Recipe.shipped(name).sensor for name in shipped_names()]
+    recipes = [Recipe.from_shipped(name).sensor for name in shipped_names()]
     return tuple(dict.fromkeys(_written(SensorDesign.reference(), *recipes)))
 
 
 @lru_cache
 def _recipes() -> tuple[bytes, ...]:
-    return tuple(Recipe.shipped(name).to_toml().encode() for name in shipped_names())
+    return tuple(Recipe.from_shipped(name).to_toml().encode() for name in shipped_names())
 
 
 def _written(*configurations: Any) -> tuple[bytes, ...]:
@@ -148,11 +148,11 @@ def _pipeline(path: Path) -> object:
     """The shipped pipeline with another document, whose sums are right."""
     folder = path.parent / "changed.eitmodel"
     if not folder.exists():
-        shutil.copytree(SHIPPED, folder)
+        shutil.copytree(SHIPPED_PATH, folder)
     content = path.read_bytes()
     (folder / DOCUMENT).write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
-    lines = (SHIPPED / SUMS).read_text(encoding="utf-8").splitlines()
+    lines = (SHIPPED_PATH / SUMS).read_text(encoding="utf-8").splitlines()
     sums = [digest + each[64:] if each.endswith(DOCUMENT) else each for each in lines]
     (folder / SUMS).write_text("\n".join(sums) + "\n", encoding="utf-8")
     return open_pipeline(folder)
@@ -208,7 +208,7 @@ PARSERS: Final[Mapping[str, Parser]] = {
     ),
     "stored references (JSON)": Parser("input.json", _references, StoredReference.read),
     "saved pipelines: pipeline.json": Parser(
-        "input.json", lambda: ((SHIPPED / DOCUMENT).read_bytes(),), _pipeline
+        "input.json", lambda: ((SHIPPED_PATH / DOCUMENT).read_bytes(),), _pipeline
     ),
     "recordings: csv": Parser("input.csv", lambda: _tables()["csv"], _table),
     "recordings: txt": Parser("input.txt", lambda: _tables()["txt"], _table),

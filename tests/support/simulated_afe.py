@@ -13,7 +13,7 @@ from eitskin.simulator.instrument.ad5940 import (
     TIA_LIMIT,
     TRANSIMPEDANCES,
     clipped_fundamental,
-    quantised,
+    quantise,
 )
 
 MCLK = 16e6
@@ -177,7 +177,7 @@ class SimulatedAfe:
             self._flags |= ADCMAXERR if 32768 + peak > self[0x20B0] else 0
             self._flags |= ADCMINERR if 32768 - peak < self[0x20A8] else 0
         shown = clipped_fundamental(np.array(self._phasor), np.array(self._limit(full_range)))
-        codes = quantised(shown, np.array(full_range)) / (full_range / CODES)
+        codes = quantise(shown, np.array(full_range)) / (full_range / CODES)
         for address, code in ((0x2078, codes.real), (0x207C, -codes.imag)):
             self._registers[address] = round(np.clip(code, -CODES, CODES - 1)) & 0x3FFFF
 

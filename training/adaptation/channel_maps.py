@@ -12,8 +12,8 @@ from scipy.linalg import eigh, solve_triangular
 Array = NDArray[np.float64]
 Rows = TypeVar("Rows", bound=Any)  # a dataclass of arrays
 
-MOST_PLACES = 400  # of a kernel's features; smooth maps over a sheet need no more
-DROPPED = 1e-6  # share of the prior variance that features may leave out
+MAX_PLACES = 400  # of a kernel's features; smooth maps over a sheet need no more
+DROPPED_VARIANCE_SHARE = 1e-6  # share of the prior variance that features may leave out
 ITERATIONS = 20
 BLOCK = 1000  # presses whose features are held at once
 
@@ -29,8 +29,9 @@ class DesignSpan:
     sum_jk (grad u_j . grad u_k)(p) (grad u_j . grad u_k)(p').
 
     Attributes:
-        maps: of pairs of electrodes, (pairs, rows, columns), rows along y; rms one over the sheet.
-        size: of the bounding box, along x and y (2,) [m].
+        maps: maps of pairs of electrodes, (pairs, rows, columns), rows along y; rms one over the
+            sheet.
+        size: size of the bounding box, along x and y (2,) [m].
     """
 
     maps: Array
@@ -52,8 +53,8 @@ class PlaceKernel:
 
     Attributes:
         length: length scale [m].
-        span: of the design; None for the plain kernel.
-        share: of the span in the variance, 0 to 1.
+        span: span of the design; None for the plain kernel.
+        share: share of the span in the variance, 0 to 1.
     """
 
     length: float
@@ -62,18 +63,18 @@ class PlaceKernel:
 
     def __call__(self, first: ArrayLike, second: ArrayLike) -> Array:
         """Covariances (n, m) of places (n, 2) and (m, 2) [m]."""
-        covariance: Array = self.of_features(self.described(first), self.described(second))
+        covariance: Array = self.covariance(self.describe(first), self.describe(second))
         return covariance
 
-    def described(self, places: ArrayLike) -> tuple[Array, Array]:
+    def describe(self, places: ArrayLike) -> tuple[Array, Array]:
         """Places (n, 2) [m], and the span's maps there (n, pairs); none without a share."""
         points = np.asarray(places, dtype=float)
         if self.span is None or self.share == 0.0:
             return points, np.zeros((len(points), 0))
         return points, self.span.features(points)
 
-    def of_features(self, first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
-        """Covariances (n, m) of places that `described` told of."""
+    def covariance(self, first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+        """Covariances (n, m) of places that `describe` described."""
         (a, span_a), (b, span_b) = first, second
         square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
         d = np.sqrt(5.0 * np.maximum(square, 0.0)) / self.length
@@ -82,7 +83,7 @@ class PlaceKernel:
 
     def variance(self, places: ArrayLike) -> Array:
         """Variances (n,) at places (n, 2) [m]."""
-        _, span = self.described(places)
+        _, span = self.describe(places)
         variance: Array = 1.0 - self.share + self.share * np.sum(span**2, axis=1)
         return variance
 
@@ -102,24 +103,27 @@ class KernelFeatures:
     factor: Array
 
     @classmethod
-    def of(
-        cls, kernel: PlaceKernel, places: ArrayLike, most: int = MOST_PLACES
+    def choose(
+        cls, kernel: PlaceKernel, places: ArrayLike, most: int = MAX_PLACES
     ) -> "KernelFeatures":
         """Choose places by a pivoted Cholesky factorisation (Harbrecht et al. 2012).
 
-        Each step takes the place whose variance is explained worst, until `DROPPED` of the sum is
-        left or `most` places are chosen: memory is bounded however many places there are.
+        Each step takes the place whose variance is explained worst, until `DROPPED_VARIANCE_SHARE`
+        of the sum is left or `most` places are chosen: memory is bounded however many places there
+        are.
         """
         points = np.asarray(places, dtype=float)
-        left, described = kernel.variance(points), kernel.described(points)
+        left, described = kernel.variance(points), kernel.describe(points)
         total, rows = float(left.sum()), np.zeros((min(most, len(points)), len(points)))
         chosen: list[int] = []
         for step in range(len(rows)):
             best = int(np.argmax(left))
-            if left.sum() <= DROPPED * total or left[best] <= 1e-9 * total / len(points):
+            if left.sum() <= DROPPED_VARIANCE_SHARE * total or left[best] <= 1e-9 * total / len(
+                points
+            ):
                 break
             own = (described[0][best : best + 1], described[1][best : best + 1])
-            row = kernel.of_features(own, described)[0] - rows[:step, best] @ rows[:step]
+            row = kernel.covariance(own, described)[0] - rows[:step, best] @ rows[:step]
             rows[step] = row / np.sqrt(left[best])
             left = np.maximum(left - rows[step] ** 2, 0.0)
             left[best] = 0.0
@@ -140,8 +144,9 @@ class Presses:
     Attributes:
         places: (n, 2) [m].
         strength: relative strength s of each press (n,); a channel answers in proportion to it.
-        answers: of the channels, of order one (n, C).
-        weight: of each press in the fit (n,); the noise variance of a press is divided by it.
+        answers: answers of the channels, of order one (n, C).
+        weight: weight of each press in the fit (n,); the noise variance of a press is divided by
+            it.
         owner: number of the recorded press that each came from (n,).
     """
 
@@ -152,7 +157,7 @@ class Presses:
     owner: NDArray[np.int64]
 
     @classmethod
-    def of(
+    def from_frames(
         cls,
         places: ArrayLike,
         strength: ArrayLike,
@@ -182,12 +187,12 @@ class Presses:
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Presses":
         """Some of the presses, which keep their owners' numbers."""
-        return Presses(*(getattr(self, each.name)[which] for each in fields(self)))
+        return Presses(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def concatenate(parts: Sequence[Rows]) -> Rows:
     """Rows of all parts, dataclasses of arrays (n, ...) each."""
-    names = [each.name for each in fields(parts[0])]
+    names = [field.name for field in fields(parts[0])]
     joined = type(parts[0])(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
     return cast("Rows", joined)
 
@@ -229,30 +234,30 @@ class ChannelMaps:
             kernel: prior covariance over the sheet.
             presses: what to learn from.
             noise: prior guess of the noise variance, in units of the answers' variance.
-            weight: of this guess, and of the guess 1 of the signal, in presses per channel.
+            weight: weight of this guess, and of the guess 1 of the signal, in presses per channel.
         """
-        features = KernelFeatures.of(kernel, presses.places)
-        values, basis, answers, rest = _normal_equations(features, presses)
+        features = KernelFeatures.choose(kernel, presses.places)
+        values, basis, answers, residual = _normal_equations(features, presses)
         w, (m, channels) = values[:, None], answers.shape
         # Directions beyond those of fewer presses than channels are all alike: one stands for them.
         turned = np.eye(channels)
         if (rank := min(len(presses.strength), channels)) < channels:
             turned = np.linalg.qr(presses.answers.T, mode="complete")[0]
         seen_in = turned[:, : rank + 1]
-        answers, rest = answers @ seen_in, seen_in.T @ rest @ seen_in
+        answers, residual = answers @ seen_in, seen_in.T @ residual @ seen_in
         prior, prior_signal = weight * channels, np.eye(answers.shape[1])
         prior_noise = noise * prior_signal
         gain, whitening = _diagonalise(prior_signal, prior_noise)
         signal, error = prior_signal, prior_noise
         for _ in range(ITERATIONS):
             back = np.linalg.inv(whitening)
-            seen = answers @ whitening
+            whitened = answers @ whitening
             variance = w * gain / (w * gain + 1.0)
-            mean = variance * seen
+            mean = variance * whitened
             maps = (mean / w).T @ mean + np.diag(np.sum(variance / w, axis=0))
-            off = seen - mean
+            off = whitened - mean
             errors = (
-                off.T @ off + np.diag(np.sum(variance, axis=0)) + whitening.T @ rest @ whitening
+                off.T @ off + np.diag(np.sum(variance, axis=0)) + whitening.T @ residual @ whitening
             )
             signal = (back.T @ maps @ back + prior * prior_signal) / (m + prior)
             count = len(presses.strength) + prior
@@ -270,24 +275,24 @@ class ChannelMaps:
             np.hstack([weights, np.zeros((m, len(alike)))]),
         )
 
-    def at(self, places: ArrayLike) -> tuple[Array, Array]:
+    def evaluate(self, places: ArrayLike) -> tuple[Array, Array]:
         """Mean and variance (n, C) each of the independent maps at places (n, 2) [m]."""
         phi = self.features(places)
         turned, gain = phi @ self.basis, self.gain
-        known = (turned**2) @ (gain / (gain * self.values[:, None] + 1.0))
+        variance_factor = (turned**2) @ (gain / (gain * self.values[:, None] + 1.0))
         missing = np.maximum(self.features.kernel.variance(places) - np.sum(phi**2, axis=1), 0.0)
-        return turned @ self.weights, known + missing[:, None] * gain
+        return turned @ self.weights, variance_factor + missing[:, None] * gain
 
     def left_out(self, presses: Presses) -> tuple[Array, Array]:
         """Mean and variance of the independent answers of each press, it left out of the fit.
 
-        Presses of one owner are left out together; those of weight one are told of. In closed form
-        from the leverages (Rasmussen and Williams 2006, section 5.4.2), (k, C) each.
+        Presses of one owner are left out together; those of weight one are described. In closed
+        form from the leverages (Rasmussen and Williams 2006, section 5.4.2), (k, C) each.
         """
         root = np.sqrt(presses.weight)[:, None]
         phi = self.features(presses.places) * presses.strength[:, None] * root @ self.basis
-        seen = presses.answers * root @ self.whitening
-        residual = seen - phi @ self.weights
+        whitened = presses.answers * root @ self.whitening
+        residual = whitened - phi @ self.weights
         gain = self.gain
         shrunk = gain / (gain * self.values[:, None] + 1.0)
         own = np.flatnonzero(presses.weight == 1.0)
@@ -299,19 +304,19 @@ class ChannelMaps:
             inverse = np.linalg.inv(np.eye(len(group)) - leverage)
             at = int(np.flatnonzero(group == press)[0])
             off = np.einsum("cb,bc->c", inverse[:, at], residual[group])
-            mean[row], variance[row] = seen[press] - off, inverse[:, at, at]
+            mean[row], variance[row] = whitened[press] - off, inverse[:, at, at]
         return mean, variance
 
-    def density_of(self, presses: Presses) -> Array:
+    def log_density(self, presses: Presses) -> Array:
         """Log predictive density of the answers of other presses (n,)."""
-        mean, variance = self.at(presses.places)
+        mean, variance = self.evaluate(presses.places)
         s = presses.strength[:, None]
         off = presses.answers @ self.whitening - s * mean
         return self._density(off, s**2 * variance + 1.0)
 
-    def _density(self, off: Array, variance: Array) -> Array:
+    def _density(self, deviations: Array, variance: Array) -> Array:
         """Log density of deviations (n, C) of independent answers, in the channels' unit (n,)."""
-        density = -0.5 * np.sum(off**2 / variance + np.log(2.0 * np.pi * variance), axis=1)
+        density = -0.5 * np.sum(deviations**2 / variance + np.log(2.0 * np.pi * variance), axis=1)
         return np.asarray(density + np.linalg.slogdet(self.whitening)[1], dtype=np.float64)
 
     def left_out_density(self, presses: Presses) -> Array:

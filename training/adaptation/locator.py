@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 from eitskin.geometry import DataError
 from eitskin.training.adaptation.channel_maps import PlaceKernel
-from eitskin.training.method.stored_fields import Stored, StoredFields
+from eitskin.training.method.stored_fields import StoredField, StoredFields
 
 Array = NDArray[np.float64]
 
@@ -23,11 +23,11 @@ UNKNOWN_SCALE = 1e12  # of a channel that was bad in training
 WIDE = 10.0  # cells that share the posterior, beyond which they are not divided
 ROUNDS = 2  # of strength against the variance that depends on it
 _SUPPORT = 6  # nodes of the interpolation between grid points
-MOST_LEFT_OUT = 4  # a channel in so many
+MAX_OMITTED_FRACTION = 4  # a channel in so many
 SUSPECTS = 3  # channels that are tried without
-MOST_SUSPECTED = 4  # channels of one frame
-MOST_WHOLE = 32  # channels, whose maps are all told one by one
-LEAST_MEAN = 1e-2  # mean square of a map, in units of the noise, from which it is told by itself
+MAX_SUSPECTED_CHANNELS = 4  # channels of one frame
+MAX_SEPARATE_MAPS = 32  # channels, whose maps all count one by one
+MIN_MEAN = 1e-2  # mean square of a map, in units of the noise, from which it counts alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +46,11 @@ class Places:
     strength: Array
     misfit: Array
 
-    def drawn_to(self, middle: Array, trust: float, extent: float) -> "Places":
+    def shrink_towards(self, middle: Array, trust: float, extent: float) -> "Places":
         """Places drawn to the middle (2,) [m] of all presses by a factor, their errors with them.
 
         Args:
-            middle: that is right where nothing is known.
+            middle: middle that is right where nothing is known.
             trust: factor of the distance from it, 0 to 1.
             extent: standard deviation of places along an axis [m].
         """
@@ -78,16 +78,16 @@ def mixture_places(each: Sequence[Places]) -> Places:
 class MapGrid(StoredFields):
     """Posterior maps of the channels on a regular grid.
 
-    The first K independent maps are told one by one; the mean of the others is zero, and their
+    The first K independent maps count one by one; the mean of the others is zero, and their
     variance that of their mean.
 
     Attributes:
         low: first grid point (2,) [m].
-        step: of the grid [m].
-        mean: of the independent maps (rows along y, columns along x, K).
-        variance: of the independent maps, of the same shape.
-        log_prior: of a touch at each grid point (rows, columns); -inf where none can be.
-        whitening: from channels to independent answers (C, I), those of the K maps first.
+        step: step of the grid [m].
+        mean: mean of the independent maps (rows along y, columns along x, K).
+        variance: variance of the independent maps, of the same shape.
+        log_prior: log prior of a touch at each grid point (rows, columns); -inf where none can be.
+        whitening: whitening from channels to independent answers (C, I), those of the K maps first.
         strength: prior mean and standard deviation of the strength (2,).
         rest: variance of each of the other I - K maps (rows, columns); None without any.
     """
@@ -108,14 +108,14 @@ class MapGrid(StoredFields):
         middle: Array = self.low + self.step * np.array([column.mean(), row.mean()])
         return middle
 
-    def shortened(self) -> "MapGrid":
-        """Grid whose maps of little mean, are told by one variance, unless there are few."""
+    def merge_weak_maps(self) -> "MapGrid":
+        """Grid whose maps of little mean, share one variance, unless there are few."""
         size = np.mean(self.mean**2, axis=(0, 1))
         order = np.argsort(-size, kind="stable")
-        kept = max(1, int(np.sum(size > LEAST_MEAN)))
-        if self.rest is not None or kept >= len(size) or len(size) <= MOST_WHOLE:
+        map_count = max(1, int(np.sum(size > MIN_MEAN)))
+        if self.rest is not None or map_count >= len(size) or len(size) <= MAX_SEPARATE_MAPS:
             return self
-        first, others = order[:kept], order[kept:]
+        first, others = order[:map_count], order[map_count:]
         return replace(
             self,
             mean=self.mean[..., first],
@@ -124,13 +124,13 @@ class MapGrid(StoredFields):
             rest=self.variance[..., others].mean(axis=-1),
         )
 
-    def without(self, bad: NDArray[np.bool_]) -> "MapGrid":
+    def drop_channels(self, bad: NDArray[np.bool_]) -> "MapGrid":
         """Grid of the channels that are not bad (C,), which the values of bad ones do not change.
 
-        Their noise stays what it was; the maps are made independent anew by their mean squares
+        Their noise stays what it was; the maps are made independent again by their mean squares
         over the grid, and covariances that are left at a single place are neglected.
         """
-        return _without(self, bad.tobytes())
+        return _grid_without_channels(self, bad.tobytes())
 
     def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
         """Place and strength of one touch in each frame.
@@ -139,27 +139,27 @@ class MapGrid(StoredFields):
         best for each place (Laplace), and over finer cells around the best ones.
 
         Args:
-            answers: of the channels, in the units of the maps (n, C).
+            answers: answers of the channels, in the units of the maps (n, C).
             bad: channels that are left out of a frame (n, C); none when omitted.
         """
         y = np.asarray(answers, dtype=float)
         out = np.zeros(y.shape, dtype=bool) if bad is None else bad
-        found = [
-            (self.without(skip) if skip.any() else self)._locate(np.where(skip, 0.0, row))
+        densities = [
+            (self.drop_channels(skip) if skip.any() else self)._locate(np.where(skip, 0.0, row))
             for row, skip in zip(y, out, strict=True)
         ]
-        place, deviation, strength, misfit = (list(each) for each in zip(*found, strict=True))
+        place, deviation, strength, misfit = (list(each) for each in zip(*densities, strict=True))
         return Places(np.array(place), np.array(deviation), np.array(strength), np.array(misfit))
 
     def _locate(self, answer: Array) -> tuple[Array, float, float, Array]:
-        rows, columns, kept = self.mean.shape
-        seen = answer @ self.whitening
-        likelihood = partial(score, self.strength, seen)
+        rows, columns, map_count = self.mean.shape
+        whitened = answer @ self.whitening
+        likelihood = partial(score, self.strength, whitened)
         allowed = np.flatnonzero(np.isfinite(self.log_prior))
         log = np.full(rows * columns, -np.inf)
-        means, variances = (m.reshape(-1, kept)[allowed] for m in (self.mean, self.variance))
-        rest = None if self.rest is None else self.rest.ravel()[allowed]
-        log[allowed], _ = likelihood(means, variances, rest)
+        means, variances = (m.reshape(-1, map_count)[allowed] for m in (self.mean, self.variance))
+        allowed_rest = None if self.rest is None else self.rest.ravel()[allowed]
+        log[allowed], _ = likelihood(means, variances, allowed_rest)
         log = (log + self.log_prior.ravel()).reshape(rows, columns)
         coarse, points, parts = log.copy(), [], []
         wide = np.exp(log - log.max()).sum() > WIDE  # of few presses: cells are fine enough
@@ -173,24 +173,24 @@ class MapGrid(StoredFields):
             )
             fine, log_prior = self._fine(near, np.isfinite(coarse[near]))
             points.append(fine)
-            parts.append(likelihood(*self._between(fine))[0] + log_prior - 2 * np.log(FINE))
+            parts.append(likelihood(*self._interpolate(fine))[0] + log_prior - 2 * np.log(FINE))
             coarse[near] = -np.inf
-        left = np.argwhere(coarse > log.max() - 12.0)
-        points.append(left[:, ::-1].astype(float))
-        parts.append(coarse[tuple(left.T)])
+        candidates = np.argwhere(coarse > log.max() - 12.0)
+        points.append(candidates[:, ::-1].astype(float))
+        parts.append(coarse[tuple(candidates.T)])
         at, log_mass = np.concatenate(points), np.concatenate(parts)
         mass = np.exp(log_mass - log_mass.max())
         mass /= mass.sum()
         middle = mass @ at
         spread = mass @ np.sum((at - middle) ** 2, axis=1) + 1.0 / (6.0 * FINE**2)
         best = at[int(np.argmax(log_mass))]
-        maps = self._between(best[None])
+        maps = self._interpolate(best[None])
         strength = float(likelihood(*maps)[1][0])
         return (
             self.low + self.step * middle,
             self.step * float(np.sqrt(spread)),
             strength,
-            self._misfit(seen, *maps, strength),
+            self._misfit(whitened, *maps, strength),
         )
 
     def _fine(self, near: tuple[slice, slice], free: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -203,7 +203,7 @@ class MapGrid(StoredFields):
         prior = np.repeat(self.log_prior[tuple(cells.T)], FINE**2)
         return np.clip(at, 0.0, [columns - 1.0, rows - 1.0]), prior
 
-    def _between(self, at: Array) -> tuple[Array, Array, Array | None]:
+    def _interpolate(self, at: Array) -> tuple[Array, Array, Array | None]:
         """Mean, by polynomials, and variances, of the nearest point, at indices x, y (n, 2)."""
         rows, columns, _ = self.mean.shape
         size = (min(_SUPPORT, columns), min(_SUPPORT, rows))
@@ -225,14 +225,14 @@ class MapGrid(StoredFields):
         )
 
     def _misfit(
-        self, seen: Array, mean: Array, variance: Array, rest: Array | None, strength: float
+        self, whitened: Array, mean: Array, variance: Array, rest: Array | None, strength: float
     ) -> Array:
         """Residual of each channel given all others, in standard deviations (C,)."""
-        kept = mean.shape[1]
-        spread = np.full(len(seen), 0.0 if rest is None else rest[0])
-        spread[:kept] = variance[0]
-        residual = seen.copy()
-        residual[:kept] -= strength * mean[0]
+        map_count = mean.shape[1]
+        spread = np.full(len(whitened), 0.0 if rest is None else rest[0])
+        spread[:map_count] = variance[0]
+        residual = whitened.copy()
+        residual[:map_count] -= strength * mean[0]
         precision = 1.0 / (strength**2 * spread + 1.0)
         size = np.sum(self.whitening**2 * precision, axis=1)
         misfit: Array = self.whitening @ (precision * residual) / np.sqrt(np.maximum(size, 1e-12))
@@ -246,8 +246,8 @@ def _back(grid: MapGrid) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _without(grid: MapGrid, pattern: bytes) -> MapGrid:
-    """`MapGrid.without`, the bad channels as bytes; sessions have few patterns of them."""
+def _grid_without_channels(grid: MapGrid, pattern: bytes) -> MapGrid:
+    """`MapGrid.drop_channels`, the bad channels as bytes; sessions have few patterns of them."""
     good = np.flatnonzero(~np.frombuffer(pattern, dtype=bool))
     kept, count = grid.mean.shape[2], grid.whitening.shape[1]
     back = _back(grid)[:, good]
@@ -272,19 +272,19 @@ def _without(grid: MapGrid, pattern: bytes) -> MapGrid:
 
 
 def score(
-    prior: Array, seen: Array, mean: Array, variance: Array, rest: Array | None = None
+    prior: Array, whitened: Array, mean: Array, variance: Array, rest: Array | None = None
 ) -> tuple[Array, Array]:
     """Log likelihood of places for one frame, with the strength at its best, and that (n,) each.
 
     Args:
         prior: mean and standard deviation of the strength (2,).
-        seen: independent answers (I,).
+        whitened: independent answers (I,).
         mean, variance: of the first K maps at the places (n, K).
         rest: variance of the other maps, whose mean is zero (n,); None without any.
     """
     s = np.full(len(mean), prior[0])
-    weight, kept = 1.0 / prior[1] ** 2, mean.shape[1]
-    first, others = seen[:kept], float(np.sum(seen[kept:] ** 2))
+    weight, map_count = 1.0 / prior[1] ** 2, mean.shape[1]
+    first, others = whitened[:map_count], float(np.sum(whitened[map_count:] ** 2))
     for _ in range(ROUNDS):
         precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
         weighted = precision * mean
@@ -292,10 +292,10 @@ def score(
         yy, log = precision @ first**2, np.log(precision).sum(axis=1)
         if rest is not None:
             alike = 1.0 / (s**2 * rest + 1.0)
-            yy, log = yy + alike * others, log + (len(seen) - kept) * np.log(alike)
+            yy, log = yy + alike * others, log + (len(whitened) - map_count) * np.log(alike)
         s = np.maximum((ym + prior[0] * weight) / (mm + weight), 0.05 * prior[0])
     square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
-    likelihood = -0.5 * (TAIL + len(seen)) * np.log1p(square / TAIL) + 0.5 * log
+    likelihood = -0.5 * (TAIL + len(whitened)) * np.log1p(square / TAIL) + 0.5 * log
     off = (s - prior[0]) ** 2 * weight
     return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
 
@@ -366,7 +366,7 @@ class PositionRegressor(Locator):
     Attributes:
         channel_scale: root mean square of the log ratios (C,).
         directions: unit feature vectors of the training touches (k, C).
-        weights: of the training touches in a prediction (k, 2) [m].
+        weights: weights of the training touches in a prediction (k, 2) [m].
         centre: mean of the training positions (2,) [m].
         length: length scale of the covariance, dimensionless.
         variance: covariance at distance zero.
@@ -404,13 +404,14 @@ class PressLocator(Locator):
 
     Attributes:
         grid: the maps.
-        gain: of the channels (C,), by which log |V / ref| is divided; 0 of those that were bad.
+        gain: gain of the channels (C,), by which log |V / ref| is divided; 0 of those that were
+            bad.
         channel_scale: root mean square of the log ratios (C,).
         centre: mean of the training places (2,) [m].
         error_factor: factor of the standard errors, from presses that were left out.
         misfit_limit: misfit of a channel beyond which a frame is located without it.
         others: further models of the maps, in the same units; places are means over all.
-        trust: factor of distances from the middle, below 1 where presses tell little.
+        trust: factor of distances from the middle, below 1 where presses show little.
         extent: standard deviation of the presses' places along an axis [m].
         lost_factor: factor of the standard errors where channels are left out.
     """
@@ -421,7 +422,7 @@ class PressLocator(Locator):
     centre: Array
     error_factor: float
     misfit_limit: float
-    others: Annotated[tuple[MapGrid, ...], Stored("other")] = ()
+    others: Annotated[tuple[MapGrid, ...], StoredField("other")] = ()
     trust: float = 1.0
     extent: float = 0.0
     lost_factor: float = 1.0
@@ -431,7 +432,7 @@ class PressLocator(Locator):
 
         Bad channels are left out. Where a channel departs by more than `misfit_limit` from what all
         others say, that of the worst ones is left out without which the rest agrees best, and so
-        on, at most one in `MOST_LEFT_OUT`, and `MOST_SUSPECTED` in all.
+        on, at most one in `MAX_OMITTED_FRACTION`, and `MAX_SUSPECTED_CHANNELS` in all.
         """
         size = np.abs(np.asarray(ratio))
         logs = log_ratio(ratio)
@@ -439,31 +440,31 @@ class PressLocator(Locator):
         bad = ~(np.isfinite(size) & (size > 0) & (self.gain != 0))
         lost = (bad & (self.gain != 0)).sum(axis=1) > 1
         answers = logs / np.where(self.gain == 0, 1.0, self.gain)
-        found = self._located(answers, bad)
-        rounds = min(logs.shape[1] // MOST_LEFT_OUT, MOST_SUSPECTED)
+        located = self._locate_combined(answers, bad)
+        rounds = min(logs.shape[1] // MAX_OMITTED_FRACTION, MAX_SUSPECTED_CHANNELS)
         most = bad.sum(axis=1) + rounds
         for _ in range(rounds):
-            over = np.abs(found.misfit).max(axis=1) > self.misfit_limit
+            over = np.abs(located.misfit).max(axis=1) > self.misfit_limit
             again = np.flatnonzero(over & (bad.sum(axis=1) < most))
             if not len(again):
                 break
-            worst = np.argsort(-np.abs(found.misfit[again]), axis=1)[:, :SUSPECTS]
+            worst = np.argsort(-np.abs(located.misfit[again]), axis=1)[:, :SUSPECTS]
             smallest = np.full(len(again), np.inf)
             before = bad[again]
             for suspect in worst.T:
                 less = before.copy()
                 less[np.arange(len(again)), suspect] = True
-                other = self._located(answers[again], less)
+                other = self._locate_combined(answers[again], less)
                 size = np.abs(other.misfit).max(axis=1)
                 better = size < smallest
                 smallest[better] = size[better]
                 bad[again[better]] = less[better]
-                for each in fields(Places):
-                    getattr(found, each.name)[again[better]] = getattr(other, each.name)[better]
-        found = found.drawn_to(self.grid.middle, self.trust, self.extent)
+                for field in fields(Places):
+                    getattr(located, field.name)[again[better]] = getattr(other, field.name)[better]
+        located = located.shrink_towards(self.grid.middle, self.trust, self.extent)
         factor = self.error_factor * np.where(lost, self.lost_factor, 1.0)
-        return replace(found, deviation=found.deviation * factor), bad
+        return replace(located, deviation=located.deviation * factor), bad
 
-    def _located(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
+    def _locate_combined(self, answers: Array, bad: NDArray[np.bool_]) -> Places:
         """Places by all models from answers (n, C) without the bad ones (n, C)."""
         return mixture_places([grid.locate(answers, bad) for grid in (self.grid, *self.others)])

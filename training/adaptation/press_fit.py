@@ -30,13 +30,13 @@ from eitskin.training.method.settings import single_touches
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-FEWEST = 5  # labelled presses
-GRID_POINTS, FEW_POINTS = 44, 28  # along the longer side; fewer, where few presses tell little
+MIN_PRESSES = 5  # labelled presses
+GRID_POINTS, FEW_POINTS = 44, 28  # along the longer side; fewer, where few presses show little
 FOLDS = 5
-MOST_TESTED = 20  # presses of a fold
+MAX_FOLD_PRESSES = 20  # presses of a fold
 MISFIT = 6.0  # standard deviations; a channel that departs further is left out of the frame
 MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
-FEW_MARGIN = 20.0  # more, over the number of these: few do not tell the usual misfit
+FEW_MARGIN = 20.0  # more, over the number of these: few do not show the usual misfit
 PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
 # Presses at which learned covariances double the error variance, without the design and with it.
 COVARIANCE_PRESSES, WITH_DESIGN = 10.0, 4.0
@@ -45,7 +45,7 @@ USUAL_EXPONENT, EXPONENT_SPREAD = 1.25, 0.4  # 1 of a force, 1.5 of a depth by H
 NOISE = 0.05
 ROUNDS = 4
 SPREAD = 0.5  # prior standard deviation of the logarithm of an unknown strength
-_MOST = 150  # presses that an exponent is learned from
+_MAX_EXPONENT_PRESSES = 150  # presses that an exponent is learned from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +54,10 @@ class LabelledPresses:
 
     Attributes:
         ratios: |V / ref| (n, C), ref being untouched; NaN where a channel is bad.
-        places: of the touches (n, 2) [m].
+        places: places of the touches (n, 2) [m].
         label: depth [m] or else force [N] of each (n,); None where not all are known.
-        design: of the sensor; None where unknown.
-        protocol: of the channels; None where unknown.
+        design: design of the sensor; None where unknown.
+        protocol: protocol of the channels; None where unknown.
     """
 
     ratios: Array
@@ -67,7 +67,7 @@ class LabelledPresses:
     protocol: Protocol | None = None
 
     @classmethod
-    def of(
+    def from_dataset(
         cls, dataset: Dataset, frames: Rows | None = None, usual: ReadingRange | None = None
     ) -> "LabelledPresses":
         """Presses of a dataset: all of them, or those of `frames` (n,), of one touch each.
@@ -78,8 +78,8 @@ class LabelledPresses:
         dataset = follow_recording(dataset, usual)[0]
         rows = single_touches(dataset) if frames is None else frames
         free = dataset.touch_reference[rows]
-        known = np.isfinite(free).all(axis=1, keepdims=True)
-        reference = np.where(known, free, dataset.reference[dataset.specimen[rows]])
+        finite = np.isfinite(free).all(axis=1, keepdims=True)
+        reference = np.where(finite, free, dataset.reference[dataset.specimen[rows]])
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.abs(dataset.impedance[rows] / reference).astype(float)
         ratios[dataset.status[rows] != 0] = np.nan
@@ -96,10 +96,10 @@ class LabelledPresses:
         return len(self.ratios)
 
     @property
-    def held(self) -> Rows:
+    def press_numbers(self) -> Rows:
         """Number of the press of each frame (n,): frames in succession may see one held touch."""
-        known = [self.places] if self.label is None else [self.places, self.label]
-        return held_numbers(np.column_stack(known))
+        label_columns = [self.places] if self.label is None else [self.places, self.label]
+        return held_numbers(np.column_stack(label_columns))
 
     def select(self, rows: Rows) -> "LabelledPresses":
         """Presses at `rows` (k,)."""
@@ -143,22 +143,22 @@ class StrengthLaw:
 
         Args:
             density: log predictive density of each press when it is left out (n,).
-            presses: of any strength.
+            presses: presses of any strength.
             label: depth or force of each, positive (n,).
         """
         values = np.asarray(label, dtype=float)
         middle = float(np.median(values))
         if np.ptp(values) < 0.01 * middle:
             return cls(middle, 1.0)
-        some = np.arange(0, len(values), -(-len(values) // _MOST))
+        some = np.arange(0, len(values), -(-len(values) // _MAX_EXPONENT_PRESSES))
         part = presses.select(some)
-        found = []
+        fits = []
         for exponent in EXPONENTS:
             strength = (values[some] / middle) ** exponent
             off = (exponent - USUAL_EXPONENT) / EXPONENT_SPREAD
-            found.append(np.sum(density(replace(part, strength=strength))) - 0.5 * off**2)
-        best = int(np.clip(np.argmax(found), 1, len(EXPONENTS) - 2))
-        a, b, c = found[best - 1 : best + 2]
+            fits.append(np.sum(density(replace(part, strength=strength))) - 0.5 * off**2)
+        best = int(np.clip(np.argmax(fits), 1, len(EXPONENTS) - 2))
+        a, b, c = fits[best - 1 : best + 2]
         bend = a - 2.0 * b + c
         shift = 0.5 * (a - c) / bend if bend < 0.0 else 0.0
         step = float(EXPONENTS[1] - EXPONENTS[0])
@@ -181,10 +181,10 @@ def learned_strength(kernel: PlaceKernel, presses: Presses) -> Array:
         scaled = replace(scaled, answers=scaled.answers / scaled.unit_scale)
         maps = ChannelMaps.fit(kernel, scaled, NOISE)
         mean, variance = maps.left_out(scaled)
-        seen = scaled.answers @ maps.whitening
+        whitened = scaled.answers @ maps.whitening
         map_mean, weight = mean / strength[:, None], 1.0 / variance
         prior = 1.0 / SPREAD**2
-        best = np.sum(weight * seen * map_mean, axis=1) + prior
+        best = np.sum(weight * whitened * map_mean, axis=1) + prior
         best /= np.sum(weight * map_mean**2, axis=1) + prior
         strength = np.clip(best, 0.05, 20.0)
         strength /= np.exp(np.mean(np.log(strength)))
@@ -196,8 +196,8 @@ class LearnedPlaces:
     """Locator of touches that presses taught, and how good it is.
 
     Attributes:
-        locator: of touches.
-        law: between strength and depth or force; None where neither was known.
+        locator: locator of touches.
+        law: law between strength and depth or force; None where neither was known.
         choice: how the maps are modelled; the first where several ways are averaged over.
         validated: figures of presses that were left out, in blocks of neighbours in time: their
             number `presses`, the mean error `mean_error_mm` of places [mm], and the root mean
@@ -213,51 +213,54 @@ class LearnedPlaces:
 def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     """Learn places from labelled presses.
 
-    Frames in succession that see one held touch are one press: they tell the noise, and are left
+    Frames in succession that see one held touch are one press: they show the noise, and are left
     out together. With the sensor's design the span of its sensitivities is part of the prior, and
-    with the protocol it tells which sectors are alike.
+    with the protocol it shows which sectors are alike.
 
-    Raises DataError for fewer than `FEWEST` presses, or presses all at one place.
+    Raises DataError for fewer than `MIN_PRESSES` presses, or presses all at one place.
     """
     dead = 2 * np.isnan(labelled.ratios).sum(axis=0) > len(labelled)
     whole = np.flatnonzero(np.isfinite(labelled.ratios[:, ~dead]).all(axis=1))
-    if 2 * len(whole) >= max(len(labelled), 2 * FEWEST):  # few are spoilt, as by a late fault
+    if 2 * len(whole) >= max(len(labelled), 2 * MIN_PRESSES):  # few are spoilt, as by a late fault
         labelled = labelled.select(whole)
     logs, xy, design = log_ratio(labelled.ratios), labelled.places, labelled.design
     extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
-    held = labelled.held
+    held = labelled.press_numbers
     first = np.unique(held, return_index=True)[1]
     count = len(first)
-    if count < FEWEST or extent == 0.0:
+    if count < MIN_PRESSES or extent == 0.0:
         raise DataError(
-            f"learning touch positions needs at least {FEWEST} presses of one touch, at different "
+            f"learning touch positions needs at least {MIN_PRESSES} presses of one touch, at "
+            f"different "
             f"positions, and an untouched reference, got {count}; record more"
         )
-    known = SheetKnowledge.of(extent, design, labelled.protocol, logs.shape[1])
-    recorded = Presses.of(xy, np.ones(len(xy)), logs, held)
+    knowledge = SheetKnowledge.from_design(extent, design, labelled.protocol, logs.shape[1])
+    recorded = Presses.from_frames(xy, np.ones(len(xy)), logs, held)
     law, label = None, labelled.label
     if label is None:
-        strength = learned_strength(known.kernel(MapChoice()), recorded)
+        strength = learned_strength(knowledge.kernel(MapChoice()), recorded)
     else:
-        law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), recorded, label)
+        law = StrengthLaw.fit(lambda these: knowledge.density(MapChoice(), these), recorded, label)
         strength = law.strength(label)
     presses = replace(recorded, strength=strength)
-    choices = known.choices(presses)
-    region = _Region.of(xy[first], design, GRID_POINTS if len(choices) == 1 else FEW_POINTS)
-    grids, gains = _map_grids(known, choices, presses, region)
+    choices = knowledge.choices(presses)
+    region = _Region.from_places(
+        xy[first], design, GRID_POINTS if len(choices) == 1 else FEW_POINTS
+    )
+    grids, gains = _map_grids(knowledge, choices, presses, region)
     members = electrode_members(labelled.protocol, logs.shape[1])
-    found, true, lost = _cross_validated(known, choices, presses, region, members)
+    located, true, lost = _cross_validated(knowledge, choices, presses, region, members)
     middle = grids[0].middle
-    away = found.place - middle  # and the factor of it that comes closest to the true places
+    away = located.place - middle  # and the factor of it that comes closest to the true places
     trust = float(np.clip(np.sum(away * (true - middle)) / max(np.sum(away**2), 1e-12), 0.0, 1.0))
-    found = found.drawn_to(middle, trust, extent)
-    errors = np.linalg.norm(found.place - true, axis=1)
-    off = errors / found.deviation
-    few = COVARIANCE_PRESSES if known.span is None else WITH_DESIGN
+    located = located.shrink_towards(middle, trust, extent)
+    errors = np.linalg.norm(located.place - true, axis=1)
+    off = errors / located.deviation
+    few = COVARIANCE_PRESSES if knowledge.span is None else WITH_DESIGN
     variance = _mean_square(off) * (1.0 + few / count)
-    lost = lost.drawn_to(middle, trust, extent)
+    lost = lost.shrink_towards(middle, trust, extent)
     off_lost = np.linalg.norm(lost.place - true, axis=1) / lost.deviation
-    usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
+    usual = float(np.quantile(np.abs(located.misfit).max(axis=1), 0.95))
     locator = PressLocator(
         grids[0],
         np.where(dead, 0.0, gains),
@@ -278,10 +281,10 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     return LearnedPlaces(locator, law, choices[0], validated)
 
 
-def _mean_square(off: Array) -> float:
+def _mean_square(deviations: Array) -> float:
     """Mean square of errors over standard errors, outliers cut, few of them drawn to one."""
-    square = float(np.sum(np.minimum(off, 5.0) ** 2))
-    return (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
+    square = float(np.sum(np.minimum(deviations, 5.0) ** 2))
+    return (PRIOR_TESTS + square) / (PRIOR_TESTS + len(deviations))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,7 +293,7 @@ class _Region:
 
     Attributes:
         low: first point (2,) [m].
-        step: between points [m].
+        step: step between points [m].
         points: all of them, row by row (n, 2) [m].
         log_prior: (rows, columns), uniform within the region.
     """
@@ -301,7 +304,7 @@ class _Region:
     log_prior: Array
 
     @classmethod
-    def of(cls, places: Array, design: SensorDesign | None, longer: int) -> "_Region":
+    def from_places(cls, places: Array, design: SensorDesign | None, longer: int) -> "_Region":
         """Region within reach of the presses' places (n, 2), and within the outline where known.
 
         Reach is 1.5 times the distance of neighbours, were the presses on a square grid over the
@@ -335,23 +338,25 @@ class _Region:
 
 
 def _map_grids(
-    known: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
+    knowledge: SheetKnowledge, choices: Sequence[MapChoice], presses: Presses, region: _Region
 ) -> tuple[list[MapGrid], Array]:
     """Grids of the maps by each choice, for answers in units of the gains (C,) of the first."""
     s, (low, step, prior) = presses.strength, (region.low, region.step, region.log_prior)
     strength = np.array([s.mean(), s.std() + 0.15 * s.mean()])
-    fits = [known.fit(choice, presses)[:2] for choice in choices]
+    fits = [knowledge.fit(choice, presses)[:2] for choice in choices]
     units = fits[0][1]
     grids = []
     for maps, gains in fits:
-        mean, variance = (v.reshape(*prior.shape, -1) for v in maps.at(region.points))
+        mean, variance = (v.reshape(*prior.shape, -1) for v in maps.evaluate(region.points))
         whitening = (units / gains)[:, None] * maps.whitening
-        grids.append(MapGrid(low, step, mean, variance, prior, whitening, strength).shortened())
+        grids.append(
+            MapGrid(low, step, mean, variance, prior, whitening, strength).merge_weak_maps()
+        )
     return grids, units
 
 
 def _cross_validated(
-    known: SheetKnowledge,
+    knowledge: SheetKnowledge,
     choices: Sequence[MapChoice],
     presses: Presses,
     region: _Region,
@@ -364,16 +369,16 @@ def _cross_validated(
     """
     owners, first = np.unique(presses.owner, return_index=True)
     blocks = np.array_split(np.arange(len(owners)), min(FOLDS, len(owners)))
-    found, true, lost = [], [], []
+    located, true, lost = [], [], []
     for number, block in enumerate(blocks):
-        tested = first[block[:: -(-len(block) // MOST_TESTED)]]
-        rest = presses.select(~np.isin(presses.owner, owners[block]))
-        grids, gains = _map_grids(known, choices, rest, region)
+        tested = first[block[:: -(-len(block) // MAX_FOLD_PRESSES)]]
+        training_presses = presses.select(~np.isin(presses.owner, owners[block]))
+        grids, gains = _map_grids(knowledge, choices, training_presses, region)
         answers = presses.answers[tested] / gains
-        found.append(mixture_places([grid.locate(answers) for grid in grids]))
+        located.append(mixture_places([grid.locate(answers) for grid in grids]))
         true.append(presses.places[tested])
         out = np.zeros(answers.shape, dtype=bool)
         if len(members):
             out |= members[number * len(members) // len(blocks)]
         lost.append(grids[0].locate(answers, out))
-    return concatenate(found), np.concatenate(true), concatenate(lost)
+    return concatenate(located), np.concatenate(true), concatenate(lost)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 5e-4  # m: how far an electrode may stand from its place by symmetry
 GAIN_SPREAD = 0.3  # of the logarithms of the gains of channels alike
-MOST_GAINS_BY = 64  # presses that gains are learned from; more share nothing with sectors
+MAX_GAIN_PRESSES = 64  # presses that gains are learned from; more share nothing with sectors
 NOISE = 0.05  # variance of what symmetry leaves unexplained, relative to the answers'
 SPAN_PIXELS = 3600
 STARTS = 8  # combinations of signs that are tried in full
@@ -35,9 +35,9 @@ COPIES = (0.0, 1 / 64, 1 / 256)
 AVERAGED_COPIES = (1 / 64, 1 / 16)
 NOISES = (0.01, 0.1, 1.0)
 WEIGHTS = (1.0, 5.0)
-MOST_AVERAGED_BY = 8  # presses
-MOST_SHARED = 64  # presses; beyond that, own ones say more than those of other sectors
-MOST_CHOSEN_BY = 200
+MAX_AVERAGED_PRESSES = 8  # presses
+MAX_SHARED_PRESSES = 64  # presses; beyond that, own ones say more than those of other sectors
+MAX_CHOICE_PRESSES = 200
 MAX_LEFT_OUT = 40  # presses, or two for each channel; fewer are left out of all that is learned
 FOLDS = 5
 
@@ -48,7 +48,7 @@ def design_span(design: SensorDesign) -> DesignSpan:
     They are solved for currents e_j - e_0 between electrodes, and combined to those for
     e_j - mean(e), so that all electrodes count alike.
     """
-    grid = PixelGrid.of(design.outline, SPAN_PIXELS)
+    grid = PixelGrid.from_outline(design.outline, SPAN_PIXELS)
     n = len(design.electrodes)
     j, k = np.triu_indices(n - 1) + np.ones((2, 1), int)
     rows = [(drive, 0, sense, 0) for drive, sense in zip(j.tolist(), k.tolist(), strict=True)]
@@ -69,7 +69,7 @@ class Sectors:
     """Group of rotations by 360/n degrees under which electrodes and measurements are alike.
 
     Attributes:
-        centre: of the rotation (2,) [m].
+        centre: centre of the rotation (2,) [m].
         turned: channel that channel c becomes after r rotations, (n, C).
     """
 
@@ -77,10 +77,12 @@ class Sectors:
     turned: NDArray[np.int64]
 
     @classmethod
-    def of(cls, design: SensorDesign | None, protocol: Protocol | None) -> "Sectors | None":
+    def from_design(
+        cls, design: SensorDesign | None, protocol: Protocol | None
+    ) -> "Sectors | None":
         """Largest such group; None where there is none, or design or protocol are not known.
 
-        Measurements are alike only with each electrode in the same role: an instrument may tell
+        Measurements are alike only with each electrode in the same role: an instrument may show
         source from sink, and one sense lead from the other.
         """
         if design is None or protocol is None or not isinstance(design.outline, Disc | Rectangle):
@@ -93,7 +95,7 @@ class Sectors:
         )
         for n in turns:
             step = _permutation(places, n)
-            moved = [] if step is None else _moved(protocol, step)
+            moved = [] if step is None else _permute_channels(protocol, step)
             if moved and min(moved) >= 0:
                 turned = [np.arange(len(protocol))]
                 for _ in range(n - 1):
@@ -101,24 +103,24 @@ class Sectors:
                 return cls(centre, np.array(turned))
         return None
 
-    def rotated(self, places: Array, steps: int) -> Array:
+    def rotate(self, places: Array, steps: int) -> Array:
         """Places (n, 2) [m] after some rotations."""
         turn = _rotation(steps / len(self.turned))
         rotated: Array = (places - self.centre) @ turn + self.centre
         return rotated
 
-    def shared(self, presses: Presses, weight: float) -> Presses:
+    def copy_to_sectors(self, presses: Presses, weight: float) -> Presses:
         """Presses, and after them their copies in all other sectors, of smaller weight.
 
         Args:
             presses: recorded ones, their answers in units of the channels' gains.
-            weight: of a copy, between 0 and 1.
+            weight: weight of a copy, between 0 and 1.
         """
         copies = [presses]
         for steps in range(1, len(self.turned)):
             answers = np.empty_like(presses.answers)
             answers[:, self.turned[steps]] = presses.answers
-            places = self.rotated(presses.places, steps)
+            places = self.rotate(presses.places, steps)
             copies.append(
                 replace(presses, places=places, answers=answers, weight=weight * presses.weight)
             )
@@ -132,9 +134,9 @@ class Sectors:
         the orbit; magnitudes hide the sign of a voltage, so combinations of signs are tried.
         """
         gains = presses.unit_scale
-        few = presses.select(np.arange(min(MOST_GAINS_BY, len(presses.strength))))
+        few = presses.select(np.arange(min(MAX_GAIN_PRESSES, len(presses.strength))))
         n, done = len(few.strength), np.zeros(len(gains), dtype=bool)
-        back = np.concatenate([self.rotated(few.places, -r) for r in range(len(self.turned))])
+        back = np.concatenate([self.rotate(few.places, -r) for r in range(len(self.turned))])
         strength = np.tile(few.strength, len(self.turned))
         covariance = kernel(back, back) * np.outer(strength, strength)
         covariance += NOISE * float(np.mean(few.strength**2)) * np.eye(len(back))
@@ -160,12 +162,12 @@ def _rotation(turns: float) -> Array:
 def _permutation(places: Array, n: int) -> NDArray[np.int64] | None:
     """Electrode at the place of each after a rotation by 1/n; None where there is none."""
     away = np.linalg.norm((places @ _rotation(1.0 / n))[:, None] - places, axis=2)
-    found = away.argmin(axis=1)
-    alike = away.min(axis=1).max() < TOLERANCE and len(set(found.tolist())) == len(places)
-    return found if alike else None
+    nearest = away.argmin(axis=1)
+    alike = away.min(axis=1).max() < TOLERANCE and len(set(nearest.tolist())) == len(places)
+    return nearest if alike else None
 
 
-def _moved(protocol: Protocol, step: NDArray[np.int64]) -> list[int]:
+def _permute_channels(protocol: Protocol, step: NDArray[np.int64]) -> list[int]:
     """Channel that each becomes when electrode e becomes step[e]; -1 where there is none.
 
     With source and sink, and both sense leads, swapped at once, a measurement is the same.
@@ -182,11 +184,11 @@ def _gains(quadratic: Array, presses: int) -> Array:
     size = len(quadratic)
     signs = np.ones((1, size))
     for at in range(1, size):  # the best combinations of the first channels, extended by one
-        both = np.concatenate([signs, signs * np.where(np.arange(size) == at, -1.0, 1.0)])
-        head = both[:, : at + 1]
+        sign_choices = np.concatenate([signs, signs * np.where(np.arange(size) == at, -1.0, 1.0)])
+        head = sign_choices[:, : at + 1]
         cost = np.einsum("ia,ab,ib->i", head, quadratic[: at + 1, : at + 1], head)
-        signs = both[np.argsort(cost, kind="stable")[: 1 << 7]]
-    fits = [_positive_gains(quadratic * np.outer(each, each), presses) for each in signs[:STARTS]]
+        signs = sign_choices[np.argsort(cost, kind="stable")[: 1 << 7]]
+    fits = [_positive_gains(quadratic * np.outer(sign, sign), presses) for sign in signs[:STARTS]]
     best = int(np.argmin([cost for _, cost in fits]))
     gains: Array = signs[best] * fits[best][0]
     return gains
@@ -223,10 +225,10 @@ class MapChoice:
 
     Attributes:
         length: length scale over the presses' standard deviation along an axis.
-        share: of the design's span in the prior variance; zero without a design.
+        share: share of the design's span in the prior variance; zero without a design.
         copies: weight of a press's copies in other sectors; zero for none.
         noise: prior guess of the noise variance, relative to the answers'.
-        weight: of prior guesses of the channels' covariances, in presses per channel.
+        weight: weight of prior guesses of the channels' covariances, in presses per channel.
     """
 
     length: float = 1.5
@@ -238,12 +240,12 @@ class MapChoice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SheetKnowledge:
-    """Knowledge of a sheet beside its presses.
+    """Knowledge of a sheet next to its presses.
 
     Attributes:
         extent: standard deviation of the presses' places along an axis [m].
-        span: of the sensor's design; None where it is not known.
-        sectors: that are alike; None without any.
+        span: span of the sensor's design; None where it is not known.
+        sectors: sectors that are alike; None without any.
     """
 
     extent: float
@@ -251,14 +253,16 @@ class SheetKnowledge:
     sectors: Sectors | None = None
 
     @classmethod
-    def of(
+    def from_design(
         cls, extent: float, design: SensorDesign | None, protocol: Protocol | None, channels: int
     ) -> "SheetKnowledge":
         """Knowledge by a design; the extent alone where there is none, or it is no plane one."""
         if design is None or not isinstance(design.outline, PlaneOutline):
             return cls(extent)
         fits = protocol is not None and len(protocol) == channels
-        return cls(extent, design_span(design), Sectors.of(design, protocol) if fits else None)
+        return cls(
+            extent, design_span(design), Sectors.from_design(design, protocol) if fits else None
+        )
 
     def kernel(self, choice: MapChoice) -> PlaceKernel:
         """Prior covariance over the sheet."""
@@ -275,7 +279,7 @@ class SheetKnowledge:
             gains = shared.gains(PlaceKernel(choice.length * self.extent), presses)
         scaled = replace(presses, answers=presses.answers / gains)
         if shared is not None:
-            scaled = shared.shared(scaled, choice.copies)
+            scaled = shared.copy_to_sectors(scaled, choice.copies)
         return (
             ChannelMaps.fit(self.kernel(choice), scaled, choice.noise, choice.weight),
             gains,
@@ -285,9 +289,9 @@ class SheetKnowledge:
     def choices(self, presses: Presses) -> Sequence[MapChoice]:
         """Choices over which places are averaged: the best one, or several where presses are few.
 
-        A handful of presses tells none of them from the others, and the errors of each are its own.
+        A handful of presses shows none of them from the others, and the errors of each are its own.
         """
-        if len(presses.owners) > MOST_AVERAGED_BY:
+        if len(presses.owners) > MAX_AVERAGED_PRESSES:
             return [self.choose(presses)]
         shares = SHARES[:2] if self.span is not None else (0.0,)
         copies = AVERAGED_COPIES if self.sectors is not None else (0.0,)
@@ -297,11 +301,11 @@ class SheetKnowledge:
         """Best choice, one attribute after the other, by a clear margin: its standard error.
 
         The score is the mean log predictive density of a press that is left out: in closed form,
-        or, with few presses, with everything learned anew without it.
+        or, with few presses, with everything learned again without it.
         """
         rows, count = len(presses.strength), len(presses.owners)
-        some = presses.select(np.arange(0, rows, -(-rows // MOST_CHOSEN_BY)))
-        shared = self.sectors is not None and count <= MOST_SHARED
+        some = presses.select(np.arange(0, rows, -(-rows // MAX_CHOICE_PRESSES)))
+        shared = self.sectors is not None and count <= MAX_SHARED_PRESSES
         options: Sequence[tuple[str, Sequence[float]]] = (
             ("length", LENGTHS),
             ("share", SHARES if self.span is not None else ()),
@@ -334,16 +338,16 @@ class SheetKnowledge:
         It is the mean of those of its frames, which share the errors of the maps.
         """
         owners, number, frames = np.unique(presses.owner, return_inverse=True, return_counts=True)
-        found = np.zeros(len(number))
+        log_density = np.zeros(len(number))
         if len(owners) > max(MAX_LEFT_OUT, 2 * presses.answers.shape[1]):
             maps, gains, scaled = self.fit(choice, presses)
-            found[:] = maps.left_out_density(scaled) - np.sum(np.log(np.abs(gains)))
+            log_density[:] = maps.left_out_density(scaled) - np.sum(np.log(np.abs(gains)))
         else:
             for fold in range(folds := min(FOLDS, len(owners))):
                 tested = np.isin(presses.owner, owners[fold::folds])
                 other = presses.select(tested)
                 maps, gains, _ = self.fit(choice, presses.select(~tested))
-                density = maps.density_of(replace(other, answers=other.answers / gains))
-                found[tested] = density - np.sum(np.log(np.abs(gains)))
-        mean: Array = np.bincount(number, found) / frames
+                density = maps.log_density(replace(other, answers=other.answers / gains))
+                log_density[tested] = density - np.sum(np.log(np.abs(gains)))
+        mean: Array = np.bincount(number, log_density) / frames
         return mean

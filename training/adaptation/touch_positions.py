@@ -15,7 +15,7 @@ from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import POSITIONS, Progress, TrainingSettings
-from eitskin.training.method.stored_fields import Arrays, arrays_as
+from eitskin.training.method.stored_fields import Arrays, prefix_arrays
 from eitskin.training.method.targets import Targets, TrainingFrames
 
 MIN_STRENGTH = 0.2  # of the usual touch; the direction of a smaller change is mostly noise
@@ -28,8 +28,9 @@ class TouchPositions(Method):
     """Positions of single touches on one sensor; neither state nor bend angle nor force.
 
     Attributes:
-        locator: from ratios V / reference to positions; a regressor in pipelines of version 0.1.
-        labels: of the measurements.
+        locator: locator from ratios V / reference to positions; a regressor in pipelines of version
+            0.1.
+        labels: labels of the measurements.
         learned: law of strength, model of the maps and errors in presses that were left out.
     """
 
@@ -47,7 +48,7 @@ class TouchPositions(Method):
         Depths or forces are used where all of these frames have them; design and protocol where the
         dataset has them. Raises DataError for fewer than 5 presses.
         """
-        learned = learn_places(LabelledPresses.of(frames.dataset))
+        learned = learn_places(LabelledPresses.from_dataset(frames.dataset))
         facts = {
             "law": learned.law and asdict(learned.law),
             "choice": asdict(learned.choice),
@@ -66,15 +67,15 @@ class TouchPositions(Method):
         ratio = 1.0 + observations.dynamic
         strength = self.locator.strength(ratio)
         touched = np.flatnonzero(strength >= MIN_STRENGTH)
-        touches = [FoundTouches.of((), ())] * count
+        touches = [FoundTouches.from_arrays((), ())] * count
         problems: list[tuple[str, ...]] = [()] * count
         if len(touched):
             places, left_out = self.locator.locate(ratio[touched])
-            known = self.locator.channel_scale < UNKNOWN_SCALE
-            misfits = left_out & np.isfinite(ratio[touched]) & known
+            good_channels = self.locator.channel_scale < UNKNOWN_SCALE
+            misfits = left_out & np.isfinite(ratio[touched]) & good_channels
             for at, row in enumerate(touched):
                 size, deviation = min(float(strength[row]), 1.0), places.deviation[at]
-                touches[row] = FoundTouches.of(places.place[at], size, deviation=deviation)
+                touches[row] = FoundTouches.from_arrays(places.place[at], size, deviation=deviation)
                 problems[row] = tuple(
                     f"channel {self.labels[i]} departs from what all others say and is left out"
                     for i in np.flatnonzero(misfits[at])
@@ -95,7 +96,7 @@ class TouchPositions(Method):
 
     def examples(self, train: Dataset) -> Observations:
         """A few of the touches in `train`, by which a saved copy is checked."""
-        return _observations(LabelledPresses.of(train).ratios[:EXAMPLES])
+        return _observations(LabelledPresses.from_dataset(train).ratios[:EXAMPLES])
 
     def arrays(self) -> Arrays:
         """Arrays of the locator."""
@@ -115,9 +116,9 @@ def _still_noise(channel_scale: NDArray[Any]) -> float:
 
 def _observations(ratio: NDArray[np.float64]) -> Observations:
     """Observations of ratios V / reference (n, C)."""
-    one = np.ones(len(ratio))
+    ages = np.ones(len(ratio))
     change, flat = ratio - 1.0, np.full(ratio.shape, np.nan)
-    return Observations(change, change, flat, one, one, one, one - 1.0, one - 1.0)
+    return Observations(change, change, flat, ages, ages, ages, ages - 1.0, ages - 1.0)
 
 
 def with_common_form(
@@ -133,5 +134,5 @@ def with_common_form(
         "noise": _still_noise(weights["channel_scale"]),
         "settings": {"method": POSITIONS},
     }
-    inputs = arrays_as("input", _observations(ratio).arrays())
+    inputs = prefix_arrays("input", _observations(ratio).arrays())
     return {**document, **common}, weights, inputs | {"output.place": golden["output.place"]}

@@ -14,7 +14,7 @@ from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import MissingChannels, Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
-from eitskin.training.method.stored_fields import GIVEN, Arrays, field_arrays, restored_fields
+from eitskin.training.method.stored_fields import GIVEN_FIELD, Arrays, field_arrays, restored_fields
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames
 from eitskin.training.paper.stages import find_touches
 from eitskin.training.reconstruction.reconstructor import Reconstructor
@@ -29,17 +29,17 @@ class GreitMethod(Method):
     """Touches as the regions above half the maximum of a GREIT picture, at their centroids.
 
     The picture is that of dV from the dynamic reference. The sizes of dV from both references,
-    against thresholds, tell the state. Neither angles nor forces are estimated.
+    against thresholds, show the state. Neither angles nor forces are estimated.
 
     Attributes:
         matrix: picture of each channel's dV (C, rows, columns); 0 outside the outline.
         static, dynamic: imputation of bad channels.
-        thresholds: of the sizes of dV from the dynamic reference, above which a frame is touched,
-            and from the static one, above which another is bent (2,); infinite for states that are
-            not told apart.
+        thresholds: thresholds of the sizes of dV from the dynamic reference, above which a frame is
+            touched, and from the static one, above which another is bent (2,); infinite for states
+            that are not distinguished.
         spec: sensor.
-        radius: of the indenters [m].
-        states: that are told apart.
+        radius: radius of the indenters [m].
+        states: states that are distinguished.
     """
 
     KIND: ClassVar[str] = "greit"
@@ -48,7 +48,7 @@ class GreitMethod(Method):
     static: MissingChannels
     dynamic: MissingChannels
     thresholds: Array
-    spec: Annotated[InputSpec, GIVEN]
+    spec: Annotated[InputSpec, GIVEN_FIELD]
     radius: float
     states: tuple[int, ...]
 
@@ -61,10 +61,11 @@ class GreitMethod(Method):
             raise ConfigurationError(
                 f"the method greit has no options, got {', '.join(settings.options)}"
             )
-        data, seen, spec = frames.dataset, frames.observations, frames.spec
+        data, observations, spec = frames.dataset, frames.observations, frames.spec
         if "touch" not in frames.targets.states or not frames.targets.touches:
             raise DataError(
-                "the method greit finds touches, got no touched frames with places beside untouched"
+                "the method greit finds touches, got no touched frames with places besides "
+                "untouched"
                 " ones; record or generate some"
             )
         progress(cls.KIND, 0, 1)
@@ -72,9 +73,9 @@ class GreitMethod(Method):
             np.eye(len(spec.protocol))
         )
         matrix = np.nan_to_num(pictures)
-        still = MissingChannels.fit(seen.static, frames.noise)
-        moving = MissingChannels.fit(seen.dynamic, frames.noise)
-        static, dynamic = still.fill(seen.static), moving.fill(seen.dynamic)
+        still = MissingChannels.fit(observations.static, frames.noise)
+        moving = MissingChannels.fit(observations.dynamic, frames.noise)
+        static, dynamic = still.fill(observations.static), moving.fill(observations.dynamic)
         touched, bent = data.state == State.TOUCH, data.state == State.BEND
         states = tuple(STATE_NAMES.index(name) for name in frames.targets.states)
         bent_above = np.inf if State.BEND not in states else 0.0
@@ -101,15 +102,15 @@ class GreitMethod(Method):
         state = np.where(touched, State.TOUCH, np.where(bent, State.BEND, State.IDLE))
         probabilities = np.full((len(state), len(State)), np.nan)
         probabilities[:, self.states] = state[:, None] == self.states
-        found = {}
+        centroids = {}
         for row in np.flatnonzero(touched).tolist():
             picture = np.tensordot(dynamic[row], self.matrix, 1)
             scaled = picture / max(float(picture.max()), 1e-300)
-            found[row] = find_touches(scaled, self.spec.outline, HALF)
-        placed = np.full((len(state), max(map(len, found.values()), default=0), 3), np.nan)
-        for row, touches in found.items():
+            centroids[row] = find_touches(scaled, self.spec.outline, HALF)
+        placed = np.full((len(state), max(map(len, centroids.values()), default=0), 3), np.nan)
+        for row, touches in centroids.items():
             placed[row, : len(touches)] = touches
-        return Predictions.of(
+        return Predictions.from_arrays(
             len(state),
             self.spec,
             probabilities=probabilities,

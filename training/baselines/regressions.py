@@ -52,12 +52,12 @@ class RidgeMethod(TableMethod):
         table = np.hstack([features, features**2]) if options.squares else features
         middle = table.mean(axis=0)
         U, s, Vt = np.linalg.svd(table - middle, full_matrices=False)
-        projected, rest = U.T @ truth, np.sum(truth**2)
+        projected, residual = U.T @ truth, np.sum(truth**2)
         errors, m = [], len(table)
         for parameter in m * PARAMETERS:
-            kept = s**2 / (s**2 + parameter)
-            misfit = rest - np.sum((1.0 - (1.0 - kept[:, None]) ** 2) * projected**2)
-            errors.append(misfit / (m - kept.sum()) ** 2)
+            shrinkage = s**2 / (s**2 + parameter)
+            misfit = residual - np.sum((1.0 - (1.0 - shrinkage[:, None]) ** 2) * projected**2)
+            errors.append(misfit / (m - shrinkage.sum()) ** 2)
         chosen = m * PARAMETERS[int(np.argmin(errors))]
         weights: Array = Vt.T @ ((s / (s**2 + chosen))[:, None] * projected)
         return {"weights": weights, "middle": middle}
@@ -118,11 +118,11 @@ class MlpMethod(TableMethod):
 
         sizes = [features.shape[1], *[options.width] * options.layers, truth.shape[1]]
         network = seeded_network(lambda: dense_layers(sizes, torch.nn.ReLU), seed)
-        inputs, wanted = as_tensor(features), as_tensor(truth)
+        inputs, targets = as_tensor(features), as_tensor(truth)
         with one_torch_thread():  # networks this small are slower on several
             train_network(
                 network,
-                lambda chosen, _: (inputs[chosen], wanted[chosen]),
+                lambda chosen, _: (inputs[chosen], targets[chosen]),
                 torch.nn.functional.mse_loss,
                 len(features),
                 NetworkSettings(options.learning_rate, options.epochs),
@@ -171,7 +171,7 @@ class ExtraTreesMethod(TableMethod):
         truth: Array,
         options: TreeOptions,
         seed: int,
-        progress: Progress,  # noqa: ARG003  scikit-learn tells none
+        progress: Progress,  # noqa: ARG003  scikit-learn shows none
     ) -> dict[str, NDArray[Any]]:
         require("sklearn", "training")
         from sklearn.ensemble import ExtraTreesRegressor
@@ -179,7 +179,7 @@ class ExtraTreesMethod(TableMethod):
         forest = ExtraTreesRegressor(
             options.trees, min_samples_leaf=options.leaf, random_state=seed
         ).fit(features, truth if truth.shape[1] > 1 else truth[:, 0])
-        trees = [each.tree_ for each in forest.estimators_]
+        trees = [estimator.tree_ for estimator in forest.estimators_]
         first = np.cumsum([0, *(tree.node_count for tree in trees)])
         children = (
             [
@@ -188,11 +188,11 @@ class ExtraTreesMethod(TableMethod):
             ]
             for name in ("children_left", "children_right")
         )
-        left, right = (np.concatenate(side).astype(np.int32) for side in children)
+        left_children, right_children = (np.concatenate(side).astype(np.int32) for side in children)
         return {
             "roots": first[:-1].astype(np.int32),
-            "left": left,
-            "right": right,
+            "left": left_children,
+            "right": right_children,
             "feature": np.concatenate([tree.feature for tree in trees]).astype(np.int32),
             "threshold": np.concatenate([tree.threshold for tree in trees]),
             "value": np.concatenate([tree.value[:, :, 0] for tree in trees]).astype(np.float32),

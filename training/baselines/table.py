@@ -18,12 +18,12 @@ from eitskin.training.method.observations import MissingChannels, Observations
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.stored_fields import (
-    GIVEN,
+    GIVEN_FIELD,
     Arrays,
     StoredFields,
-    arrays_as,
-    arrays_under,
+    arrays_with_prefix,
     field_arrays,
+    prefix_arrays,
     restored_fields,
 )
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames, most_probable
@@ -31,7 +31,7 @@ from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-FEWEST = 20  # frames of a table
+MIN_FRAMES = 20  # frames of a table
 SOFT = 3.0  # noises below which the direction of a difference fades
 STATE, ANGLE, COUNT, TOUCH = "state", "angle", "count", "touch"
 
@@ -87,20 +87,20 @@ class TableMethod(Method):
     touches with fewer than 20 training frames is not learned.
 
     Attributes:
-        features: of a frame.
+        features: features of a frame.
         tasks: fitted arrays of each regression, by its name, and `mean` and `scale` of its targets.
         spec: sensor.
-        states: that are told apart.
-        counts: numbers of touches that are told apart.
-        radius: of the indenters [m].
+        states: states that are distinguished.
+        counts: numbers of touches that are distinguished.
+        radius: radius of the indenters [m].
     """
 
     OPTIONS: ClassVar[type[Any]]
     """Dataclass of the options."""
 
     features: Features
-    tasks: Annotated[Mapping[str, Arrays], GIVEN]
-    spec: Annotated[InputSpec, GIVEN]
+    tasks: Annotated[Mapping[str, Arrays], GIVEN_FIELD]
+    spec: Annotated[InputSpec, GIVEN_FIELD]
     states: tuple[int, ...]
     counts: tuple[int, ...]
     radius: float
@@ -122,24 +122,24 @@ class TableMethod(Method):
         options = from_dict(cls.OPTIONS, settings.options, f"options of the method {cls.KIND}")
         features = Features.fit(frames)
         table, data = features.apply(frames.observations), frames.dataset
-        tasks, found = list(_tasks(data, frames.targets)), {}
+        tasks, models = list(_tasks(data, frames.targets)), {}
         for number, (name, rows, truth) in enumerate(tasks):
             progress(cls.KIND, number, len(tasks))
             mean, scale = truth.mean(axis=0), truth.std(axis=0)
             scale = np.where(scale > 0, scale, 1.0)
-            wanted = (truth - mean) / scale
-            learned = cls.learn(table[rows], wanted, options, settings.seed, progress)
-            found[name] = {**learned, "mean": mean, "scale": scale}
+            targets = (truth - mean) / scale
+            learned = cls.learn(table[rows], targets, options, settings.seed, progress)
+            models[name] = {**learned, "mean": mean, "scale": scale}
         progress(cls.KIND, len(tasks), len(tasks))
-        if not found:
+        if not models:
             raise DataError(
-                f"the method {cls.KIND} needs at least {FEWEST} frames of a kind, got "
+                f"the method {cls.KIND} needs at least {MIN_FRAMES} frames of a kind, got "
                 f"{len(frames)} in all; generate more"
             )
-        counts = tuple(int(n.removeprefix(TOUCH)) for n in found if n.startswith(TOUCH))
+        counts = tuple(int(n.removeprefix(TOUCH)) for n in models if n.startswith(TOUCH))
         states = tuple(STATE_NAMES.index(name) for name in frames.targets.states)
         radius = float(np.nanmedian(data.touch_radius)) if counts else 0.0
-        return cls(features, found, frames.spec, states, counts, radius)
+        return cls(features, models, frames.spec, states, counts, radius)
 
     @property
     def targets(self) -> Targets:
@@ -168,7 +168,7 @@ class TableMethod(Method):
                 values = self._values(f"{TOUCH}{number}", table[rows])
                 values = values.reshape(len(rows), number, -1)
                 placed[rows, :number, : values.shape[2]] = values
-        return Predictions.of(
+        return Predictions.from_arrays(
             count,
             self.spec,
             probabilities=probabilities if self.states else None,
@@ -185,7 +185,7 @@ class TableMethod(Method):
         return values
 
     def arrays(self) -> Arrays:
-        tasks = (arrays_as(name, arrays) for name, arrays in self.tasks.items())
+        tasks = (prefix_arrays(name, arrays) for name, arrays in self.tasks.items())
         return dict(ChainMap(field_arrays(self), *tasks))
 
     @classmethod
@@ -196,12 +196,12 @@ class TableMethod(Method):
         settings: TrainingSettings,  # noqa: ARG003  the arrays say all
     ) -> Self:
         names = {name.partition(".")[0] for name in arrays if "." in name} - {"features"}
-        tasks = {name: arrays_under(name, arrays) for name in names}
+        tasks = {name: arrays_with_prefix(name, arrays) for name in names}
         return cls(**restored_fields(cls, arrays, tasks=tasks, spec=spec))
 
 
 def _tasks(data: Dataset, targets: Targets) -> Iterator[tuple[str, Rows, Array]]:
-    """Regressions that a dataset has at least `FEWEST` frames for.
+    """Regressions that a dataset has at least `MIN_FRAMES` frames for.
 
     Yields:
         name: "state" and "count" are indicators of classes (regression on an indicator matrix,
@@ -216,7 +216,7 @@ def _tasks(data: Dataset, targets: Targets) -> Iterator[tuple[str, Rows, Array]]
         yield STATE, rows, (data.state[rows, None] == classes).astype(float)
     angle = data.bend_angle_deg.astype(float)
     rows = np.flatnonzero(np.isfinite(angle))
-    if targets.angle and len(rows) >= FEWEST:
+    if targets.angle and len(rows) >= MIN_FRAMES:
         yield ANGLE, rows, angle[rows, None]
     if "touch" not in targets.states or not targets.touches:
         return
@@ -224,7 +224,7 @@ def _tasks(data: Dataset, targets: Targets) -> Iterator[tuple[str, Rows, Array]]
     values = np.stack(columns, axis=2).astype(float)
     known = np.isfinite(values).all(axis=2).sum(axis=1)
     known = np.where(known == data.touch_count, known, 0)
-    counts = [int(n) for n in np.unique(known[known > 0]) if np.sum(known == n) >= FEWEST]
+    counts = [int(n) for n in np.unique(known[known > 0]) if np.sum(known == n) >= MIN_FRAMES]
     if len(counts) > 1:
         rows = np.flatnonzero(np.isin(known, counts))
         yield COUNT, rows, (known[rows, None] == counts).astype(float)

@@ -15,7 +15,7 @@ from eitskin.datasets import UNKNOWN_STATE, Dataset, State
 from eitskin.extras import require
 from eitskin.geometry import DataError
 from eitskin.training.adaptation.press_fit import (
-    FEWEST,
+    MIN_PRESSES,
     LabelledPresses,
     learn_places,
     touch_places,
@@ -30,7 +30,7 @@ Rows = NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
 BLOCKS = 3
-MOST_TESTED = 100  # frames of a block
+MAX_BLOCK_FRAMES = 100  # frames of a block
 COUNTS = (5, 20, 50, 200, 1000)
 TREES = 100
 ADAPTED, TRAINED, FORESTS = "adapted", "as trained", "ExtraTrees"
@@ -77,14 +77,14 @@ def press_curve(
     if presses.design is not None:
         named[ALONE] = replace(presses, design=None)
     logs = np.log(np.where(presses.ratios > 0, presses.ratios, 1.0))
-    for chosen, tested in _trials(np.arange(len(presses)), FEWEST, progress):
+    for chosen, tested in _trials(np.arange(len(presses)), MIN_PRESSES, progress):
         places = {
-            name: learn_places(known.select(chosen)).locator.apply(presses.ratios[tested])
-            for name, known in named.items()
+            name: learn_places(distances.select(chosen)).locator.apply(presses.ratios[tested])
+            for name, distances in named.items()
         }
         places[FORESTS] = _forest(logs[chosen], presses.places[chosen], logs[tested])
-        for name, found in places.items():
-            errors = np.linalg.norm(found - presses.places[tested], axis=1)
+        for name, name_errors in places.items():
+            errors = np.linalg.norm(name_errors - presses.places[tested], axis=1)
             gathered[name, len(chosen)].append((NOTHING, errors))
     return _points(gathered)
 
@@ -98,7 +98,7 @@ def pipeline_curve(
     """
     gathered: Gathered = defaultdict(list)
     order = np.lexsort((np.arange(len(data)), data.time, data.episode))
-    labelled = order[(_bent(data) | (data.touch_count == 1))[order]]
+    labelled = order[(_is_bent_untouched(data) | (data.touch_count == 1))[order]]
     judged: Rows | None = None
     for chosen, tested in _trials(labelled, 1, progress):
         part, shown, mine = data.select(tested), data.select(chosen), replace(pipeline)
@@ -115,7 +115,11 @@ def pipeline_curve(
 
 
 def _pipeline_errors(pipeline: Pipeline, data: Dataset) -> Errors:
-    said, bent, touched = pipeline.perceive(data), _bent(data), np.flatnonzero(_touched(data))
+    said, bent, touched = (
+        pipeline.perceive(data),
+        _is_bent_untouched(data),
+        np.flatnonzero(_has_single_touch(data)),
+    )
     angles, distances = said.bend_angle_deg[bent] - data.bend_angle_deg[bent], [NOTHING]
     if pipeline.targets.touches and touched.size:
         for place, row in zip(touch_places(data, touched), touched, strict=True):
@@ -126,18 +130,18 @@ def _pipeline_errors(pipeline: Pipeline, data: Dataset) -> Errors:
 
 def _forest_errors(shown: Dataset, data: Dataset) -> Errors:
     """Errors of regressions on changes, of angles from the flat sensor, of places by touches."""
-    learned, tested = Observations.of(shown), Observations.of(data)
+    learned, tested = Observations.from_dataset(shown), Observations.from_dataset(data)
     angles = places = NOTHING
-    known, asked = _bent(shown), _bent(data)
-    if known.any() and asked.any():
-        truth = shown.bend_angle_deg[known].astype(float)
-        angles = _forest(learned.static[known], truth, tested.static[asked])
-        angles = angles - data.bend_angle_deg[asked]
-    known, asked = _touched(shown), _touched(data)
-    if known.any() and asked.any():
-        truth = touch_places(shown, np.flatnonzero(known))
-        found = _forest(learned.dynamic[known], truth, tested.dynamic[asked])
-        places = np.linalg.norm(found - touch_places(data, np.flatnonzero(asked)), axis=1)
+    learning_rows, test_rows = _is_bent_untouched(shown), _is_bent_untouched(data)
+    if learning_rows.any() and test_rows.any():
+        truth = shown.bend_angle_deg[learning_rows].astype(float)
+        angles = _forest(learned.static[learning_rows], truth, tested.static[test_rows])
+        angles = angles - data.bend_angle_deg[test_rows]
+    learning_rows, test_rows = _has_single_touch(shown), _has_single_touch(data)
+    if learning_rows.any() and test_rows.any():
+        truth = touch_places(shown, np.flatnonzero(learning_rows))
+        estimates = _forest(learned.dynamic[learning_rows], truth, tested.dynamic[test_rows])
+        places = np.linalg.norm(estimates - touch_places(data, np.flatnonzero(test_rows)), axis=1)
     return angles, places
 
 
@@ -153,25 +157,25 @@ def _points(gathered: Gathered) -> tuple[CurvePoint, ...]:
     points = []
     for (name, count), blocks in gathered.items():
         angles, places = (np.concatenate(errors) for errors in zip(*blocks, strict=True))
-        found = np.isfinite(places)
+        detected = np.isfinite(places)
         points.append(
             CurvePoint(
                 name,
                 count,
                 root_mean_square(angles) if angles.size else None,
-                1e3 * float(places[found].mean()) if found.any() else None,
-                float(found.mean()) if found.size else None,
+                1e3 * float(places[detected].mean()) if detected.any() else None,
+                float(detected.mean()) if detected.size else None,
             )
         )
     return tuple(points)
 
 
-def _touched(data: Dataset) -> NDArray[np.bool_]:
+def _has_single_touch(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) has a single touch."""
     return np.asarray(data.touch_count == 1)
 
 
-def _bent(data: Dataset) -> NDArray[np.bool_]:
+def _is_bent_untouched(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) is untouched and bent by a known angle."""
     untouched = (data.state != State.TOUCH) & (data.state != UNKNOWN_STATE)
     angle = np.nan_to_num(data.bend_angle_deg)
@@ -181,27 +185,27 @@ def _bent(data: Dataset) -> NDArray[np.bool_]:
 def _trials(rows: Rows, fewest: int, progress: Progress) -> Iterator[tuple[Rows, Rows]]:
     """Rows to learn from, ever more of them, and rows to test, of each block of neighbours in time.
 
-    At least `fewest` rows are learned from, outside of the block, and at most `MOST_TESTED` tested.
-    Raises DataError where a block leaves too few rows to learn from.
+    At least `fewest` rows are learned from, outside of the block, and at most `MAX_BLOCK_FRAMES`
+    tested. Raises DataError where a block leaves too few rows to learn from.
     """
     parts = np.array_split(rows, BLOCKS)
     if len(rows) < BLOCKS or len(rows) - max(map(len, parts)) < fewest:
         needed = max(BLOCKS, -(-fewest * BLOCKS // (BLOCKS - 1)))
         raise DataError(
-            f"expected {needed} labelled frames or more to tell errors by, got {len(rows)}; label "
+            f"expected {needed} labelled frames or more to estimate errors, got {len(rows)}; label "
             "or record more"
         )
     most = len(rows) - max(map(len, parts))
-    counts = sorted({each for each in COUNTS if fewest <= each < most} | {most})
+    counts = sorted({count for count in COUNTS if fewest <= count < most} | {most})
     for number, part in enumerate(parts):
-        rest, tested = np.setdiff1d(rows, part, assume_unique=True), _spaced(part, MOST_TESTED)
+        rest, tested = np.setdiff1d(rows, part, assume_unique=True), _thin(part, MAX_BLOCK_FRAMES)
         for step, count in enumerate(counts):
             progress(number * len(counts) + step, BLOCKS * len(counts))
-            yield _spaced(rest, count), tested
+            yield _thin(rest, count), tested
     progress(BLOCKS * len(counts), BLOCKS * len(counts))
 
 
-def _spaced(rows: Rows, count: int) -> Rows:
+def _thin(rows: Rows, count: int) -> Rows:
     """At most so many of the rows, evenly spaced."""
     if len(rows) <= count:
         return rows

@@ -122,10 +122,11 @@ def cramer_rao_bound(derivatives: ArrayLike, deviation: ArrayLike) -> Array:
     """Least covariance of unbiased estimates of all parameters, (parameters, parameters).
 
     The inverse of the Fisher information, which is first scaled to a unit diagonal: parameters in
-    metres beside parameters in newtons would cost digits.
+    metres next to parameters in newtons would cost digits.
 
     Args:
-        derivatives: of the measurements' means by the parameters, (parameters, measurements).
+        derivatives: derivatives of the measurements' means by the parameters, (parameters,
+            measurements).
         deviation: standard deviation of the noise of each measurement, (measurements,) or one.
 
     Raises:
@@ -160,8 +161,8 @@ def mean_distance(covariance: Array) -> Array:
     values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
     small, large = values[..., 0], values[..., 1]
     ratio = np.divide(small, large, out=np.ones_like(large), where=large > 0.0)
-    found: Array = np.sqrt(2.0 * large / math.pi) * ellipe(1.0 - ratio)
-    return found
+    distance: Array = np.sqrt(2.0 * large / math.pi) * ellipe(1.0 - ratio)
+    return distance
 
 
 def scene_derivatives(
@@ -172,7 +173,7 @@ def scene_derivatives(
     """Derivatives of a scene's measurements by central differences, one-sided next to a limit.
 
     Args:
-        simulator: of the sensor.
+        simulator: simulator of the sensor.
         scene: bend and touches, each with a force.
         instrument: whose circuit the sensor is part of; an ideal meter when omitted.
 
@@ -216,7 +217,9 @@ def _stencil(
     """Scenes and weights of the first stencil whose scenes are all possible."""
     for multiples, weights in _STENCILS:
         try:
-            scenes = [_changed(scene, number, name, multiple * step) for multiple in multiples]
+            scenes = [
+                _perturb_scene(scene, number, name, multiple * step) for multiple in multiples
+            ]
             for each in scenes:
                 simulator.deformation(each)
         except ConfigurationError:
@@ -229,9 +232,9 @@ def _stencil(
     )
 
 
-def _changed(scene: Scene, number: int | None, name: str, by: float) -> Scene:
+def _perturb_scene(scene: Scene, number: int | None, name: str, step: float) -> Scene:
     if number is None:
-        return replace(scene, bend=Bend(scene.bend.angle_deg + by))
+        return replace(scene, bend=Bend(scene.bend.angle_deg + step))
     touches = list(scene.touches)
-    touches[number] = replace(touches[number], **{name: getattr(touches[number], name) + by})
+    touches[number] = replace(touches[number], **{name: getattr(touches[number], name) + step})
     return replace(scene, touches=tuple(touches))

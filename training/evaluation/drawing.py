@@ -20,7 +20,7 @@ Circle = tuple[float, float, float]
 
 EXTRA = "view"  # of eitskin, that brings matplotlib
 
-# Okabe and Ito's colours, which all kinds of colour vision tell apart.
+# Okabe and Ito's colours, which all kinds of colour vision show apart.
 BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
 DARK, GREY, LIGHT, PALE = "#222222", "#7a7a7a", "#c9c9c9", "#e6e6e6"
 
@@ -81,18 +81,18 @@ def new_figure(width: float, height: float) -> Any:
 def draw_sensor(axes: Any, design: SensorDesign, numbers: bool = False) -> None:
     """Draw the outline of the conductive layer and its electrodes from above, in mm.
 
-    With `numbers`, beside each electrode stands its number.
+    With `numbers`, next to each electrode stands its number.
     """
     outline = design.outline
     margin = (0.07 if numbers else 0.03) * max(outline.length, outline.width) * 1e3
     if not isinstance(outline, Surface):
         around = np.sort(np.append(np.linspace(0, outline.perimeter, 241), outline.corners))
-        axes.plot(*(1e3 * outline.at(around)).T, color=GREY, linewidth=1.2, zorder=1)
+        axes.plot(*(1e3 * outline.rim_points(around)).T, color=GREY, linewidth=1.2, zorder=1)
     for electrode in design.electrodes:
         if electrode.on == "side" and not isinstance(outline, Surface):
             middle = outline.locate(electrode.x, electrode.y)
             along = middle + np.linspace(-0.5, 0.5, 9) * electrode.width
-            places = 1e3 * outline.at(along % outline.perimeter)
+            places = 1e3 * outline.rim_points(along % outline.perimeter)
             axes.plot(*places.T, color=GREY, linewidth=5, solid_capstyle="butt", zorder=1)
         else:
             axes.plot(1e3 * electrode.x, 1e3 * electrode.y, "s", color=GREY, zorder=1)
@@ -105,12 +105,14 @@ def draw_sensor(axes: Any, design: SensorDesign, numbers: bool = False) -> None:
 
 
 def _number(axes: Any, outline: PlaneOutline, electrode: Electrode, text: str) -> None:
-    """Write an electrode's number: outside the rim beside one on the side, above any other."""
+    """Write an electrode's number: outside the rim next to one on the side, above any other."""
     x, y = electrode.x, electrode.y
     away = np.array([0.0, 1.0])
     if electrode.on == "side":
         middle, step = outline.locate(x, y), 1e-3 * outline.perimeter
-        ahead, behind = outline.at(np.array([middle + step, middle - step]) % outline.perimeter)
+        ahead, behind = outline.rim_points(
+            np.array([middle + step, middle - step]) % outline.perimeter
+        )
         away = np.array([1.0, -1.0]) * (ahead - behind)[::-1]
         away /= np.linalg.norm(away)
     axes.annotate(
@@ -130,8 +132,8 @@ class PicturePanel:
     """Panel of a figure of pictures.
 
     Attributes:
-        title: above the picture.
-        design: of the sensor.
+        title: title above the picture.
+        design: design of the sensor.
         grid: pixels of the picture; None for one of the whole bounding box.
         values: dimensionless (rows, columns); NaN outside.
         circles: true positions of what changed, where known.
@@ -174,11 +176,11 @@ def draw_panels(
     limits = [100.0 * float(np.nanmax(np.abs(panel.values))) for panel in panels]
     if common:
         limits = [max(limits)] * len(panels)
-    for each, panel, limit in zip(axes, panels, limits, strict=False):
-        image = _draw_picture(each, panel, limit or 100.0, shares)
+    for axis, panel, limit in zip(axes, panels, limits, strict=False):
+        image = _draw_picture(axis, panel, limit or 100.0, shares)
         if shares:
             continue
-        bar = figure.colorbar(image, ax=each, shrink=0.8, pad=0.02, aspect=18)
+        bar = figure.colorbar(image, ax=axis, shrink=0.8, pad=0.02, aspect=18)
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=7.5, length=2)
     for unused in axes[len(panels) :]:
@@ -195,10 +197,10 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) ->
     """Draw one picture with the sensor's outline and numbered electrodes; returns the image."""
     outline = panel.design.outline
     axes.set_axisbelow(False)
-    values = 100.0 * _filled(panel.grid, panel.values)
+    values = 100.0 * _fill_outside(panel.grid, panel.values)
     colours = require("matplotlib", EXTRA).colormaps["Oranges" if shares else COLOURS]
     if panel.noise is not None:
-        small = np.abs(values) <= 100.0 * _filled(panel.grid, panel.noise)
+        small = np.abs(values) <= 100.0 * _fill_outside(panel.grid, panel.noise)
         values, colours = np.ma.masked_array(values, small), colours.with_extremes(bad=LIGHT)
     image = axes.imshow(
         values,
@@ -213,7 +215,7 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) ->
     patches, ticker = (require(f"matplotlib.{name}", EXTRA) for name in ("patches", "ticker"))
     if not isinstance(outline, Surface):
         along = np.linspace(0.0, outline.perimeter, 181)[:-1]
-        rim = outline.at(along) if isinstance(outline, Disc) else outline.vertices
+        rim = outline.rim_points(along) if isinstance(outline, Disc) else outline.vertices
         image.set_clip_path(patches.Polygon(1e3 * rim, transform=axes.transData, closed=True))
     draw_sensor(axes, panel.design, numbers=True)
     for x, y, radius in panel.circles:
@@ -232,7 +234,7 @@ def _draw_picture(axes: Any, panel: PicturePanel, limit: float, shares: bool) ->
     return image
 
 
-def _filled(grid: PixelGrid | None, values: NDArray[np.floating]) -> NDArray[np.floating]:
+def _fill_outside(grid: PixelGrid | None, values: NDArray[np.floating]) -> NDArray[np.floating]:
     """Values (rows, columns), those outside taken from the nearest pixel inside.
 
     The rim then cuts the picture, not the staircase of its pixels.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset, State, touch_maps
+from eitskin.extras import old_names
 from eitskin.geometry import DataError
 from eitskin.simulator import Frame
 from eitskin.training.adaptation.locator import Places
@@ -54,7 +55,7 @@ class Evaluation:
     Attributes:
         pipeline: the pipeline, unchanged.
         dataset: n frames.
-        predictions: estimates for the frames, each by itself.
+        predictions: estimates for the frames, each on its own.
         matches: found touches matched to the true ones.
         similarity: SSIM of each frame's images (n,), by image: "touch_map" and, for a method that
             reconstructs, "static" and "dynamic"; and "empty", the SSIM of an image of zeros. NaN
@@ -71,7 +72,7 @@ class Evaluation:
     report: Report
 
     @classmethod
-    def of(cls, pipeline: Pipeline, dataset: Dataset) -> "Evaluation":
+    def from_dataset(cls, pipeline: Pipeline, dataset: Dataset) -> "Evaluation":
         """Evaluation of a pipeline on all frames of a dataset.
 
         Frames count one by one: the static reference is the specimen's flat reference, the dynamic
@@ -91,10 +92,12 @@ class Evaluation:
         pipeline.layout.require_same_measurements(dataset.protocol, dataset.frequency)
         require_on_sheet(dataset, pipeline.layout.outline)
         dataset, targets = with_implied_labels(dataset), pipeline.targets
-        dataset = pipeline.followed(dataset)[0]
+        dataset = pipeline.mark_failures(dataset)[0]
         pieces = (slice(start, start + PIECE) for start in range(0, len(dataset), PIECE))
-        predictions = Predictions.joined([pipeline.perceive(dataset.select(p)) for p in pieces])
-        matches = Matches.of(dataset, predictions)
+        predictions = Predictions.concatenate(
+            [pipeline.perceive(dataset.select(p)) for p in pieces]
+        )
+        matches = Matches.from_dataset(dataset, predictions)
         located = targets.touches
         similarity = _similarities(pipeline, dataset, predictions) if located else {}
         report = Report(
@@ -124,20 +127,20 @@ def require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
 
 
 def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
-    """Report of `Evaluation.of`.
+    """Report of `Evaluation.from_dataset`.
 
     Example:
         >>> from eitskin.training import evaluate
         >>> evaluate(pipeline, dataset).touches["1"].mean_error_mm  # doctest: +SKIP
     """
-    return Evaluation.of(pipeline, dataset).report
+    return Evaluation.from_dataset(pipeline, dataset).report
 
 
 def drawable(dataset: Dataset) -> NDArray[np.intp]:
     """Numbers of the frames with touches, all of known position and radius."""
     placed = np.isfinite(dataset.touch_x)
-    known = (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
-    return np.flatnonzero(placed.any(axis=1) & known)
+    has_label = (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
+    return np.flatnonzero(placed.any(axis=1) & has_label)
 
 
 def images(
@@ -151,11 +154,11 @@ def images(
     """
     discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
     rows, columns = touch_map.shape[1:]
-    made = {"truth": touch_maps(*discs, pipeline.layout.outline, (rows, columns))}
+    maps = {"truth": touch_maps(*discs, pipeline.layout.outline, (rows, columns))}
     if isinstance(pipeline.method, PaperMethod):
-        static, dynamic = pipeline.method.reconstructions(Observations.of(dataset))
-        made |= {"static": -static, "dynamic": -dynamic}
-    return {**made, "touch_map": touch_map}
+        static, dynamic = pipeline.method.reconstructions(Observations.from_dataset(dataset))
+        maps |= {"static": -static, "dynamic": -dynamic}
+    return {**maps, "touch_map": touch_map}
 
 
 def _similarities(
@@ -178,10 +181,10 @@ def _state_score(
     dataset: Dataset, predictions: Predictions, distinguished: tuple[str, ...]
 ) -> StateScore:
     """Score of the frames whose true state is one that the pipeline distinguishes."""
-    known = np.isin(dataset.state, [STATE_NAMES.index(name) for name in distinguished])
+    is_known = np.isin(dataset.state, [STATE_NAMES.index(name) for name in distinguished])
     counts = np.zeros((len(STATE_NAMES), len(STATE_NAMES)), np.int64)
-    np.add.at(counts, (dataset.state[known].astype(int), predictions.state[known]), 1)
-    bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
+    np.add.at(counts, (dataset.state[is_known].astype(int), predictions.state[is_known]), 1)
+    bent = is_known & (dataset.state == State.TOUCH) & _is_bent(dataset)
     recognised = predictions.state == dataset.state
     totals = counts.sum(axis=1)
     return StateScore(
@@ -189,7 +192,7 @@ def _state_score(
         _share(recognised[bent].sum(), bent.sum()),
         _share(counts[State.IDLE, State.TOUCH], totals[State.IDLE]),
         counts.tolist(),
-        int(np.isin(dataset.state, list(State)).sum() - known.sum()),
+        int(np.isin(dataset.state, list(State)).sum() - is_known.sum()),
     )
 
 
@@ -215,7 +218,7 @@ def _touch_scores(
     """Scores of the groups of frames that `Report` names, without empty ones."""
     counts = dataset.touch_count
     groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
-    groups |= {"several": counts > 1, "bent": (counts > 0) & _bent(dataset)}
+    groups |= {"several": counts > 1, "bent": (counts > 0) & _is_bent(dataset)}
     scores = {}
     for name, group in groups.items():
         if not group.any():
@@ -270,7 +273,7 @@ def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
     return LatencyScore(p50, p99)
 
 
-def _bent(dataset: Dataset) -> NDArray[np.bool_]:
+def _is_bent(dataset: Dataset) -> NDArray[np.bool_]:
     bent: NDArray[np.bool_] = np.abs(dataset.bend_angle_deg) > 0
     return bent
 
@@ -284,6 +287,7 @@ def _share(part: int, whole: int) -> float | None:
     return float(part) / float(whole) if whole else None
 
 
+@old_names(of="from_dataset")
 @dataclass(frozen=True, slots=True)
 class PositionScore:
     """Errors of estimated positions.
@@ -309,7 +313,7 @@ class PositionScore:
     faults: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, pipeline: Pipeline, dataset: Dataset) -> "PositionScore":
+    def from_dataset(cls, pipeline: Pipeline, dataset: Dataset) -> "PositionScore":
         """Score on the held-out frames of `dataset`; raises DataError where there are none."""
         true, places = held_out_positions(pipeline, dataset)
         error = np.linalg.norm(places.place - true, axis=1)
@@ -317,7 +321,7 @@ class PositionScore:
         values = (error.mean(), np.median(error), guess.mean())
         mean, middle, guessed = (1e3 * float(value) for value in values)
         over = float(np.sqrt(np.mean((error / places.deviation) ** 2)))
-        faults = pipeline.followed(dataset)[1]
+        faults = pipeline.mark_failures(dataset)[1]
         ratio = None if np.isnan(over) else over
         return cls(len(true), mean, middle, guessed, ratio, faults)
 
@@ -354,7 +358,7 @@ def held_out_positions(pipeline: Pipeline, dataset: Dataset) -> tuple[Array, Pla
         raise DataError(
             "expected frames with exactly one touch to evaluate on, got none; record more"
         )
-    presses = LabelledPresses.of(dataset, frames, pipeline.usual)
+    presses = LabelledPresses.from_dataset(dataset, frames, pipeline.usual)
     return presses.places, locator.locate(presses.ratios)[0]
 
 
@@ -367,7 +371,7 @@ def _method(pipeline: Pipeline) -> TouchPositions:
     return pipeline.method
 
 
-_RENAMED = (
+_DEPRECATION_MESSAGE = (
     "RecordedTouches is deprecated; use Pipeline, with TrainingSettings('touch position') to fit"
 )
 
@@ -376,7 +380,7 @@ _FORMER: dict[str, Callable[[Pipeline], Any]] = {
     "design": lambda pipeline: pipeline.layout.known_design,
     "frequency": lambda pipeline: pipeline.layout.frequency,
     "extent": lambda pipeline: pipeline.layout.extent,
-    "described": lambda pipeline: pipeline.layout.described,
+    "described": lambda pipeline: pipeline.layout.complete_dataset,
     "require_same_measurements": lambda pipeline: pipeline.layout.require_same_measurements,
     "position": lambda pipeline: _method(pipeline).locator,
     "still": lambda pipeline: pipeline.noise,
@@ -397,13 +401,13 @@ class RecordedTouches(Pipeline):
     @classmethod
     def fit(cls, dataset: Dataset, share: float = POSITION_SHARE) -> "RecordedTouches":  # type: ignore[override]
         """`Pipeline.fit` with `TrainingSettings("touch position", options={"share": share})`."""
-        warnings.warn(_RENAMED, DeprecationWarning, stacklevel=2)
+        warnings.warn(_DEPRECATION_MESSAGE, DeprecationWarning, stacklevel=2)
         return super().fit(dataset, TrainingSettings(POSITIONS, options={"share": share}))
 
     @classmethod
     def load(cls, path: str | Path, method: type[Method] | None = None) -> "RecordedTouches":
         """`Pipeline.load`."""
-        warnings.warn(_RENAMED, DeprecationWarning, stacklevel=2)
+        warnings.warn(_DEPRECATION_MESSAGE, DeprecationWarning, stacklevel=2)
         return super().load(path, method)
 
     def __getattr__(self, name: str) -> Any:
@@ -418,5 +422,5 @@ class RecordedTouches(Pipeline):
         return true, estimated.place
 
     def evaluate(self, dataset: Dataset) -> PositionScore:
-        """`PositionScore.of`."""
-        return PositionScore.of(self, dataset)
+        """`PositionScore.from_dataset`."""
+        return PositionScore.from_dataset(self, dataset)

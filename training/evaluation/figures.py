@@ -31,13 +31,14 @@ from eitskin.training.method.targets import STATE_NAMES
 from eitskin.training.pipeline.pipeline import Pipeline
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
-SHORTEST_SEQUENCE = 20  # frames
-LEAST_MOVED = 1.0  # deg, in a sequence that is worth drawing
-MOST_VECTORS = 240  # more would hide each other
+MIN_SEQUENCE = 20  # frames
+MIN_ANGLE_CHANGE = 1.0  # deg, in a sequence that is worth drawing
+MAX_VECTORS = 240  # more would hide each other
 ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
 SEVERAL_DEG = 30.0  # and one to four touches
 NOWHERE = np.zeros((0, 2))
-NEAR_DEG = 5.0  # the frame that is nearest to a wanted angle is shown where it is this near
+# the frame that is nearest to a wanted angle is shown where it is this near
+MAX_ANGLE_DIFFERENCE = 5.0
 COLUMNS = {
     "truth": "truth",
     "static": "static reference",
@@ -52,8 +53,8 @@ Array = NDArray[np.float64]
 
 def learning_curves(pipeline: Pipeline) -> Mapping[str, LearningCurve]:
     """Learning curves of the networks by name, without empty ones."""
-    kept = pipeline.method.learning_curves
-    return {name: history for name, history in kept.items() if history.training}
+    curves = pipeline.method.learning_curves
+    return {name: history for name, history in curves.items() if history.training}
 
 
 def loss_curves(pipeline: Pipeline) -> CaptionedFigure | NoFigure:
@@ -125,14 +126,14 @@ def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     data = evaluation.dataset
     true = data.bend_angle_deg.astype(float)
     estimated = evaluation.predictions.bend_angle_deg
-    known = np.isfinite(true) & np.isfinite(estimated)
+    finite = np.isfinite(true) & np.isfinite(estimated)
     groups = {
-        "bent, untouched": (known & (data.state == State.BEND), BLUE),
-        "touched, flat or bent": (known & (data.state == State.TOUCH), ORANGE),
+        "bent, untouched": (finite & (data.state == State.BEND), BLUE),
+        "touched, flat or bent": (finite & (data.state == State.TOUCH), ORANGE),
     }
     groups = {name: group for name, group in groups.items() if group[0].any()}
     every = np.concatenate([true[mask] for mask, _ in groups.values()] or [np.zeros(1)])
-    if np.ptp(every) < LEAST_MOVED:
+    if np.ptp(every) < MIN_ANGLE_CHANGE:
         return NoFigure("no bent or touched frames of several known angles")
     errors = [(estimated - true)[mask] for mask, _ in groups.values()]
     limit = 1.1 * (max(float(np.percentile(np.abs(error), 99)) for error in errors) or 1.0)
@@ -157,7 +158,7 @@ def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     histogram.set(xlabel="error of the bend angle [deg]", ylabel="share of the frames [%]")
     return CaptionedFigure(
         figure,
-        "Bend angle of every frame by itself, and the distribution of its errors with their root "
+        "Bend angle of every frame on its own, and the distribution of its errors with their root "
         "mean square and bias; errors beyond the axis are counted in the outermost bins.",
     )
 
@@ -167,8 +168,9 @@ def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     frames = _longest_sequence(evaluation)
     if frames is None:
         return NoFigure(
-            f"no episode of at least {SHORTEST_SEQUENCE} frames moves by more than "
-            f"{LEAST_MOVED:g} deg; a dataset from a recipe with episodes, as paper_bending, has one"
+            f"no episode of at least {MIN_SEQUENCE} frames moves by more than "
+            f"{MIN_ANGLE_CHANGE:g} deg; a dataset from a recipe with episodes, as paper_bending, "
+            f"has one"
         )
     data, predictions = evaluation.dataset, evaluation.predictions
     time, true = data.time[frames], data.bend_angle_deg[frames].astype(float)
@@ -192,7 +194,7 @@ def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return CaptionedFigure(
         figure,
-        f"Bend angle in one episode of {len(frames)} frames, each estimated by itself, and its "
+        f"Bend angle in one episode of {len(frames)} frames, each estimated on its own, and its "
         f"error: RMSE {root_mean_square(estimated - true):.2f} deg.{band}",
     )
 
@@ -203,10 +205,10 @@ def _longest_sequence(evaluation: Evaluation) -> NDArray[np.int64] | None:
     usable = np.flatnonzero(np.isfinite(data.bend_angle_deg) & np.isfinite(estimated))
     episodes, sizes = np.unique(data.episode[usable], return_counts=True)
     longest_first = np.argsort(-sizes, kind="stable")
-    for episode in episodes[longest_first][: np.sum(sizes >= SHORTEST_SEQUENCE)]:
+    for episode in episodes[longest_first][: np.sum(sizes >= MIN_SEQUENCE)]:
         frames: NDArray[np.int64] = usable[data.episode[usable] == episode]
         frames = frames[np.argsort(data.time[frames], kind="stable")]
-        moves = np.ptp(data.bend_angle_deg[frames]) > LEAST_MOVED
+        moves = np.ptp(data.bend_angle_deg[frames]) > MIN_ANGLE_CHANGE
         if moves and np.all(np.diff(data.time[frames]) > 0):
             return frames
     return None
@@ -217,7 +219,7 @@ def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     if not evaluation.pipeline.targets.touches:
         return NoFigure("the pipeline does not estimate positions of touches")
     data, matches = evaluation.dataset, evaluation.matches
-    single = np.flatnonzero(data.touch_count == 1)[:MOST_VECTORS]
+    single = np.flatnonzero(data.touch_count == 1)[:MAX_VECTORS]
     if not single.size:
         return NoFigure("no frame has exactly one touch of known position")
     mine = np.isin(matches.frame, single)
@@ -228,13 +230,13 @@ def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
 
 
 def draw_error_vectors(
-    design: SensorDesign | None, true: Array, found: Array, missed: Array = NOWHERE
+    design: SensorDesign | None, true: Array, estimated: Array, missed: Array = NOWHERE
 ) -> CaptionedFigure:
     """Error vectors over a sensor, whose design may be unknown.
 
     Args:
-        design: of the sensor.
-        true, found: positions of touches that were found (k, 2) [m].
+        design: design of the sensor.
+        true, estimated: positions of touches that were found (k, 2) [m].
         missed: true positions of others (m, 2) [m].
     """
     figure = new_figure(9.6, 4.7)
@@ -250,10 +252,10 @@ def draw_error_vectors(
     plus = {"s": 60, "marker": "+", "color": DARK, "linewidths": 1.0, "zorder": 5}
     axes.scatter(*(1e3 * places.T), label="true position", **plus)
     segments = require("matplotlib.collections", EXTRA).LineCollection
-    lines = 1e3 * np.stack([true, found], axis=1)
+    lines = 1e3 * np.stack([true, estimated], axis=1)
     axes.add_collection(segments(lines, color=BLUE, alpha=0.7, linewidths=0.9, zorder=3))
     dots = {"s": 12, "color": BLUE, "linewidths": 0, "zorder": 4}
-    axes.scatter(*(1e3 * found.T), label="found there", **dots)
+    axes.scatter(*(1e3 * estimated.T), label="found there", **dots)
     if len(missed):
         ring = {"s": 150, "facecolors": "none", "edgecolors": ORANGE, "linewidths": 1.4}
         axes.scatter(*(1e3 * missed.T), label="missed at least once", zorder=2, **ring)
@@ -312,19 +314,19 @@ def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
         evaluation,
         [(count, SEVERAL_DEG) for count in range(1, evaluation.dataset.touch_x.shape[1] + 1)],
         f"One to four touches near {SEVERAL_DEG:g} deg",
-        f"no touched frame of known positions and radii is within {NEAR_DEG:g} deg of "
+        f"no touched frame of known positions and radii is within {MAX_ANGLE_DIFFERENCE:g} deg of "
         f"{SEVERAL_DEG:g} deg",
     )
 
 
 def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None:
-    """Frame with `count` touches nearest to an angle; None beyond `NEAR_DEG`."""
+    """Frame with `count` touches nearest to an angle; None beyond `MAX_ANGLE_DIFFERENCE`."""
     data = evaluation.dataset
     shown = np.isfinite(evaluation.similarity.get("touch_map", np.full(len(data), np.nan)))
     away = np.abs(data.bend_angle_deg.astype(float) - angle_deg)
     away[~shown | (data.touch_count != count) | ~np.isfinite(away)] = np.inf
     nearest = int(np.argmin(away))
-    return nearest if away[nearest] <= NEAR_DEG else None
+    return nearest if away[nearest] <= MAX_ANGLE_DIFFERENCE else None
 
 
 def _draw_touch_maps(
@@ -373,7 +375,7 @@ def pictures_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
         Reconstructor(layout.design, layout.protocol, method, pixels=PIXELS, resolution="coarse")
         for method in METHODS
     ]
-    pictures = [maker.images(maker.data(values, data.untouched)) for maker in makers]
+    pictures = [maker.images(maker.data(values, data.values_before_touch)) for maker in makers]
     panels = [
         PicturePanel(
             f"{maker.method}, {count} touch{'es' * (count > 1)}",

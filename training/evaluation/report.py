@@ -1,4 +1,4 @@
-"""Report of an evaluation as a folder: figures, and numbers beside those of the paper."""
+"""Report of an evaluation as a folder: figures, and numbers next to those of the paper."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from eitskin.geometry import ConfigurationError, PartialError
 from eitskin.training.evaluation.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.evaluate import Evaluation, PositionScore, held_out_positions
 from eitskin.training.evaluation.figures import (
-    MOST_VECTORS,
+    MAX_VECTORS,
     bend_angles,
     bend_sequence,
     confusion_matrix,
@@ -131,17 +131,17 @@ def write_position_report(
 ) -> Path:
     """Write the report of positions that were learned from a recording; returns the folder.
 
-    The frames of `dataset` that were held out are judged. Raises DataError without any, and errors
+    The frames of `dataset` that were held out are tested. Raises DataError without any, and errors
     as `write_report`.
     """
-    score = PositionScore.of(touches, dataset).as_dict()
+    score = PositionScore.from_dataset(touches, dataset).as_dict()
     true, places = held_out_positions(touches, dataset)
-    found = places.place
-    errors = np.linalg.norm(found - true, axis=1)
+    estimated = places.place
+    errors = np.linalg.norm(estimated - true, axis=1)
     caption = f"Localisation errors of {len(true)} touches; the largest are in the last bin."
     drawings = {
         "error_vectors.png": lambda: draw_error_vectors(
-            touches.layout.known_design, true[:MOST_VECTORS], found[:MOST_VECTORS]
+            touches.layout.known_design, true[:MAX_VECTORS], estimated[:MAX_VECTORS]
         ),
         "localisation_errors.png": lambda: draw_errors(errors, caption),
     }
@@ -151,8 +151,8 @@ def write_position_report(
         else (name.replace("_", " "), str(value))
         for name, value in score.items()
     ]
-    made = _provenance(touches, dataset.select(touches.held_out(dataset)))
-    document = {"provenance": {**made, **made_with}, "report": score}
+    provenance = _provenance(touches, dataset.select(touches.held_out(dataset)))
+    document = {"provenance": {**provenance, **made_with}, "report": score}
     table, title = [("figure", "here"), *rows], "Evaluation of touch positions"
     return _write_folder(Path(folder), title, table, drawings, document)
 
@@ -251,8 +251,8 @@ def _touch_rows(report: Report) -> Iterator[Row]:
     if untouched := report.untouched:
         shown = f"in {untouched.touched:.2%} of {untouched.frames} frames"
         yield "touches where there are none", "-", shown
-    if found := report.place_calibration:
-        yield "place error / standard error", "-", _consistency(found)
+    if calibration := report.place_calibration:
+        yield "place error / standard error", "-", _consistency(calibration)
     if force := report.force:
         shown = f"{force.mean_error_n:.2f} N off (bias {force.bias_n:+.2f})"
         yield "force of a touch", "-", shown
@@ -283,8 +283,8 @@ def _bend_rows(report: Report) -> Iterator[Row]:
         yield "angle error / standard error", "-", _consistency(bend.calibration)
 
 
-def _consistency(found: Consistency) -> str:
-    return f"rms {found.rms_ratio:.2f}, {found.within_one:.0%} within one"
+def _consistency(consistency: Consistency) -> str:
+    return f"rms {consistency.rms_ratio:.2f}, {consistency.within_one:.0%} within one"
 
 
 def _text(form: str, *values: float | None) -> str:

@@ -18,21 +18,21 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-def match_distances(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> list[float]:
+def match_distances(true: ArrayLike, estimated: ArrayLike, gate: float = GATE) -> list[float]:
     """Distances [m] of the matched pairs of one frame; see `match`."""
-    rows, columns = match(true, found, gate)
-    away = np.linalg.norm(_positions(true)[rows] - _positions(found)[columns], axis=1)
+    rows, columns = match(true, estimated, gate)
+    away = np.linalg.norm(_positions(true)[rows] - _positions(estimated)[columns], axis=1)
     distances: list[float] = away.tolist()
     return distances
 
 
-def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
-    """Matched rows of `true` and of `found` in one frame, both positions (touches, 2) [m].
+def match(true: ArrayLike, estimated: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
+    """Matched rows of `true` and of `estimated` in one frame, both positions (touches, 2) [m].
 
     The Hungarian method makes as many pairs closer than `gate` [m] as there can be and, among
     those, the pairs of the smallest total distance (Kuhn 1955).
     """
-    a, b = _positions(true), _positions(found)
+    a, b = _positions(true), _positions(estimated)
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
     # A pair beyond the gate costs more than any number of pairs within it can save.
     cost = np.where(distance <= gate, distance, gate * (1 + len(a) + len(b)))
@@ -41,14 +41,14 @@ def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, 
     return rows[near], columns[near]
 
 
-def ospa(true: ArrayLike, found: ArrayLike, cutoff: float = GATE) -> float:
+def ospa(true: ArrayLike, estimated: ArrayLike, cutoff: float = GATE) -> float:
     """OSPA distance [m] of the true and found positions of one frame (touches, 2) [m].
 
     Optimal subpattern assignment of order 1 (Schuhmacher et al. 2008): the mean distance of the
     best assignment, distances above `cutoff` [m] and touches without a partner counting as
     `cutoff`. 0 where there is neither a true nor a found touch.
     """
-    a, b = _positions(true), _positions(found)
+    a, b = _positions(true), _positions(estimated)
     most = max(len(a), len(b))
     if most == 0:
         return 0.0
@@ -82,7 +82,7 @@ class Matches:
     false: NDArray[np.int64]
 
     @classmethod
-    def of(cls, dataset: Dataset, predictions: Predictions) -> "Matches":
+    def from_dataset(cls, dataset: Dataset, predictions: Predictions) -> "Matches":
         """Matches of the touches of every frame."""
         false = np.zeros(len(dataset), np.int64)
         rows: list[Array] = [np.zeros((0, 8))]
@@ -91,8 +91,8 @@ class Matches:
             true = truth[i][np.isfinite(truth[i, :, 0])].astype(float)
             a, b = match(true[:, :2], touches.place)
             false[i] = len(touches) - len(b)
-            found = np.column_stack([touches.place, touches.force, touches.deviation])[b]
-            rows.append(np.column_stack([np.full(len(a), i), true[a], found]))
+            matched_touches = np.column_stack([touches.place, touches.force, touches.deviation])[b]
+            rows.append(np.column_stack([np.full(len(a), i), true[a], matched_touches]))
         frame, x, y, force, found_x, found_y, found_force, deviation = np.concatenate(rows).T
         return cls(
             frame.astype(np.int64),
@@ -116,7 +116,7 @@ SSIM_DEFINITION = (
     "picture scaled to its own maximum, values below zero taken as zero, and the true contact map, "
     "discs of the indenter's radius; the mean over the frames."
 )
-"""Definition to be printed beside every SSIM; see `similarity`."""
+"""Definition to be printed next to every SSIM; see `similarity`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class StateScore:
         idle_as_touch: share of the idle frames that are classified as touch.
         confusion: confusion matrix, rows the true and columns the estimated state: idle, touch,
             bend.
-        left_out: number of frames of a state that the pipeline does not tell apart.
+        left_out: number of frames of a state that the pipeline does not show apart.
     """
 
     accuracy: dict[str, float | None]
@@ -247,11 +247,12 @@ class Report:
         frames: number of frames.
         states, bend, latency: of all frames; None inside where the pipeline does not estimate
             them.
-        touches: of frames with "1" to "4" touches, with "several", and with any on a "bent" sensor.
+        touches: touches of frames with "1" to "4" touches, with "several", and with any on a "bent"
+            sensor.
         untouched: of untouched frames; None without any.
         force: None for forces that are not known or not estimated.
         place_calibration: consistency of the standard errors of positions; None without any.
-        estimates: quantities that the pipeline estimates; only these are judged.
+        estimates: quantities that the pipeline estimates; only these are tested.
 
     Example:
         >>> from eitskin.training import evaluate

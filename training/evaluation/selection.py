@@ -34,10 +34,10 @@ class Trial:
         preset: name of its settings.
         seconds: time of its training and evaluation [s].
         refusal: reason why it cannot be trained on the dataset; empty otherwise.
-        evaluation: on the held-out frames; None for one that is refused.
-        losses: of each target, 0 for no error to 1 for a guess; see `losses_of`.
+        evaluation: evaluation on the held-out frames; None for one that is refused.
+        losses: losses of each target, 0 for no error to 1 for a guess; see `quantity_losses`.
         stopped: reason why its training ended early; empty otherwise.
-        share: of the epochs that it was trained for.
+        share: share of the epochs that it was trained for.
     """
 
     preset: str
@@ -55,7 +55,7 @@ class Trial:
 
     @property
     def figures(self) -> dict[str, float | None]:
-        """Figures that are compared; None where not judged.
+        """Figures that are compared; None where not tested.
 
         Mean share of recognised frames over the states, mean distance of matched touches [mm],
         shares of true touches found and of false ones, root mean square error of the angle [deg].
@@ -92,8 +92,8 @@ class Selection:
     """Candidates and the one of the smallest loss.
 
     Attributes:
-        trials: of all candidates.
-        evaluation: of the chosen one, whose pipeline is trained.
+        trials: trials of all candidates.
+        evaluation: evaluation of the chosen one, whose pipeline is trained.
         preset: name of the chosen one's settings.
     """
 
@@ -102,7 +102,7 @@ class Selection:
     preset: str
 
     @classmethod
-    def of(
+    def from_dataset(
         cls,
         dataset: Dataset,
         seed: int = 0,
@@ -110,11 +110,12 @@ class Selection:
         adjust: Callable[[TrainingSettings], TrainingSettings] = lambda settings: settings,
         progress: Progress = silent,
     ) -> "Selection":
-        """Train the candidates on one part of the specimens and judge them on the others.
+        """Train the candidates on one part of the specimens and test them on the others.
 
         All candidates see the same frames (`hold_out`). They are compared after a brief training
-        first: one that errs `HOPELESS` times as much as the best goes no further (successive
-        halving, Jamieson and Talwalkar 2016). The chosen pipeline is the one that was judged; its
+        first: one that has an error `HOPELESS` times as much as the best goes no further
+            (successive
+        halving, Jamieson and Talwalkar 2016). The chosen pipeline is the one that was tested; its
         figures are of frames that it was chosen by, which favours it a little.
 
         Args:
@@ -145,23 +146,23 @@ class Selection:
             else:
                 full = trial(each.preset, 1.0)
                 trials.append(replace(full, seconds=each.seconds + full.seconds))
-        best = min((each for each in trials if not each.stopped), key=lambda each: each.loss)
+        best = min((trial for trial in trials if not trial.stopped), key=lambda each: each.loss)
         if best.evaluation is None:
-            reasons = "; ".join(f"{each.preset}: {each.refusal}" for each in trials)
+            reasons = "; ".join(f"{trial.preset}: {trial.refusal}" for trial in trials)
             raise DataError(f"no method can be trained on this dataset: {reasons}")
-        best.evaluation.pipeline.metrics["selection"] = [each.as_dict() for each in trials]
+        best.evaluation.pipeline.metrics["selection"] = [trial.as_dict() for trial in trials]
         return cls(tuple(trials), best.evaluation, best.preset)
 
 
 def train_candidate(
     dataset: Dataset, preset: str, settings: TrainingSettings, share: float, progress: Progress
 ) -> Trial:
-    """The candidate, trained for a share of its epochs and judged, or refused."""
+    """The candidate, trained for a share of its epochs and tested, or refused."""
     start, words = time.perf_counter(), preset if share == 1.0 else f"{preset}, briefly"
     try:
         pipeline = Pipeline.fit(
             dataset,
-            settings if share == 1.0 else settings.shortened(share),
+            settings if share == 1.0 else settings.shorten(share),
             lambda stage, *steps: progress(f"{words}: {stage}", *steps),
         )
     except DataError as error:
@@ -169,12 +170,12 @@ def train_candidate(
     frames = pipeline.held_out(dataset)
     if share < 1.0:
         frames = frames[:: max(1, -(-len(frames) // BRIEFLY_JUDGED))]
-    evaluation = Evaluation.of(pipeline, dataset.select(frames))
-    losses = losses_of(evaluation, Targets.of(with_implied_labels(dataset)))
+    evaluation = Evaluation.from_dataset(pipeline, dataset.select(frames))
+    losses = quantity_losses(evaluation, Targets.from_dataset(with_implied_labels(dataset)))
     return Trial(preset, time.perf_counter() - start, "", evaluation, losses, share=share)
 
 
-def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
+def quantity_losses(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
     """Loss of each quantity that the frames have labels for, 0 to 1; 1 where it is not estimated.
 
     - "state": one minus the mean share of recognised frames over the states (balanced error rate).
@@ -183,7 +184,7 @@ def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
     - "angle": root mean square error over the standard deviation of the angles, at most 1.
     """
     data, report = evaluation.dataset, evaluation.report
-    estimated, losses = evaluation.pipeline.targets.shared_with(labels), {}
+    estimated, losses = evaluation.pipeline.targets.intersection(labels), {}
     if labels.states:
         accuracy, losses["state"] = report.states.accuracy, 1.0
         if estimated.states:  # a state that is not distinguished is never recognised
@@ -217,9 +218,9 @@ def _left_out(data: Dataset, evaluation: Evaluation) -> list[str]:
     own = sorted(unseen & set(data.names.specimens.values()))
     if not own and 2 * len(kept) >= len(data):
         return []
-    told = f"; {', '.join(own[:8])} not among them" if own else ""
+    note = f"; {', '.join(own[:8])} not among them" if own else ""
     return [
-        f"{len(kept)} of {len(data)} frames were trained on, as specimens are held out whole{told}"
+        f"{len(kept)} of {len(data)} frames were trained on, as specimens are held out whole{note}"
         ": another --seed deals them otherwise"
     ]
 
@@ -229,14 +230,15 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
 
     Args:
         dataset: all frames, of training and evaluation.
-        evaluation: of the held-out frames.
+        evaluation: evaluation of the held-out frames.
     """
     data, report = with_implied_labels(dataset), evaluation.report
     warnings = []
     specimens, judged = (len(np.unique(each.specimen)) for each in (data, evaluation.dataset))
     if specimens == 1:
         warnings.append(
-            "all frames are of one sensor: the figures hold for this one, another may err by far "
+            "all frames are of one sensor: the figures hold for this one, another may be worse "
+            "by far "
             "more; record or generate further specimens"
         )
     elif specimens < FEW_SPECIMENS:
@@ -250,10 +252,10 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
         if 0 < count < FEW_FRAMES:
             warnings.append(f"{count} frames of the state {name} are few; {FEW_FRAMES} are better")
     stated = {"positions": report.place_calibration, "the bend angle": report.bend.calibration}
-    for name, found in stated.items():
-        if found is not None and found.rms_ratio > WRONG_ERRORS:
+    for name, problem in stated.items():
+        if problem is not None and problem.rms_ratio > WRONG_ERRORS:
             warnings.append(
-                f"errors of {name} are {found.rms_ratio:.1f} times their standard errors: do not "
+                f"errors of {name} are {problem.rms_ratio:.1f} times their standard errors: do not "
                 "rely on these; train on more specimens"
             )
     return tuple(warnings)

@@ -30,21 +30,21 @@ Array = NDArray[np.float64]
 Combined = Callable[[Array, float, float], CombinedChange]
 
 STATED_ANGLES = 8  # at which standard errors are stated
-PRIOR_FRAMES = 1.0  # frames with noise as in training, that count beside the known ones
+PRIOR_FRAMES = 1.0  # frames with noise as in training, that count next to the known ones
 NOISE_SCALE = (0.5, 5.0)  # bounds of the noise relative to that of training
 # Growth of the covariance of curves with how strange a sensor is among those learned from
-# (`BendCurvePrior.widened`). The usual ones were learned from sensors that differ by a tenth as
-# much, so that any other is strange among them.
+# (`BendCurvePrior.predict_widened`). The usual ones were learned from sensors that differ by a
+# tenth as much, so that any other is strange among them.
 WIDENING, USUAL_WIDENING = 1.0, 0.2
 
 FLAT_PRESSES, BENT_PRESSES = 240, 30  # on the flat twin, and at each of some bends
 BENDS = 3
-MISMATCH = 0.05  # error of each change relative to itself, beside the noise of a frame
-LATENT_LEFT = 0.5  # of what latent variables describe: the twin tells the rest
+MISMATCH = 0.05  # error of each change relative to itself, next to the noise of a frame
+LATENT_LEFT = 0.5  # of what latent variables describe: the twin shows the rest
 RIDGE = 1e-5  # of the largest eigenvalue: combinations of features below are not resolved
 FORCE_ERROR, UNKNOWN_FORCE = 0.05, 1.0  # standard deviation of a force, relative to it
 PLACE_ERROR = 0.0003  # m, of known places
-MOST_CHANGE = (-0.5, 1.0)  # of an unknown force in one round, relative
+FORCE_CHANGE_LIMITS = (-0.5, 1.0)  # of an unknown force in one round, relative
 SHARES = (1.0, 0.25, 0.06, 0.0)  # of the information of known touches, that are tried
 ROUNDS = 3  # of finding latent variables and unknown forces in turn
 
@@ -53,7 +53,7 @@ def adapted_curve(
     curves: BendCurvePrior,
     usual: BendCurvePrior | None,
     features: Array,
-    known: KnownFrames,
+    known_frames: KnownFrames,
     combined: Combined,
     drift: float,
     noise_scale: float,
@@ -66,18 +66,18 @@ def adapted_curve(
     Args:
         curves: prior of the curve of any sensor.
         usual: that of one in the usual clamp, if there is one.
-        features: of the sensor (P,).
-        known: untouched frames at known angles.
+        features: features of the sensor (P,).
+        known_frames: untouched frames at known angles.
         combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
             frames in both means that are compared, and the time between these [s].
         drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
         noise_scale: noise of a frame relative to that in training.
     """
-    priors, odds = [curves.widened(features, WIDENING)], [0.0]
+    priors, odds = [curves.predict_widened(features, WIDENING)], [0.0]
     if usual is not None:
-        priors.append(usual.widened(features, USUAL_WIDENING))
+        priors.append(usual.predict_widened(features, USUAL_WIDENING))
         odds.append(LOG_ODDS)
-    seen, static = known.observations, log_change(known.observations.static)
+    seen, static = known_frames.observations, log_change(known_frames.observations.static)
     # A measurement that is bad at one angle is left out of all: they share the flat frames.
     usable = np.where(np.isfinite(static).all(axis=0), static, np.nan)
     changes = [combined(each, 1.0, 0.0) for each in usable]
@@ -88,14 +88,14 @@ def adapted_curve(
     walk = np.where(others, 0.0, np.minimum(age[:, None], age)) / DRIFT_TIME * drift**2
     together = noise_scale**2 * (np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0])
     combinations = changes[0].combinations
-    shared, own = combinations.drift, combinations.without(changes[0].good)[1]
+    shared, own = combinations.drift, combinations.restrict(changes[0].good)[1]
     noise = np.kron(together, own) + np.kron(walk, np.outer(shared, shared))
-    bends = known.angle_deg, np.array([each.change for each in changes]), noise
+    bends = known_frames.angle_deg, np.array([change.change for change in changes]), noise
     logs = np.add([curve.log_likelihood(*bends) for curve in priors], odds)
     shares = np.exp(logs - logs.max())
-    curve = mixture_curve([prior.conditioned(*bends) for prior in priors], shares / shares.sum())
+    curve = mixture_curve([prior.condition(*bends) for prior in priors], shares / shares.sum())
     share, residuals = 1.0 + 1.0 / float(seen.static_frames[0]), []
-    for change, time, angle in zip(static, age.tolist(), known.angle_deg, strict=True):
+    for change, time, angle in zip(static, age.tolist(), known_frames.angle_deg, strict=True):
         frame = combined(change, share, time)
         residuals.append(estimate_angle(curve, frame.change, frame.noise)[0] - angle)
     before = priors[int(logs.argmax())]
@@ -109,15 +109,15 @@ def adapted_curve(
     return curve, Calibration(tuple(angles), errors[0], errors[1], residual)
 
 
-def noise_scale(known: KnownFrames, combinations: Combinations) -> float:
+def noise_scale(frames: KnownFrames, combinations: Combinations) -> float:
     """Noise of a frame relative to that in training, from untouched frames of one angle.
 
-    A frame with noise as in training counts beside them, so that few tell little. Their differences
-    count without the part that is common to all measurements, which drifts.
+    A frame with noise as in training counts next to them, so that few show little. Their
+    differences count without the part that is common to all measurements, which drifts.
     """
-    seen = known.observations
-    alike = np.abs(known.reference_deg - known.angle_deg) <= FLAT_DEG
-    alike &= known.told & ~known.touched & (seen.dynamic != seen.static).any(axis=1)
+    seen = frames.observations
+    alike = np.abs(frames.reference_deg - frames.angle_deg) <= FLAT_DEG
+    alike &= frames.told & ~frames.has_touches & (seen.dynamic != seen.static).any(axis=1)
     total = count = PRIOR_FRAMES * (len(combinations.noise) - 1.0)
     for row in np.flatnonzero(alike):
         white = log_change(seen.dynamic[row]) / combinations.noise
@@ -150,18 +150,19 @@ def own_output(
     touches = touches[twin.inside(touches[:, :2])]
     ends = len(touches) - BENT_PRESSES * np.arange(len(angles), -1, -1)
     groups = zip([0.0, *angles.tolist()], [0, *ends[:-1]], ends, strict=True)
-    rows, left = [], []
+    rows, residuals = [], []
     for angle_deg, first, last in groups:
         some = touches[first:last]
         change = twin.changes(some, angle_deg, radius) @ combinations.forward
-        # A frame is compared with another one, and the response errs in proportion to the change.
+        # A frame is compared with another one, and the response has an error in proportion to the
+        # change.
         error = np.sqrt(np.mean((MISMATCH * change) ** 2 + unit**2, axis=1, keepdims=True))
-        rows.append(response.hidden(some, angle_deg) / error)
-        left.append((change - learned(some, angle_deg)) / error)
+        rows.append(response.hidden_output(some, angle_deg) / error)
+        residuals.append((change - learned(some, angle_deg)) / error)
     inputs = np.concatenate(rows)
     gram = inputs.T @ inputs
     ridge = RIDGE * float(np.linalg.eigvalsh(gram)[-1])
-    step = np.linalg.solve(gram + ridge * np.eye(len(gram)), inputs.T @ np.concatenate(left))
+    step = np.linalg.solve(gram + ridge * np.eye(len(gram)), inputs.T @ np.concatenate(residuals))
     output: Array = learned.output + step.T
     return output
 
@@ -185,9 +186,9 @@ def twin_trial(
     """Residuals of known touches by the learned response and by that with a twin's last layer."""
     if not len(touched):
         return TwinTrial(0)
-    both = (learned, own_response(learned, output))
-    left = (_relative_residual(each, touched, combinations) for each in both)
-    return TwinTrial(len(touched), *left)
+    responses = (learned, own_response(learned, output))
+    residuals = (_relative_residual(each, touched, combinations) for each in responses)
+    return TwinTrial(len(touched), *residuals)
 
 
 def _spread(bounds: Array, force: tuple[float, float], count: int) -> Array:
@@ -206,9 +207,9 @@ def _relative_residual(
     Each frame has a strength of its own, by least squares, since forces are known less well than
     places, or not at all.
     """
-    left = size = 0.0
-    for row, known in enumerate(touched.touches):
-        touches = known[np.isfinite(known[:, 0])]
+    residual = size = 0.0
+    for row, known_touch in enumerate(touched.touches):
+        touches = known_touch[np.isfinite(known_touch[:, 0])]
         forces = touches[:, 2]
         touches[:, 2] = np.where(np.isfinite(forces), forces, response.response.ranges.middle_force)
         change = log_change(touched.observations.dynamic[row])
@@ -217,9 +218,9 @@ def _relative_residual(
         good = np.isfinite(change)
         change, modelled = change[good], modelled[good]
         strength = float(modelled @ change) / max(float(modelled @ modelled), 1e-300)
-        left += float(np.sum((change - strength * modelled) ** 2))
+        residual += float(np.sum((change - strength * modelled) ** 2))
         size += float(change @ change)
-    return float(np.sqrt(left / size))
+    return float(np.sqrt(residual / size))
 
 
 def response_given(
@@ -236,9 +237,9 @@ def response_given(
         y = e^s (g + L^T q) + errors,   s ~ N(0, LOG_STRENGTH_STD^2),   q ~ N(0, 1),
 
     which is linear in q, and nearly so in s. Their covariance grows by the misfit per degree of
-    freedom where that is above one (Birge 1932): a response that explains the touches badly tells
+    freedom where that is above one (Birge 1932): a response that explains the touches badly shows
     little of the sensor. Unknown forces are found with them. Errors that touches share are larger
-    than the response has them, so the touches count by the share that lets them tell each other
+    than the response has them, so the touches count by the share that lets them show each other
     best (`_trusted_share`).
 
     Args:
@@ -248,40 +249,40 @@ def response_given(
         touches: prior of touches, which bounds forces.
         forces: whether known forces count.
     """
-    seen, known = touched.observations, []
-    for rows in _held(touched):
+    observations, known = touched.observations, []
+    for rows in _group_held_touches(touched):
         labels = touched.touches[rows[0]]
         places = labels[np.isfinite(labels[:, 0])]
         free = ~(np.isfinite(places[:, 2]) & forces)
         places[free, 2] = prior.response.ranges.middle_force
-        share = 1.0 / seen.frames[rows].sum() + 1.0 / seen.dynamic_frames[rows[0]]
-        age = float(seen.dynamic_age[rows].mean())
-        change = combined(_mean_change(seen.dynamic[rows]), float(share), age)
+        share = 1.0 / observations.frames[rows].sum() + 1.0 / observations.dynamic_frames[rows[0]]
+        age = float(observations.dynamic_age[rows].mean())
+        change = combined(_mean_change(observations.dynamic[rows]), float(share), age)
         angle_deg = float(np.nan_to_num(touched.reference_deg[rows[0]]))
         known.append(KnownTouches(change, places, free, angle_deg))
     latent = prior.response.latent_output
     precision = np.diag(np.append(LOG_STRENGTH_STD**-2, np.ones(len(latent))))
     share = _trusted_share(precision, [each.regression(prior, prior, 1.0) for each in known])
-    found: Array = np.zeros(1 + len(latent))
+    correction: Array = np.zeros(1 + len(latent))
     response, strength = prior, 1.0
     for _ in range(ROUNDS):
         told = [each.regression(prior, response, strength) for each in known]
         rows, left = (np.concatenate(parts, axis=-1) for parts in zip(*told, strict=True))
         information = precision + share * rows @ rows.T
-        gradient = share * rows @ (left + found @ rows)
-        found = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        gradient = share * rows @ (left + correction @ rows)
+        correction = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         for each, (_, own) in zip(known, told, strict=True):
             each.adjust_forces(own, touches)
-        strength = float(np.exp(found[0]))
-        output = strength * (prior.output + np.tensordot(found[1:], latent, axes=1))
+        strength = float(np.exp(correction[0]))
+        output = strength * (prior.output + np.tensordot(correction[1:], latent, axes=1))
         response = own_response(prior, output, latent)
-    size = sum(each.seen.told - int(each.free.sum()) for each in known)
+    size = sum(each.seen.rank - int(each.free.sum()) for each in known)
     growth = max(share * float(left @ left) / max(size, 1), 1.0)
     spread = strength * np.linalg.cholesky(growth * np.linalg.inv(information)[1:, 1:])
     return own_response(prior, response.output, np.tensordot(spread.T, latent, axes=1))
 
 
-def _held(touched: KnownFrames) -> list[NDArray[np.intp]]:
+def _group_held_touches(touched: KnownFrames) -> list[NDArray[np.intp]]:
     """Rows of frames in succession that see the same touches from the same reference."""
     places = touched.touches.reshape(len(touched), -1)
     numbers = held_numbers(np.column_stack([places, np.nan_to_num(touched.reference_deg)]))
@@ -304,7 +305,7 @@ class KnownTouches:
         seen: combinations of the change by them.
         places: x [m], y [m] and force [N] of each (k, 3); of a free force a guess.
         free: whether each force is unknown (k,).
-        angle_deg: of the bend [deg].
+        angle_deg: angle of the bend [deg].
     """
 
     seen: CombinedChange
@@ -323,7 +324,7 @@ class KnownTouches:
         Args:
             prior: response before.
             now: response about which it is linear.
-            strength: of that beside the prior one.
+            strength: strength of that next to the prior one.
 
         Returns:
             derivatives of the change by the unknowns (n, K).
@@ -342,29 +343,29 @@ class KnownTouches:
         self._by_force = errors**2 * (changes[0] @ whitening.T)
         return rows @ whitening.T, whitening @ (self.seen.change - changes[0].sum(axis=0))
 
-    def adjust_forces(self, left: Array, touches: TouchPrior) -> None:
-        """Change free forces, within bounds, as the change `left` by a `regression` asks."""
-        more = np.clip(self._by_force @ left, *MOST_CHANGE)
+    def adjust_forces(self, residuals: Array, touches: TouchPrior) -> None:
+        """Change free forces, within bounds, as the change `residuals` by a `regression` asks."""
+        more = np.clip(self._by_force @ residuals, *FORCE_CHANGE_LIMITS)
         force = np.clip(self.places[:, 2] * (1.0 + more), touches.low[2], touches.high[2])
         self.places[:, 2] = np.where(self.free, force, self.places[:, 2])
 
 
-def _trusted_share(precision: Array, told: list[tuple[Array, Array]]) -> float:
-    """Share of the information of touches by which the others tell each of them best.
+def _trusted_share(precision: Array, regressions: list[tuple[Array, Array]]) -> float:
+    """Share of the information of touches by which the others show each of them best.
 
     From the precision of the unknowns (n, n) and regressions by the response before.
     """
-    information = [rows @ rows.T for rows, _ in told]
-    gradients = [rows @ left for rows, left in told]
+    information = [rows @ rows.T for rows, _ in regressions]
+    gradients = [rows @ residuals for rows, residuals in regressions]
     total, gradient = sum(information), sum(gradients)
 
-    def missed(share: float) -> float:
-        """Misfit of the touches, each by what all others tell."""
+    def leave_one_out_misfit(share: float) -> float:
+        """Misfit of the touches, each by what all others show."""
         misfit = 0.0
-        for (rows, left), own, pull in zip(told, information, gradients, strict=True):
+        for (rows, residuals), own, pull in zip(regressions, information, gradients, strict=True):
             others = precision + share * (total - own)
             step: Array = np.asarray(np.linalg.solve(others, share * (gradient - pull)), float)
-            misfit += float(np.sum((left - step @ rows) ** 2))
+            misfit += float(np.sum((residuals - step @ rows) ** 2))
         return misfit
 
-    return min(SHARES, key=missed)
+    return min(SHARES, key=leave_one_out_misfit)

@@ -34,12 +34,12 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 MEMBERS = 5
-HIDDEN = (128, 128, 128)
+HIDDEN_SIZES = (128, 128, 128)
 GROUPS = 25
 """Groups of similar specimens, of which each network goes without a `MEMBERS`-th."""
-MIXED = (-0.25, 0.25)
+MIX_RANGE = (-0.25, 0.25)
 """Range of the share of another specimen's bend curve in that of a frame's."""
-MOVED = 0.9  # share of the frames of known clamps that move to another clamp in each step
+MOVED_SHARE = 0.9  # share of the frames of known clamps that move to another clamp in each step
 RELATIVE_NOISE = 0.05  # of the change, of frames that do not move
 FEATURE_NOISE = 0.3  # standard deviations, of frames that do not move
 
@@ -55,40 +55,40 @@ def fit_angles(
     """Networks trained by maximum likelihood of the angle, each without a share of the specimens.
 
     Every step bends the sensors as in clamps that the training set does not have. Where clamps are
-    known, most frames move to another one drawn anew: they change by the difference of both mean
+    known, most frames move to another one drawn again: they change by the difference of both mean
     curves (`ClampCurves`). Otherwise the curve of a frame's specimen gets a share of that of
     another one (mixup of Zhang et al. 2018, at equal angles), and further noise, with which
     networks overfit less. Every step adds the noise of a frame and of its reference, and a common
-    drift of any size, which the networks are told beside features (n, Q) of the specimens.
+    drift of any size, which the networks are given next to features (n, Q) of the specimens.
 
     Losses are the means of all networks; validation is on the specimens that each goes without.
     """
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
     empty = _without_layers(frames)
-    bends = curves.expected(frames)
+    bends = curves.expected_coefficients(frames)
     clamps = ClampCurves.fit(frames, curves, bends, seed)
     inputs = _Inputs(frames, features, bends, empty, clamps)
-    sizes = [inputs.raw.shape[1], *HIDDEN, 2]
+    sizes = [inputs.raw.shape[1], *HIDDEN_SIZES, 2]
     trained, learned = [], []
 
     def tell(member: int, done: int, total: int) -> None:
         progress("angles", member * total + done, MEMBERS * total)
 
     for member in range(MEMBERS):
-        seen, left = (
+        training_rows, rows = (
             torch.as_tensor(np.flatnonzero(rows)) for rows in (part != member, part == member)
         )
         network = seeded_network(lambda: dense_layers(sizes), seed + member)
         learned.append(
             train_network(
                 network,
-                partial(inputs.noisy, seen),
+                partial(inputs.noisy, training_rows),
                 _loss,
-                len(seen),
+                len(training_rows),
                 settings,
                 seed + member,
                 partial(tell, member),
-                Samples(partial(inputs.plain, left), len(left)) if len(left) else None,
+                Samples(partial(inputs.plain, rows), len(rows)) if len(rows) else None,
             )
         )
         trained.append(network)
@@ -98,8 +98,8 @@ def fit_angles(
     )
     networks = replace(empty, weights=weights, biases=biases)
     losses = (
-        np.mean([each for each in one if each], axis=0).tolist()
-        for one in ([x.training for x in learned], [x.validation for x in learned])
+        np.mean([each for each in inputs if each], axis=0).tolist()
+        for inputs in ([x.training for x in learned], [x.validation for x in learned])
     )
     return networks, LearningCurve(*map(tuple, losses))
 
@@ -120,10 +120,10 @@ class _Inputs:
     Attributes:
         raw: inputs without added noise (n, K + Q + 1).
         target: angles, in units (n, 1).
-        noise: of a frame and of its reference (K,).
+        noise: noise of a frame and of its reference (K,).
         drift, filter: as of the networks (K,).
         bends: coefficients of the expected curve of each frame (curves, M, K), and their `curve`.
-        powers: of each frame's angle (n, M).
+        powers: powers of each frame's angle (n, M).
         moved: share of the steps in which each frame moves to another clamp (n, 1).
         left: coefficients (S, M, K) of the mean curve of the clamp of each `specimen`.
         drawn: coefficients (D, M, K) of those of clamps to which frames move.
@@ -146,7 +146,7 @@ class _Inputs:
         self.drift, self.filter = as_tensor(empty.drift), as_tensor(empty.filter)
         self.bends, self.curve = as_tensor(bends / empty.unit), torch.as_tensor(frames.curve)
         self.powers = as_tensor(powers)
-        self.moved = as_tensor(np.where(clamps.known, MOVED, 0.0)[frames.specimen, None])
+        self.moved = as_tensor(np.where(clamps.known, MOVED_SHARE, 0.0)[frames.specimen, None])
         self.specimen = torch.as_tensor(frames.specimen)
         self.left, self.drawn = (as_tensor(x / empty.unit) for x in (clamps.own, clamps.drawn))
 
@@ -170,7 +170,7 @@ class _Inputs:
         other = rows[torch.randint(len(rows), (count,), generator=generator)]
         values = self.raw[own]
         stays = (uniform() >= self.moved[own]).float()
-        share = stays * (MIXED[0] + (MIXED[1] - MIXED[0]) * uniform())
+        share = stays * (MIX_RANGE[0] + (MIX_RANGE[1] - MIX_RANGE[0]) * uniform())
         apart = share[:, :, None] * (self.bends[self.curve[other]] - self.bends[self.curve[own]])
         clamp = torch.randint(len(self.drawn), (count,), generator=generator)
         moved = self.drawn[clamp] - self.left[self.specimen[own]]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from eitskin.training.joint.mirrored_frames import SCALE, MirroredFrames
-from eitskin.training.method.stored_fields import Arrays, Stored, StoredFields, restored_fields
+from eitskin.training.method.stored_fields import Arrays, StoredField, StoredFields, restored_fields
 
 Array = NDArray[np.float64]
 
@@ -24,10 +24,10 @@ MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
 RANDOM_POWERS = 5  # in a specimen's departure from the mean (random effects); 3 in version 0.1
 EM_ITERATIONS = 15
 BEYOND_DEG = 5.0  # by which an estimated angle may lie outside of those learned from
-LEAST_SPREAD = 1e-3  # of a feature
-TRUSTED = 4.0
+MIN_SPREAD = 1e-3  # of a feature
+TRUSTED_DEVIATIONS = 4.0
 """Standard deviations up to which features move the mean curve of a sensor whose curve is known at
-some angles, which tell more of it. A lower bound leaves more to them than one angle tells."""
+some angles, which show more of it. A lower bound leaves more to them than one angle shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,14 +39,14 @@ class BendCurve(StoredFields):
     Attributes:
         mean: b_k (M, K).
         effects: mean of w, the specimen's random effects (R, K); zero before a calibration.
-        covariance: of w (R K, R K).
+        covariance: covariance of w (R K, R K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
-        coefficients: of the expected curve, b_k + w_k (M, K); follow from the above.
+        coefficients: coefficients of the expected curve, b_k + w_k (M, K); follow from the above.
         blocks: covariances of w_j and w_k (R^2, K^2); follow as well.
     """
 
     mean: Array
-    effects: Annotated[Array, Stored("own")]
+    effects: Annotated[Array, StoredField("own")]
     covariance: Array
     angle_deg: tuple[float, float]
     coefficients: Array = field(init=False, repr=False)
@@ -100,12 +100,12 @@ class BendCurve(StoredFields):
         products = (weights[:, :, None] * weights[:, None, :]).reshape(len(weights), -1)
         return np.asarray(products @ self.blocks).reshape(-1, channels, channels)
 
-    def conditioned(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
+    def condition(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
         """Posterior of the curve given changes of log V at known angles, by Bayes' rule.
 
         Args:
             angle_deg: (n,) [deg].
-            change: of log V from the flat sensor (n, K); NaN where a measurement is bad.
+            change: change of log V from the flat sensor (n, K); NaN where a measurement is bad.
             noise: covariance (n K, n K) of all changes jointly, or (K, K) of independent ones.
         """
         weights, residual, system = self._regression(angle_deg, change, noise)
@@ -115,7 +115,7 @@ class BendCurve(StoredFields):
         return BendCurve(self.mean, effects, 0.5 * (covariance + covariance.T), self.angle_deg)
 
     def log_likelihood(self, angle_deg: Array, change: Array, noise: Array) -> float:
-        """Log-likelihood of changes of log V at known angles; arguments as of `conditioned`."""
+        """Log-likelihood of changes of log V at known angles; arguments as of `condition`."""
         _, residual, system = self._regression(angle_deg, change, noise)
         factor = cho_factor(system)
         width = _log_determinant(factor) + len(system) * np.log(2.0 * np.pi)
@@ -126,7 +126,7 @@ class BendCurve(StoredFields):
     ) -> tuple[Array, Array, Array]:
         """Weights of w in the good measurements (N, R K), their residual (N,) and its covariance.
 
-        Arguments are those of `conditioned`.
+        Arguments are those of `condition`.
         """
         count, channels = change.shape
         if noise.shape == (channels, channels):
@@ -145,19 +145,19 @@ def mixture_curve(curves: Sequence[BendCurve], shares: Array) -> BendCurve:
 
     Args:
         curves: n curves.
-        shares: of each, one in sum (n,).
+        shares: shares of each, one in sum (n,).
     """
     mean, effects, covariance = (
-        np.tensordot(shares, [getattr(each, name) for each in curves], axes=1)
+        np.tensordot(shares, [getattr(curve, name) for curve in curves], axes=1)
         for name in ("mean", "effects", "covariance")
     )
     random = len(effects)
     middle = (mean[:random] + effects).ravel()
-    for each, share in zip(curves, shares, strict=True):
-        apart = each.coefficients[:random].ravel() - middle
+    for curve, share in zip(curves, shares, strict=True):
+        apart = curve.coefficients[:random].ravel() - middle
         covariance += share * np.outer(apart, apart)
-    low = min(each.angle_deg[0] for each in curves)
-    high = max(each.angle_deg[1] for each in curves)
+    low = min(curve.angle_deg[0] for curve in curves)
+    high = max(curve.angle_deg[1] for curve in curves)
     return BendCurve(mean, effects, covariance, (low, high))
 
 
@@ -168,7 +168,7 @@ class BendCurvePrior(StoredFields):
     Attributes:
         mean: coefficients of the middle specimen, then their derivative by each feature
             (1 + P, M, K).
-        covariance: of the random effects (R K, R K).
+        covariance: covariance of the random effects (R K, R K).
         angle_deg: smallest and largest angle learned from; zero lies between them [deg].
         spread: mean square of each feature among the specimens learned from (P,); ones in older
             pipelines.
@@ -221,10 +221,10 @@ class BendCurvePrior(StoredFields):
             logs.append(-0.5 * (misfit + widths))
         return np.array(logs)
 
-    def expected(self, frames: MirroredFrames) -> Array:
+    def expected_coefficients(self, frames: MirroredFrames) -> Array:
         """Coefficients of each expected curve, in the order of their numbers.
 
-        They are (S, M, K), as those of `BendCurve.conditioned` on all of its frames.
+        They are (S, M, K), as those of `BendCurve.condition` on all of its frames.
         """
         curves = []
         for prior, _, posterior in self._posteriors(frames):
@@ -239,10 +239,10 @@ class BendCurvePrior(StoredFields):
         size = len(self.covariance) // frames.change.shape[1]
         precision, inverse = _inverse(frames.noise), _inverse(self.covariance)
         for rows in _groups(frames.curve):
-            prior, angle_deg = self.of(frames.features[rows[0]]), frames.angle_deg[rows]
+            prior, angle_deg = self.predict(frames.features[rows[0]]), frames.angle_deg[rows]
             powers = _powers(angle_deg[:, None] / SCALE, size)
             residual = frames.change[rows] - prior.value(angle_deg)
-            yield prior, residual, _Posterior.of(powers, residual, precision, inverse)
+            yield prior, residual, _Posterior.from_residual(powers, residual, precision, inverse)
 
     @classmethod
     def flat(cls, features: int, channels: int) -> "BendCurvePrior":
@@ -257,7 +257,7 @@ class BendCurvePrior(StoredFields):
         low, high = self.angle_deg
         return low < high
 
-    def of(self, features: ArrayLike) -> BendCurve:
+    def predict(self, features: ArrayLike) -> BendCurve:
         """Prior of the curve of a specimen with features (P,)."""
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         mean = np.tensordot(p, self.mean, axes=1)
@@ -265,19 +265,19 @@ class BendCurvePrior(StoredFields):
         effects = np.zeros((len(self.covariance) // channels, channels))
         return BendCurve(mean, effects, self.covariance, self.angle_deg)
 
-    def widened(self, features: Array, rate: float) -> BendCurve:
+    def predict_widened(self, features: Array, rate: float) -> BendCurve:
         """Prior of the curve of a specimen, the less certain the stranger it is.
 
         The mean is linear in the features, and what it leaves grows with their mean square over
-        that of the specimens learned from. Beyond `TRUSTED` they move it no further.
+        that of the specimens learned from. Beyond `TRUSTED_DEVIATIONS` they move it no further.
 
         Args:
-            features: of the specimen (P,).
+            features: features of the specimen (P,).
             rate: factor of the covariance over that ratio; at least 1 in all.
         """
-        spread = np.maximum(self.spread, LEAST_SPREAD)
+        spread = np.maximum(self.spread, MIN_SPREAD)
         strangeness = float(np.mean(features**2 / spread)) if len(features) else 0.0
-        curve = self.of(np.clip(features, -TRUSTED, TRUSTED))
+        curve = self.predict(np.clip(features, -TRUSTED_DEVIATIONS, TRUSTED_DEVIATIONS))
         return replace(curve, covariance=max(1.0, rate * strangeness) * curve.covariance)
 
 
@@ -298,7 +298,9 @@ class _Posterior:
     precision_of_noise: Array
 
     @classmethod
-    def of(cls, powers: Array, residual: Array, precision: Array, inverse: Array) -> "_Posterior":
+    def from_residual(
+        cls, powers: Array, residual: Array, precision: Array, inverse: Array
+    ) -> "_Posterior":
         """By what frames leave (n, K), of powers (n, R) of their angles; `inverse` that of w."""
         evidence = (powers.T @ (residual @ precision)).ravel()
         factor = cho_factor(inverse + np.kron(powers.T @ powers, precision))
@@ -335,7 +337,7 @@ def _mixed_model(
     for _ in range(EM_ITERATIONS):
         inverse, total = _inverse(covariance), np.zeros_like(covariance)
         for rows in groups:
-            found = _Posterior.of(powers[rows], residual[rows], precision, inverse)
+            found = _Posterior.from_residual(powers[rows], residual[rows], precision, inverse)
             total += cho_solve(found.factor, np.eye(size)) + np.outer(found.effects, found.effects)
         covariance = total / len(groups)
         # Keeps the covariance invertible in directions in which no specimen departs.

@@ -18,21 +18,21 @@ from eitskin.training.joint.objective import (
     misfit_sigma,
     whitening_matrix,
 )
-from eitskin.training.joint.touch_search import pruned
+from eitskin.training.joint.touch_search import prune
 
 Array = NDArray[np.float64]
 
 FAULT_THRESHOLD = 25.0  # least decrease of the misfit by a fault, the same as by a touch
 ACCEPTED_SIGMA = 3.0  # highest misfit with the fault, in standard deviations above expectation
 SUSPICIOUS_SIGMA = 3.0  # misfit above its expectation from which a fault is considered
-MOST_FAULTS = 2  # in one frame
-LEAST_SHARE = 0.5  # of a touch's gain that a fault must promise to be tried instead
+MAX_FAULTS = 2  # in one frame
+MIN_SHARE = 0.5  # of a touch's gain that a fault must promise to be tried instead
 ALLOWANCE = 2.0  # misfit by which a fault may fit worse than the touches it replaces
 FAULT_SIZE = 0.01  # standard deviation of the log of a measurement with a fault, before it is seen
 FAULT_PRICE = 2.0 * math.log(36 / 0.05)
 """Decrease of minus twice the log density that is asked of each fault: any of some three dozen has
 odds of 0.05 before a frame is seen."""
-MOST_CONTACTS = 3  # that are taken to have changed together
+MAX_CONTACTS = 3  # that are taken to have changed together
 AGEING = (0.03, 0.1, 0.3, 1.0)  # sizes of changes of all contacts, in those of one that has changed
 STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements
 
@@ -42,7 +42,7 @@ class ChannelFault:
     """One possible fault.
 
     Attributes:
-        name: in words.
+        name: name in words.
         members: numbers of the measurements that it changes.
     """
 
@@ -55,7 +55,7 @@ class FaultyChange:
     """A frame whose change is that of some faults, and of nothing else but noise.
 
     Attributes:
-        faults: of one measurement, or of up to `MOST_CONTACTS` contacts.
+        faults: faults of one measurement, or of up to `MAX_CONTACTS` contacts.
         improbability: minus twice the log of its density with the faults' prices, but for a
             constant.
         rest: the frame less these faults, as far as they are known.
@@ -77,7 +77,7 @@ class PossibleFaults:
 
     Attributes:
         faults: n of them.
-        changes: of log V by each fault, in any unit (C, n).
+        changes: changes of log V by each fault, in any unit (C, n).
     """
 
     faults: tuple[ChannelFault, ...]
@@ -91,7 +91,7 @@ class PossibleFaults:
     @cached_property
     def sets(self) -> tuple[NDArray[np.intp], ...]:
         """Numbers of the faults (n, k) that may be there together, for k = 1, 2, ..."""
-        several = (list(combinations(self.contacts, k)) for k in range(2, MOST_CONTACTS + 1))
+        several = (list(combinations(self.contacts, k)) for k in range(2, MAX_CONTACTS + 1))
         singles = [(i,) for i in range(len(self.faults))]
         return tuple(np.array(each) for each in (singles, *several) if each)
 
@@ -111,7 +111,10 @@ class PossibleFaults:
         scale = math.sqrt(combined.frames)
         whitening = whitening_matrix(combined.noise + slopes.T @ slopes)
         changes = FAULT_SIZE * self.changes
-        seen, rest = whitening @ combined.seen(changes), combined.remainder(changes) / scale
+        seen, rest = (
+            whitening @ combined.project_observed(changes),
+            combined.remainder(changes) / scale,
+        )
         shown = np.concatenate([seen, rest])
         residual = np.concatenate([whitening @ combined.change, combined.rest / scale])
         gram, on = shown.T @ shown, shown.T @ residual
@@ -124,7 +127,7 @@ class PossibleFaults:
             most = float(on[self.contacts] @ np.linalg.solve(together, on[self.contacts]))
             if most - 2.0 * FAULT_PRICE > least:
                 alternatives += [(sets, 1.0, sets.shape[1]) for sets in self.sets[1:]]
-        if ages and len(self.contacts) > MOST_CONTACTS:
+        if ages and len(self.contacts) > MAX_CONTACTS:
             alternatives += [(every, size, 1) for size in AGEING]
         best, gain, stiffness = np.zeros(0, np.intp), -math.inf, 1.0
         for sets, size, prices in alternatives:
@@ -143,7 +146,7 @@ class PossibleFaults:
             return None
         inverse = np.linalg.inv(gram[np.ix_(best, best)] + stiffness * np.eye(len(best)))
         mine = changes[:, best]
-        spread = combined.seen(mine) @ np.linalg.cholesky(inverse)
+        spread = combined.project_observed(mine) @ np.linalg.cholesky(inverse)
         further = spread @ spread.T + (0.0 if combined.further is None else combined.further)
         cleaned = replace(
             combined,
@@ -151,7 +154,7 @@ class PossibleFaults:
             further=further,
         )
         faults = tuple(self.faults[i] for i in best)
-        if len(best) > MOST_CONTACTS:
+        if len(best) > MAX_CONTACTS:
             members = np.flatnonzero(mine.any(axis=1)).tolist()
             faults = (ChannelFault("contacts of several electrodes have changed", tuple(members)),)
         return FaultyChange(faults, nothing - gain, cleaned)
@@ -171,12 +174,15 @@ class PossibleFaults:
 
         Args:
             combined: change of the frame, of which some measurements may be left out.
-            whitening: of the combinations (K, K).
+            whitening: whitening of the combinations (K, K).
             scale: standard deviation of the remainder, which they leave (C,).
-            residual: of the combinations, then the remainder, whitened (K + C,).
-            jacobian: of the other unknowns, whitened (K, n); none explains the remainder.
+            residual: residual of the combinations, then the remainder, whitened (K + C,).
+            jacobian: jacobian of the other unknowns, whitened (K, n); none explains the remainder.
         """
-        seen, rest = whitening @ combined.seen(self.changes), combined.remainder(self.changes)
+        seen, rest = (
+            whitening @ combined.project_observed(self.changes),
+            combined.remainder(self.changes),
+        )
         rest = (rest.T / scale).T
         factors, tau, _, _ = lapack.dgeqrf(jacobian)
         basis = lapack.dorgqr(factors[:, : len(tau)], tau)[0]  # orthonormal, of its columns
@@ -189,7 +195,7 @@ class PossibleFaults:
         best = int(gain.argmax())
         return self.faults[best], float(gain[best])
 
-    def likeliest_in(
+    def most_likely(
         self, found: MapEstimate, replaced: int | None = None
     ) -> tuple[ChannelFault, float]:
         """The fault that explains most of what an estimate leaves, and its decrease of the misfit.
@@ -235,16 +241,16 @@ def fit_with_fault(
 ) -> tuple[ChannelFault, MapEstimate] | None:
     """One fault and the estimate without its measurements; None where `found` fits better.
 
-    The fault takes the place of touches, or is beside all of them; `untouched` has none.
+    The fault takes the place of touches, or is next to all of them; `untouched` has none.
     """
     touches = len(found.at.touches)
     for alternative in _alternatives(untouched, found, possible):
         _, misfit, degrees_of_freedom = alternative.whole
-        fault, gain = possible.likeliest_in(alternative)
+        fault, gain = possible.most_likely(alternative)
         if gain < FAULT_THRESHOLD:
             continue
         if alternative is found:
-            likely = gain > LEAST_SHARE * (misfit - degrees_of_freedom)
+            likely = gain > MIN_SHARE * (misfit - degrees_of_freedom)
         else:
             # A touch has three unknowns, a fault one: the fault may fit a little worse.
             allowance = 3 * (touches - len(alternative.at.touches)) + ALLOWANCE
@@ -253,7 +259,7 @@ def fit_with_fault(
         fewer = found.objective.without_measurements(fault.members)
         if not likely or fewer.combined.count < len(fewer.combined.good) // 2:
             continue
-        again = pruned(levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE))
+        again = prune(levenberg_marquardt(fewer, alternative.unknowns, STEPS, TOLERANCE))
         if again.whole_sigma < ACCEPTED_SIGMA:
             return fault, again
     return None
@@ -272,7 +278,7 @@ def _alternatives(
     if touches > 1:
         gains = found.gains
         for i in np.argsort(gains)[:2].tolist():
-            if possible.likeliest_in(found, i)[1] > LEAST_SHARE * gains[i]:
+            if possible.most_likely(found, i)[1] > MIN_SHARE * gains[i]:
                 others = found.unknowns.without_touch(i)
                 yield levenberg_marquardt(found.objective, others, STEPS, TOLERANCE)
     if touches and found.whole_sigma > SUSPICIOUS_SIGMA:

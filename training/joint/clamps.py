@@ -1,7 +1,7 @@
 """Bend curves of clamps between those of the training set.
 
 A set holds some dozens of clamps, whose bends are solved one by one; networks trained on these
-alone learn each by heart. The mean curve of a clamp is a smooth function of its free length, axis,
+alone learn each exactly. The mean curve of a clamp is a smooth function of its free length, axis,
 held faces and stiffness, and so it is known for any other.
 """
 
@@ -17,14 +17,14 @@ from eitskin.training.joint.mirrored_frames import MirroredFrames
 
 Array = NDArray[np.float64]
 
-FEWEST_CLAMPS = 12
+MIN_CLAMPS = 12
 """Known clamps from which on others are drawn; a linear function of four properties has five."""
-DRAWN = 4000  # clamps
+SAMPLE_COUNT = 4000  # clamps
 SMOOTHING = 0.1  # of the spline; errors of clamps left out are equal from 0 on
-FEWEST_SPECIMENS = 100  # that make a clamp usual
-MOST_SHARE = 0.9  # of the specimens; beyond that all of them are of one clamp
+MIN_SPECIMENS = 100  # that make a clamp usual
+MAX_SHARE = 0.9  # of the specimens; beyond that all of them are of one clamp
 ROUNDS = 3  # of assigning specimens and learning the curves of those assigned, at most
-LEAST_GAIN = 2.0
+MIN_GAIN = 2.0
 """Least mean of the log-likelihood ratio of a usual specimen that the usual curves were learned
 without. The middle of one normal population gains nothing."""
 HOLD_OUT = 5  # every how many-th specimen is held out for it
@@ -59,24 +59,24 @@ class ClampCurves:
         coefficients of the curves that are expected of the frames (curves, M, K).
         """
         first = np.unique(frames.specimen, return_index=True)[1]
-        known = np.asarray(np.isfinite(frames.clamp[first]).all(axis=1))
-        places = _coordinates(frames.clamp[first][known])
+        is_known = np.asarray(np.isfinite(frames.clamp[first]).all(axis=1))
+        places = _coordinates(frames.clamp[first][is_known])
         cells, number = np.unique(places.round(_DIGITS), axis=0, return_inverse=True)
-        if len(cells) < FEWEST_CLAMPS or _extent(places) < _FLAT:
+        if len(cells) < MIN_CLAMPS or _extent(places) < _FLAT:
             none = np.zeros((1, *curves.mean.shape[1:]))
-            return cls(np.repeat(none, len(known), axis=0), np.zeros_like(known), none)
+            return cls(np.repeat(none, len(is_known), axis=0), np.zeros_like(is_known), none)
         each = _without_features(frames, curves, bends)
         spline = RBFInterpolator(
             _means(places, number.ravel()),
-            _means(each[known].reshape(len(places), -1), number.ravel()),
+            _means(each[is_known].reshape(len(places), -1), number.ravel()),
             smoothing=SMOOTHING,
             kernel="thin_plate_spline",
             degree=1,
         )
         own = np.zeros_like(each)
-        own[known] = spline(places).reshape(-1, *each.shape[1:])
-        drawn = spline(_drawn(places, len(cells), np.random.default_rng(seed)))
-        return cls(own, known, drawn.reshape(DRAWN, *each.shape[1:]))
+        own[is_known] = spline(places).reshape(-1, *each.shape[1:])
+        drawn = spline(_sample_smoothly(places, len(cells), np.random.default_rng(seed)))
+        return cls(own, is_known, drawn.reshape(SAMPLE_COUNT, *each.shape[1:]))
 
 
 def _coordinates(clamps: Array) -> Array:
@@ -96,14 +96,16 @@ def _extent(places: Array) -> float:
     return float(sizes[-1] / sizes[0]) if len(sizes) else 0.0
 
 
-def _drawn(places: Array, clamps: int, rng: np.random.Generator) -> Array:
-    """Points (`DRAWN`, d) distributed as others, but smoothly; coordinates of two values stay so.
+def _sample_smoothly(places: Array, clamps: int, rng: np.random.Generator) -> Array:
+    """Points (`SAMPLE_COUNT`, d) distributed smoothly as others; coordinates of two values stay so.
 
     By a normal kernel of the width of Scott (1992), which serves for as many different `clamps`.
     """
     several = np.array([len(np.unique(values)) > 2 for values in places.T])
     width = places.std(axis=0) * clamps ** (-1.0 / (4 + places.shape[1])) * several
-    drawn = rng.choice(places, DRAWN) + width * rng.standard_normal((DRAWN, places.shape[1]))
+    drawn = rng.choice(places, SAMPLE_COUNT) + width * rng.standard_normal(
+        (SAMPLE_COUNT, places.shape[1])
+    )
     inside: Array = np.clip(drawn, places.min(axis=0), places.max(axis=0))
     return inside
 
@@ -115,9 +117,9 @@ def _without_features(frames: MirroredFrames, curves: BendCurvePrior, bends: Arr
     """
     _, first = np.unique(frames.curve, return_index=True)
     explained = np.tensordot(frames.features[first], curves.mean[1:], axes=1)
-    left = bends - explained
-    means = _means(left.reshape(len(left), -1), frames.specimen[first])
-    return means.reshape(-1, *left.shape[1:])
+    residuals = bends - explained
+    means = _means(residuals.reshape(len(residuals), -1), frames.specimen[first])
+    return means.reshape(-1, *residuals.shape[1:])
 
 
 def _means(rows: Array, group: NDArray[np.intp] | NDArray[np.int64]) -> Array:
@@ -135,31 +137,31 @@ def usual_curves(frames: MirroredFrames, everywhere: BendCurvePrior) -> BendCurv
     the group are learned, and every specimen belongs to the group whose curves are likelier by
     them than by those of all specimens, `everywhere` (classification EM, Celeux and Govaert 1992).
     """
-    count, own = frames.specimens, frames[frames.image == 0]  # mirror images tell nothing more
-    if count < 2 * FEWEST_SPECIMENS:
+    count, own = frames.specimens, frames[frames.image == 0]  # mirror images show nothing more
+    if count < 2 * MIN_SPECIMENS:
         return None
     likelihood = everywhere.log_likelihood(own)
 
-    def learned(some: NDArray[np.bool_]) -> BendCurvePrior:
+    def fit_curves(some: NDArray[np.bool_]) -> BendCurvePrior:
         return BendCurvePrior.fit(frames[some[frames.specimen]])
 
     member = _closest(frames.coordinates())
     for _ in range(ROUNDS):
-        gain = learned(member).log_likelihood(own) - likelihood
+        gain = fit_curves(member).log_likelihood(own) - likelihood
         before, member = member, gain > -np.log(member.sum() / (count - member.sum()))
-        if not FEWEST_SPECIMENS <= member.sum() <= MOST_SHARE * count:
+        if not MIN_SPECIMENS <= member.sum() <= MAX_SHARE * count:
             return None
         if (member == before).all():
             break
     held_out = member & (np.arange(count) % HOLD_OUT == HOLD_OUT - 1)
-    unseen = learned(member & ~held_out).log_likelihood(own) - likelihood
-    return learned(member) if unseen[held_out].mean() >= LEAST_GAIN else None
+    unseen = fit_curves(member & ~held_out).log_likelihood(own) - likelihood
+    return fit_curves(member) if unseen[held_out].mean() >= MIN_GAIN else None
 
 
 def _closest(coordinates: Array) -> NDArray[np.bool_]:
-    """Whether each specimen (S,) is of the `FEWEST_SPECIMENS` that lie closest together."""
+    """Whether each specimen (S,) is of the `MIN_SPECIMENS` that lie closest together."""
     distance = cdist(coordinates, coordinates)
-    radius = np.partition(distance, FEWEST_SPECIMENS - 1, axis=1)[:, FEWEST_SPECIMENS - 1]
+    radius = np.partition(distance, MIN_SPECIMENS - 1, axis=1)[:, MIN_SPECIMENS - 1]
     middle = int(radius.argmin())
     closest: NDArray[np.bool_] = distance[middle] <= radius[middle]
     return closest

@@ -1,6 +1,6 @@
 """Combinations of measurements: the few that carry touches and bends, of however many measured.
 
-Reciprocal measurements tell the same, and hundreds of measurements of one sensor have far fewer
+Reciprocal measurements show the same, and hundreds of measurements of one sensor have far fewer
 independent changes. Training and fit work with combinations, at the cost of as many channels.
 """
 
@@ -16,15 +16,14 @@ from eitskin.training.method.stored_fields import StoredFields
 
 Array = NDArray[np.float64]
 
-MOST = 0.5
+MAX_SHARE = 0.5
 """Share of the measurements beyond which combinations save too little to be made."""
 LEFT_OUT = 1e8
-"""Variance of a combination that no measurement tells, in units of its variance where all do."""
+"""Variance of a combination that no measurement shows, in units of its variance where all do."""
 
-RESPONSE_FEATURES = (
-    8  # features of responses and curves; each costs weights that the specimens must determine
-)
-ANGLE_FEATURES = 20  # that networks of the angle are told
+# features of responses and curves; each costs weights that the specimens must determine
+RESPONSE_FEATURES = 8
+ANGLE_FEATURES = 20  # that networks of the angle are reported
 CLIP_SIGMA = 5.0  # standard deviations of the training specimens
 
 
@@ -35,11 +34,11 @@ class Combinations:
         change = D B y + noise,   y = B^T D^-1 change,   D = diag(noise)
 
     With orthonormal columns B that span the changes by touches, bends and drift, y is a sufficient
-    statistic: what is left of the change is noise, which tells nothing of them.
+    statistic: what is left of the change is noise, which shows nothing of them.
 
     Attributes:
         noise: standard deviation of log V of each measurement in one frame (C,).
-        basis: B (C, K); None where every measurement is a combination by itself, in its own unit.
+        basis: B (C, K); None where every measurement is a combination on its own, in its own unit.
     """
 
     noise: Array
@@ -54,8 +53,8 @@ class Combinations:
         all measurements counts as a signal.
 
         Args:
-            changes: of log V (n, C) in frames of one kind each, and the variance of their noise in
-                units of that of one frame.
+            changes: changes of log V (n, C) in frames of one kind each, and the variance of their
+                noise in units of that of one frame.
             noise: standard deviation of log V of each measurement in one frame (C,).
         """
         size = len(noise)
@@ -67,7 +66,7 @@ class Combinations:
         values, vectors = np.linalg.eigh(covariance)
         signals = vectors[:, values > limit][:, ::-1]
         basis = np.linalg.qr(np.column_stack([signals, 1.0 / noise]))[0]
-        return cls(noise, basis if basis.shape[1] <= MOST * size else None)
+        return cls(noise, basis if basis.shape[1] <= MAX_SHARE * size else None)
 
     def __len__(self) -> int:
         """Number of combinations K."""
@@ -105,21 +104,21 @@ class Combinations:
         late: Array = self.forward.T * (np.arange(count) / count - 0.5) @ self.back.T
         return late
 
-    def combined(self, change: Array, frames: float, drift: float) -> "CombinedChange":
+    def combine(self, change: Array, frames: float, drift: float) -> "CombinedChange":
         """Combinations of one frame and their noise.
 
         Args:
-            change: of log V (C,), NaN where a measurement is bad.
+            change: change of log V (C,), NaN where a measurement is bad.
             frames: sum of the reciprocal numbers of frames in both means that are compared.
             drift: variance of the change common to all measurements.
         """
         good = np.isfinite(change)
         return CombinedChange(self, np.where(good, change, 0.0), good, frames, drift)
 
-    def without(self, good: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def restrict(self, good: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Combinations where only the measurements `good` (C,) are known.
 
-        They are the least-squares estimate. A combination that these do not tell is zero, with the
+        They are the least-squares estimate. A combination that these do not show is zero, with the
         variance `LEFT_OUT`.
 
         Returns:
@@ -129,11 +128,11 @@ class Combinations:
         if self.basis is None:
             alone = np.where(good, 1.0, LEFT_OUT) * self.noise**2
             return np.diag(good.astype(float)), np.diag(alone)
-        known = self.basis * good[:, None]
-        information = known.T @ known + np.eye(len(self)) / LEFT_OUT
+        good_basis = self.basis * good[:, None]
+        information = good_basis.T @ good_basis + np.eye(len(self)) / LEFT_OUT
         covariance = np.linalg.inv(information)
         covariance = 0.5 * (covariance + covariance.T)
-        return covariance @ (known / self.noise[:, None]).T, covariance
+        return covariance @ (good_basis / self.noise[:, None]).T, covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +140,7 @@ class CombinedChange:
     """Combinations of the measured change of log V in one frame, with their noise.
 
     Attributes:
-        combinations: of the measurements.
+        combinations: combinations of the measurements.
         measured: change of log V (C,), zero where a measurement is left out.
         good: whether each measurement counts (C,).
         frames: sum of the reciprocal numbers of frames in both means that are compared.
@@ -162,39 +161,41 @@ class CombinedChange:
         return int(np.count_nonzero(self.good))
 
     @property
-    def told(self) -> int:
-        """Number of combinations that they tell at most."""
+    def rank(self) -> int:
+        """Number of combinations that they show at most."""
         return min(self.count, len(self.combinations))
 
-    def without(self, measurements: Sequence[int]) -> "CombinedChange":
+    def drop(self, measurements: Sequence[int]) -> "CombinedChange":
         """The change with further measurements left out."""
         measured, good = self.measured.copy(), self.good.copy()
         measured[list(measurements)], good[list(measurements)] = 0.0, False
         return replace(self, measured=measured, good=good)
 
     @cached_property
-    def _known(self) -> tuple[Array, Array]:
+    def _observed_matrices(self) -> tuple[Array, Array]:
         """Matrix (K, C) to combinations, and the covariance (K, K) of their noise in one frame."""
         if not self.good.all():
-            return self.combinations.without(self.good)
+            return self.combinations.restrict(self.good)
         return self.combinations.forward.T, np.diag(self.combinations.unit**2)
 
     @cached_property
     def change(self) -> Array:
         """Combinations of the change (K,)."""
-        return self.seen(self.measured)
+        return self.project_observed(self.measured)
 
     @cached_property
     def noise(self) -> Array:
         """Covariance of their noise (K, K)."""
         drift = self.combinations.drift
-        noise: Array = (self.drift * drift)[:, None] * drift + self.frames * self._known[1]
+        noise: Array = (self.drift * drift)[
+            :, None
+        ] * drift + self.frames * self._observed_matrices[1]
         return noise if self.further is None else noise + self.further
 
-    def seen(self, changes: Array) -> Array:
+    def project_observed(self, changes: Array) -> Array:
         """Combinations (K, ...) of changes (C, ...), from the measurements that count."""
-        seen: Array = self._known[0] @ changes
-        return seen
+        observed: Array = self._observed_matrices[0] @ changes
+        return observed
 
     def remainder(self, changes: Array) -> Array:
         """Part of changes (C, n) that no combination has, in units of the noise (C, n).
@@ -202,8 +203,8 @@ class CombinedChange:
         Zero in measurements that are left out.
         """
         combinations = self.combinations
-        rest = changes - combinations.back.T @ self.seen(changes)
-        share: Array = rest * (self.good / combinations.noise)[:, None]
+        remainder = changes - combinations.back.T @ self.project_observed(changes)
+        share: Array = remainder * (self.good / combinations.noise)[:, None]
         return share
 
     @cached_property
@@ -252,8 +253,8 @@ class SpecimenFeatures(StoredFields):
         middle = images.mean(axis=0)
         _, sizes, directions = np.linalg.svd(images - middle, full_matrices=False)
         deviations = sizes / np.sqrt(max(len(images), 1))
-        kept = min(count, len(logs) // 5, int(np.sum(deviations > 1e-9)))
-        return cls(middle, directions[:kept] / deviations[:kept, None])
+        feature_count = min(count, len(logs) // 5, int(np.sum(deviations > 1e-9)))
+        return cls(middle, directions[:feature_count] / deviations[:feature_count, None])
 
     def first(self, count: int = RESPONSE_FEATURES) -> "SpecimenFeatures":
         """The features along which specimens differ most, `count` of them."""
@@ -264,12 +265,12 @@ class SpecimenFeatures(StoredFields):
         departure = _without_common(np.log(np.asarray(flat, dtype=float)) - self.middle)
         return np.where(np.isfinite(departure), departure, 0.0) @ self.directions.T
 
-    def bounded(self, flat: ArrayLike) -> Array:
+    def clip(self, flat: ArrayLike) -> Array:
         """Features (..., P), each at most `CLIP_SIGMA` standard deviations from the middle.
 
         Bend curves are linear in the features and networks smooth, so far outside of the training
         specimens both are wrong without a sign of it; at the bound they are merely of another
-        specimen, as their standard errors tell.
+        specimen, as their standard errors show.
         """
         return np.clip(self.apply(flat), -CLIP_SIGMA, CLIP_SIGMA)
 

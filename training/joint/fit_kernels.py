@@ -31,7 +31,7 @@ POOR, GOOD = 0.25, 0.75  # share of its promise below and above which a step cha
 SHRINKING, GROWTH = 0.5, 2.0  # the new radius, in lengths of that step
 DAMPINGS = np.append(1e-6, 1e-3 * 4.0 ** np.arange(10))
 """Damping of a step: where none is needed, and those that are tried."""
-HELD = 1e9  # addition to the Hessian that holds an unknown at its bound
+BOUND_STIFFNESS = 1e9  # addition to the Hessian that holds an unknown at its bound
 
 # First layer of the response network (3, h), the others (layers - 1, h, h), biases (layers, h), the
 # first layer's by the angle (h,); last layer (h, K) and its constant (K,); bend curve (powers, K).
@@ -194,7 +194,7 @@ def trust_step(products: Array, touches: Array, frame: Frame, radius: float) -> 
     Args:
         products: misfit, gradient and Hessian (1 + n, 1 + n).
         touches: unknowns that have bounds (k, 3).
-        frame: with these bounds.
+        frame: frame with these bounds.
         radius: most unit steps of any unknown.
 
     Returns:
@@ -207,7 +207,7 @@ def trust_step(products: Array, touches: Array, frame: Frame, radius: float) -> 
         for a in range(3):
             i, at = 1 + 3 * t + a, touches[t, a]
             if (at <= box[2, a] and gradient[i] < 0) or (at >= box[3, a] and gradient[i] > 0):
-                gradient[i], held[i] = 0.0, HELD
+                gradient[i], held[i] = 0.0, BOUND_STIFFNESS
     for damping in DAMPINGS:
         damped = products[1:, 1:].copy()
         for i in range(len(step)):

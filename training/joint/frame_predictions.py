@@ -14,22 +14,23 @@ from eitskin.errors import DataError
 from eitskin.training.joint.model_selection import REPORTED_SIGMA, TOUCHED_SIGMA, FrameFit
 from eitskin.training.joint.objective import TOUCH_THRESHOLD, misfit_sigma
 from eitskin.training.joint.specimen_model import AngleEstimate
-from eitskin.training.joint.touch_response import MOST_TOUCHES
+from eitskin.training.joint.touch_response import MAX_TOUCHES
 from eitskin.training.method.predictions import FoundTouches
 
-SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
+# spread of log ratios of two sessions of a sensor; paths have an error by 0.4 %
+SPECIMEN_SPREAD = 0.008
 Array = NDArray[np.float64]
 
 FAINT_GAIN, FURTHER_GAIN, DIVISION_GAIN = 12.0, 18.0, (8.0, 10.0)
 """Decrease of the misfit, by a touch where there is none, by a further one, and by two in place of
 the only one or of one of several, beyond which it is reported: chance exceeds each in one frame of
 a hundred."""
-REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
+MAX_REJECTED_EVIDENCE = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 
-PRIOR_TOUCHES = 4  # touches with errors as stated, that count beside the known ones
-NEAREST = 0.015  # m, within which a found touch is a known one
+PRIOR_TOUCHES = 4  # touches with errors as stated, that count next to the known ones
+MATCH_RADIUS = 0.015  # m, within which a found touch is a known one
 ROUNDS = 5  # of weighted least squares
-STRANGEST = 3.0  # mean square of features, beyond which too few specimens tell how errors grow
+STRANGEST = 3.0  # mean square of features, beyond which too few specimens show how errors grow
 
 BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
 
@@ -63,12 +64,12 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
     count = len(found.touches)
     if misfit_sigma(found.misfit, found.degrees_of_freedom) >= TOUCHED_SIGMA[count]:
         problems.append(
-            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
+            f"no bend and up to {MAX_TOUCHES} touches explain this frame (misfit "
             f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
             "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
         )
     elif not count and found.further > FAINT_GAIN:
-        problems.append("something may touch, too faintly to tell from noise in this frame")
+        problems.append("something may touch, too faintly to distinguish from noise in this frame")
     elif count and (
         found.further > FURTHER_GAIN
         or (found.division[:, 0] > DIVISION_GAIN[count > 1]).any()
@@ -97,11 +98,12 @@ def calibration_problems(
     if calibrated is None:
         return ()
     spread = float(np.nanstd(np.log(flat / calibrated)))
-    if spread < SAME_SPECIMEN:
+    if spread < SPECIMEN_SPREAD:
         return ()
     return (
         f"the flat sensor differs by {spread:.1%} from the one that this pipeline was calibrated "
-        f"for (up to {SAME_SPECIMEN:.1%} are expected): calibrate again, or use the pipeline that "
+        f"for (up to {SPECIMEN_SPREAD:.1%} are expected): calibrate again, or use the pipeline "
+        f"that "
         "was not calibrated",
     )
 
@@ -122,7 +124,7 @@ def state_probabilities(
         touches: whether touches were learned.
     """
     # A rejected touch must not make touch the most probable state.
-    evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
+    evidence = found.evidence if len(found.touches) else min(found.evidence, MAX_REJECTED_EVIDENCE)
     touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
     if bends is None:
         return np.array([1 - touched, touched, np.nan])
@@ -146,12 +148,12 @@ def disc_map(
 
     A centre at distance d from a touch lies under its disc with probability Phi((radius - d) / s),
     where s is the standard error of the position along one axis. That is exact for a straight edge,
-    and s is small beside the radius wherever the map is of use.
+    and s is small next to the radius wherever the map is of use.
 
     Args:
         places: positions of the touches (k, 2) [m].
         deviations: standard errors along one axis (k,) [m].
-        radius: of the indenters [m].
+        radius: radius of the indenters [m].
         size: length and width of the sensor [m].
         shape: rows along y, columns along x.
     """
@@ -195,11 +197,11 @@ class ErrorScale:
         Args:
             touches: x [m] and y [m] of n frames (n, k, 2 or more); NaN where absent.
             found: touches of each frame, with standard errors that are not scaled.
-            features: of the sensor of each frame (n, P).
+            features: features of the sensor of each frame (n, P).
         """
         pairs = zip(touches, found, strict=True)
-        squares = [_squares(known, said) for known, said in pairs]
-        frame = np.repeat(np.arange(len(squares)), [len(each) for each in squares])
+        squares = [_squares(true_places, estimates) for true_places, estimates in pairs]
+        frame = np.repeat(np.arange(len(squares)), [len(square) for square in squares])
         ratio = np.concatenate([np.zeros(0), *squares])
         if not len(ratio):
             return cls()
@@ -214,14 +216,14 @@ class ErrorScale:
         return cls(usual, strange)
 
     @classmethod
-    def stored(cls, stored: NDArray[Any]) -> "ErrorScale":
+    def from_stored(cls, stored: NDArray[Any]) -> "ErrorScale":
         """Scale that a pipeline stores; those of version 0.1 have one for all sensors."""
         values = stored.astype(float)
         if values.shape not in {(), (2,)} or not np.all((values >= 0) & (values < 1e6)):
             raise DataError("expected two factors of standard errors, 0 to 1e6; train it again")
         return cls(*values.tolist()) if values.ndim else cls(float(values) ** 2)
 
-    def of(self, features: Array) -> float:
+    def evaluate(self, features: Array) -> float:
         """Factor for a sensor with features (P,)."""
         return float(np.sqrt(self.usual + self.strange * _strangeness(features)))
 
@@ -230,14 +232,14 @@ def own_error_scale(touches: Array, found: Sequence[FoundTouches]) -> float:
     """Factor of the standard errors of places on one sensor, from the errors of known touches.
 
     Root mean square of error over stated standard error of the touches that were found; a few
-    touches with errors as stated count beside them, so that one touch does not tell all.
+    touches with errors as stated count next to them, so that one touch does not show all.
 
     Args:
         touches: x [m] and y [m] of those known, and more (n, k, 2 or more); NaN where absent.
         found: touches of each frame, with standard errors before.
     """
     pairs = zip(touches, found, strict=True)
-    squares = np.concatenate([np.zeros(0), *(_squares(known, said) for known, said in pairs)])
+    squares = np.concatenate([np.zeros(0), *(_squares(places, said) for places, said in pairs)])
     total = PRIOR_TOUCHES + float(squares.sum())
     return float(np.sqrt(total / (PRIOR_TOUCHES + len(squares))))
 
@@ -247,7 +249,7 @@ def _squares(touches: Array, said: FoundTouches) -> list[float]:
     squares = []
     for place in touches[np.isfinite(touches[:, 0]), :2]:
         away = np.linalg.norm(said.place - place, axis=1)
-        if len(away) and away.min() <= NEAREST:
+        if len(away) and away.min() <= MATCH_RADIUS:
             squares.append(float(away.min() / said.deviation[away.argmin()]) ** 2)
     return squares
 

@@ -57,12 +57,12 @@ from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.stored_fields import (
-    GIVEN,
+    GIVEN_FIELD,
     Arrays,
-    Stored,
-    arrays_as,
-    arrays_under,
+    StoredField,
+    arrays_with_prefix,
     field_arrays,
+    prefix_arrays,
     restored_fields,
 )
 from eitskin.training.method.targets import Targets, TrainingFrames
@@ -86,24 +86,25 @@ class JointMethod(Method):
     show have a learned covariance, which the fit weighs against the noise.
 
     Attributes:
-        features: of a specimen, from its flat resistances.
-        response: to touches.
+        features: features of a specimen, from its flat resistances.
+        response: response to touches.
         bend_prior: distribution of the bend curves.
         proposals: network whose positions the fit starts from.
-        touch_prior: of positions, forces and distances.
-        combinations: of the measurements, and the noise of these in one frame.
+        touch_prior: touch prior of positions, forces and distances.
+        combinations: combinations of the measurements, and the noise of these in one frame.
         drift: standard deviation after four hours of the factor common to all measurements.
         places: positions that are tried for touches (n, 2) [m]; none where no touch was learned.
-        radius: of the indenters [m].
+        radius: radius of the indenters [m].
         size: length and width of the sensor [m].
         shape: rows and columns of touch maps.
-        protocol: of the measurements.
+        protocol: protocol of the measurements.
         learning_curves: losses of the networks during training, by their names.
         calibrated: bend curve of the calibrated specimen, if any.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
         angles: networks of the bend angle, for sensors that are not calibrated; None where the bend
-            curve alone tells it as well.
-        angle_features: of a specimen, which the networks are told; None where those are `features`.
+            curve alone shows it as well.
+        angle_features: angle features of a specimen, which the networks are given; None where those
+            are `features`.
         usual: bend curves of the clamp that most sensors have, if training found one.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
         error_scale: factor of the standard errors of places, from training specimens that the
@@ -123,24 +124,26 @@ class JointMethod(Method):
 
     features: SpecimenFeatures
     response: TouchResponse
-    bend_prior: Annotated[BendCurvePrior, Stored("curves")]
+    bend_prior: Annotated[BendCurvePrior, StoredField("curves")]
     proposals: ProposalNetwork
-    touch_prior: Annotated[TouchPrior, GIVEN]
-    combinations: Annotated[Combinations, GIVEN]
-    drift: Annotated[float, GIVEN]
+    touch_prior: Annotated[TouchPrior, GIVEN_FIELD]
+    combinations: Annotated[Combinations, GIVEN_FIELD]
+    drift: Annotated[float, GIVEN_FIELD]
     places: Array
-    radius: Annotated[float, GIVEN]
-    size: Annotated[tuple[float, float], GIVEN]
-    shape: Annotated[tuple[int, int], GIVEN]
-    protocol: Annotated[Protocol, GIVEN]
-    learning_curves: Annotated[Mapping[str, LearningCurve], GIVEN] = field(default_factory=dict)
+    radius: Annotated[float, GIVEN_FIELD]
+    size: Annotated[tuple[float, float], GIVEN_FIELD]
+    shape: Annotated[tuple[int, int], GIVEN_FIELD]
+    protocol: Annotated[Protocol, GIVEN_FIELD]
+    learning_curves: Annotated[Mapping[str, LearningCurve], GIVEN_FIELD] = field(
+        default_factory=dict
+    )
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     angles: AngleNetworks | None = None
     angle_features: SpecimenFeatures | None = None
     usual: BendCurvePrior | None = None
     forces: bool = True
-    error_scale: Annotated[ErrorScale, GIVEN] = field(default_factory=ErrorScale)
+    error_scale: Annotated[ErrorScale, GIVEN_FIELD] = field(default_factory=ErrorScale)
     own_error_scale: float = 1.0
     own_noise_scale: float = 1.0
     own_output: Array | None = None
@@ -164,18 +167,18 @@ class JointMethod(Method):
         unseen = held_out_touches(frames.dataset) if method.touches else None
         if unseen is None:
             return method
-        seen = Observations.of(unseen)
-        found = method.predict(seen).touches
-        known = np.stack([unseen.touch_x, unseen.touch_y], axis=-1).astype(float)
-        scale = ErrorScale.fit(known, found, method.features.bounded(seen.flat))
+        observations = Observations.from_dataset(unseen)
+        touches = method.predict(observations).touches
+        true_places = np.stack([unseen.touch_x, unseen.touch_y], axis=-1).astype(float)
+        scale = ErrorScale.fit(true_places, touches, method.features.clip(observations.flat))
         return replace(method, error_scale=scale)
 
     @property
     def targets(self) -> Targets:
         """Quantities that the method estimates."""
         bends, touches = self.bend_prior.bends, self.touches
-        known = {"idle": True, "touch": touches, "bend": bends}
-        states = tuple(name for name, told in known.items() if told)
+        states_estimated = {"idle": True, "touch": touches, "bend": bends}
+        states = tuple(name for name, is_estimated in states_estimated.items() if is_estimated)
         return Targets(states, bends, touches, touches and self.forces)
 
     @property
@@ -191,7 +194,7 @@ class JointMethod(Method):
         """Predictions for n frames, each independent of the others."""
         frames = (observations[i : i + 1] for i in range(len(observations)))
         with kernels(), one_thread():  # more of them wait for each other longer than they work
-            return Predictions.joined([self._predict(frame) for frame in frames])
+            return Predictions.concatenate([self._predict(frame) for frame in frames])
 
     def motions(self, observations: Observations, predictions: Predictions) -> Array:
         found, angle = predictions.touches[0], float(np.nan_to_num(predictions.bend_angle_deg[0]))
@@ -216,53 +219,53 @@ class JointMethod(Method):
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             shares = static_share + dynamic_share
             apart = frame.age[0] - frame.dynamic_age[0]
-            reference = specimen.angle(self._combined(static - dynamic, shares, apart))
-        change = self._combined(dynamic, share + dynamic_share, frame.dynamic_age[0])
+            reference = specimen.angle(self._project_change(static - dynamic, shares, apart))
+        change = self._project_change(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
-        def untouched() -> CombinedChange:
-            return self._combined(static, share + static_share, frame.age[0])
+        def untouched_change() -> CombinedChange:
+            return self._project_change(static, share + static_share, frame.age[0])
 
         def bend_deg() -> float | None:
-            by_networks = specimen.angle_by_networks(untouched())
+            by_networks = specimen.angle_by_networks(untouched_change())
             return by_networks and by_networks[0]
 
-        found = self._fitted(change, reference, specimen, bend_deg)
-        static[[member for fault in found.faults for member in fault.members]] = np.nan
-        if len(found.touches) and not found.faults:
-            turn = MOVED_DEG * found.estimate.objective.curve.slope(reference.angle_deg)
-            faulty = specimen.faults.alone(change, turn[None], found.improbability + RIVAL)
-            if faulty and faulty.improbability < found.improbability:
-                objective = replace(found.estimate.objective, combined=faulty.rest)
-                found = FrameFit.untouched(objective, faulty.faults)
+        frame_fit = self._fit_frame(change, reference, specimen, bend_deg)
+        static[[member for fault in frame_fit.faults for member in fault.members]] = np.nan
+        if len(frame_fit.touches) and not frame_fit.faults:
+            turn = MOVED_DEG * frame_fit.estimate.objective.curve.slope(reference.angle_deg)
+            faulty = specimen.faults.alone(change, turn[None], frame_fit.improbability + RIVAL)
+            if faulty and faulty.improbability < frame_fit.improbability:
+                objective = replace(frame_fit.estimate.objective, combined=faulty.rest)
+                frame_fit = FrameFit.without_touches(objective, faulty.faults)
                 static -= change.measured - faulty.rest.measured
             elif faulty:
-                found.rival = faulty.names
+                frame_fit.rival = faulty.names
         if not bends:
             bend = AngleEstimate(np.nan, np.nan, 0.0)
-        elif len(found.touches):
-            deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
-            bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
+        elif len(frame_fit.touches):
+            deviation = float(np.hypot(frame_fit.angle_deviation_deg, reference.deviation_deg))
+            bend = replace(reference, angle_deg=frame_fit.angle_deg, deviation_deg=deviation)
         else:
-            seen, moved = untouched(), found.angle_deg - reference.angle_deg
+            change_seen, moved = untouched_change(), frame_fit.angle_deg - reference.angle_deg
             if abs(moved) > STILL_DEG:
                 # The first and the last of a frame's measurements see different angles. The speed
                 # is unknown; the motion since the previous frame bounds it.
-                slope = found.estimate.objective.curve.slope(found.angle_deg)
+                slope = frame_fit.estimate.objective.curve.slope(frame_fit.angle_deg)
                 late = moved * (self.combinations.lateness @ slope)
-                seen = replace(seen, further=np.outer(late, late))
-            bend = specimen.angle(seen)
-        return self._prediction(found, bend, specimen)
+                change_seen = replace(change_seen, further=np.outer(late, late))
+            bend = specimen.angle(change_seen)
+        return self._prediction(frame_fit, bend, specimen)
 
-    def _fitted(
+    def _fit_frame(
         self,
         change: CombinedChange,
         reference: AngleEstimate,
         specimen: SpecimenModel,
         bend_deg: Callable[[], float | None],
     ) -> FrameFit:
-        """The fit to one frame, with the bend curve that the reference tells or the frame itself.
+        """The fit to one frame, with the bend curve that the reference shows or the frame itself.
 
-        A reference of the bent sensor tells whether that bends as usual. One of the flat sensor
+        A reference of the bent sensor shows whether that bends as usual. One of the flat sensor
         does not: where the sensor has moved since, the likelier of both fits is taken.
         """
         angle_deg, proposed = reference.angle_deg, None
@@ -281,12 +284,12 @@ class JointMethod(Method):
             return fit(specimen.curve)
         if angle_deg != 0.0:
             return fit(specimen.usual if reference.usual > 0.5 else specimen.curve)
-        found = fit(specimen.curve)
-        if abs(found.angle_deg) < MOVED_DEG:
-            return found
+        frame_fit = fit(specimen.curve)
+        if abs(frame_fit.angle_deg) < MOVED_DEG:
+            return frame_fit
         usual = fit(specimen.usual)
-        gain = found.estimate.improbability - usual.estimate.improbability
-        return usual if gain > -2.0 * LOG_ODDS else found
+        gain = frame_fit.estimate.improbability - usual.estimate.improbability
+        return usual if gain > -2.0 * LOG_ODDS else frame_fit
 
     def _prediction(
         self, found: FrameFit, bend: AngleEstimate, specimen: SpecimenModel
@@ -294,8 +297,8 @@ class JointMethod(Method):
         """One frame's predictions from its fit."""
         places, force = found.touches[:, :2], found.touches[:, 2] if self.forces else None
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
-        spread *= self.error_scale.of(specimen.features) * self.own_error_scale
-        spread = np.hypot(spread, np.sqrt(found.hidden))
+        spread *= self.error_scale.evaluate(specimen.features) * self.own_error_scale
+        spread = np.hypot(spread, np.sqrt(found.hidden_variance))
         if self.touches:
             x, y = places.T[:, None]
             map_ = touch_maps(x, y, np.full_like(x, self.radius), self.size, self.shape)
@@ -309,20 +312,20 @@ class JointMethod(Method):
             np.array([bend.angle_deg]),
             np.array([bend.deviation_deg]),
             map_,
-            (FoundTouches.of(places, strength, force, spread),),
+            (FoundTouches.from_arrays(places, strength, force, spread),),
             (specimen.problems + fit_problems(found, bend, self.touches),),
         )
 
-    def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
+    def _project_change(self, change: Array, frames: float, age: float) -> CombinedChange:
         """Combinations of the difference of two means of frames.
 
         Args:
-            change: of log V (C,); NaN where a measurement is bad.
+            change: change of log V (C,); NaN where a measurement is bad.
             frames: sum of the reciprocal numbers of frames in both means.
             age: time between the means [s].
         """
         drift = self.drift**2 * max(age, 0.0) / DRIFT_TIME
-        return self.combinations.combined(change, self.own_noise_scale**2 * frames, drift)
+        return self.combinations.combine(change, self.own_noise_scale**2 * frames, drift)
 
     def _specimen(self, flat: Array) -> SpecimenModel:
         """The model of the specimen with these flat magnitudes (C,) [ohm]; the latest are kept."""
@@ -330,22 +333,22 @@ class JointMethod(Method):
         if key not in self._specimens:
             if len(self._specimens) > 64:
                 self._specimens.clear()
-            p, learned = self.features.bounded(flat), self.calibrated is None
-            told = self.angle_features.apply(flat) if self.angle_features else p
+            p, learned = self.features.clip(flat), self.calibrated is None
+            angle_features = self.angle_features.apply(flat) if self.angle_features else p
             self._specimens[key] = SpecimenModel(
                 p,
-                self.response_of(flat),
-                self.calibrated or self.bend_prior.of(p),
+                self.specimen_response(flat),
+                self.calibrated or self.bend_prior.predict(p),
                 possible_faults(self.protocol, flat),
                 calibration_problems(flat, self.calibrated_flat),
-                (self.angles, told) if self.angles and learned else None,
-                self.usual.of(p) if self.usual and learned else None,
+                (self.angles, angle_features) if self.angles and learned else None,
+                self.usual.predict(p) if self.usual and learned else None,
             )
         return self._specimens[key]
 
-    def response_of(self, flat: Array) -> SpecimenResponse:
+    def specimen_response(self, flat: Array) -> SpecimenResponse:
         """Response to touches of the sensor with these flat magnitudes (C,) [ohm]."""
-        learned = self.response.of(self.features.apply(flat))
+        learned = self.response.for_specimen(self.features.apply(flat))
         if self.own_output is None:
             return learned
         return own_response(learned, self.own_output, self.own_latent)
@@ -355,12 +358,12 @@ class JointMethod(Method):
 
         An adaptation before has no effect.
         """
-        bent = known[known.bent] if self.bend_prior.bends else known[:0]
-        touched = known[known.touched & self.touches]
+        bent = known[known.is_bent] if self.bend_prior.bends else known[:0]
+        touched = known[known.has_touches & self.touches]
         flat, count = known.observations.flat[0], int(known.flat.sum())
         left_out = len(known) - count - len(bent) - len(touched)
-        told = Adaptation(count, len(bent), len(touched), left_out)
-        p, used = self.features.bounded(flat), len(bent) + len(touched)
+        adaptation = Adaptation(count, len(bent), len(touched), left_out)
+        p, used = self.features.clip(flat), len(bent) + len(touched)
         noise = noise_scale(known, self.combinations) if used else 1.0
         adapted = replace(
             self,
@@ -373,23 +376,27 @@ class JointMethod(Method):
         )
         if len(bent):
             priors = self.bend_prior, self.usual, p
-            curve, calibration = adapted_curve(*priors, bent, adapted._combined, self.drift, noise)
-            told = replace(told, calibration=calibration)
+            curve, calibration = adapted_curve(
+                *priors, bent, adapted._project_change, self.drift, noise
+            )
+            adaptation = replace(adaptation, calibration=calibration)
             adapted = replace(adapted, calibrated=curve)
         if known.twin is not None and self.touches and self.forces:
-            learned = adapted.response_of(flat)
+            learned = adapted.specimen_response(flat)
             parts = (self.touch_prior, self.radius, self.combinations)
             output = own_output(learned, *parts, known.twin, self.bend_prior.bends)
             trial = twin_trial(learned, output, touched, self.combinations)
-            adapted = replace(adapted, own_output=output if trial.kept else None)
-            told = replace(told, twin=trial)
+            adapted = replace(adapted, own_output=output if trial.accepts_twin else None)
+            adaptation = replace(adaptation, twin=trial)
         if len(touched):
-            before = adapted.response_of(flat)
-            own = response_given(before, touched, adapted._combined, self.touch_prior, self.forces)
+            before = adapted.specimen_response(flat)
+            own = response_given(
+                before, touched, adapted._project_change, self.touch_prior, self.forces
+            )
             adapted = replace(adapted, own_output=own.output, own_latent=own.response.latent_output)
-            found = adapted.predict(touched.observations).touches
-            adapted = replace(adapted, own_error_scale=own_error_scale(touched.touches, found))
-        return adapted, replace(told, error_scale=adapted.own_error_scale, noise_scale=noise)
+            estimated = adapted.predict(touched.observations).touches
+            adapted = replace(adapted, own_error_scale=own_error_scale(touched.touches, estimated))
+        return adapted, replace(adaptation, error_scale=adapted.own_error_scale, noise_scale=noise)
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked.
@@ -397,11 +404,13 @@ class JointMethod(Method):
         Places and their standard errors are checked as one picture, as version 0.1 saved them.
         """
         predictions = self.predict(observations)
-        features = self.features.bounded(observations.flat)
-        scales = [np.sqrt(2.0) * self.own_error_scale * self.error_scale.of(p) for p in features]
+        features = self.features.clip(observations.flat)
+        scales = [
+            np.sqrt(2.0) * self.own_error_scale * self.error_scale.evaluate(p) for p in features
+        ]
         drawn = (self.radius, self.size, self.shape)
-        told = zip(predictions.touches, scales, strict=True)
-        maps = [disc_map(each.place, each.deviation / scale, *drawn) for each, scale in told]
+        touches = zip(predictions.touches, scales, strict=True)
+        maps = [disc_map(each.place, each.deviation / scale, *drawn) for each, scale in touches]
         return {
             "probabilities": predictions.probabilities,
             "bend_angle_deg": predictions.bend_angle_deg,
@@ -419,7 +428,7 @@ class JointMethod(Method):
         if basis is not None:
             arrays["combinations.basis"] = basis
         for name, curve in self.learning_curves.items():
-            arrays |= arrays_as(f"{name}.history", curve.arrays())
+            arrays |= prefix_arrays(f"{name}.history", curve.arrays())
         return arrays
 
     @classmethod
@@ -449,8 +458,8 @@ class JointMethod(Method):
             shape=spec.pixels,
             protocol=spec.protocol,
             learning_curves={
-                name: LearningCurve.from_arrays(arrays_under(f"{name}.history", arrays))
+                name: LearningCurve.from_arrays(arrays_with_prefix(f"{name}.history", arrays))
                 for name in NETWORKS
             },
-            error_scale=ErrorScale.stored(arrays.get("error_scale", np.ones(()))),
+            error_scale=ErrorScale.from_stored(arrays.get("error_scale", np.ones(()))),
         )

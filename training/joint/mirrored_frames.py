@@ -25,16 +25,16 @@ class MirroredFrames:
 
     Attributes:
         change: since the reference, in K `combinations` (n, K).
-        angle_deg: of the bend (n,) [deg].
+        angle_deg: angle of the bend (n,) [deg].
         touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
         specimen: number of the specimen, from 0 on (n,); mirror images share it.
         image: number of the symmetry (n,).
         flat: magnitudes of the frame's specimen, flat and untouched (n, C) [ohm].
-        features: of the specimen (n, P); none before `combined`.
+        features: features of the specimen (n, P); none before `combine`.
         clamp: span [m], offset [m], number of held faces and ratio of the moduli of each frame's
             clamp (n, 4); NaN where unknown.
-        combinations: of the measurements; each by itself before `combined`.
-        variance: of the change, in units of that of one frame.
+        combinations: combinations of the measurements; each on its own before `combine`.
+        variance: variance of the change, in units of that of one frame.
         noise: covariance of one frame's change (K, K).
     """
 
@@ -51,14 +51,14 @@ class MirroredFrames:
     noise: Array
 
     @classmethod
-    def touched(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
+    def from_touched(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
         """Touched frames against the untouched sensor at the same bend."""
         rows = np.flatnonzero(is_touched(data))
         change = log_ratio(data.impedance[rows], data.touch_reference[rows])
-        return cls._imaged(data, rows, change, 1.0 + 1.0 / data.reference_frames, images)
+        return cls._from_rows(data, rows, change, 1.0 + 1.0 / data.reference_frames, images)
 
     @classmethod
-    def bent(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
+    def from_bent(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
         """Bent frames and the references of touches on the bent sensor, against the flat one."""
         bent = data.bend_angle_deg != 0
         untouched, referenced = bent & (data.state != State.TOUCH), bent & is_touched(data)
@@ -66,10 +66,10 @@ class MirroredFrames:
         values = np.concatenate([data.impedance[untouched], data.touch_reference[referenced]])
         change = log_ratio(values, data.reference[data.specimen[rows]])
         variance = 1.0 if data.source == "simulated" else 2.0  # simulated references: noise-free
-        return cls._imaged(data, rows, change, variance, images)
+        return cls._from_rows(data, rows, change, variance, images)
 
     @classmethod
-    def _imaged(
+    def _from_rows(
         cls,
         data: Dataset,
         rows: NDArray[np.intp],
@@ -84,7 +84,7 @@ class MirroredFrames:
             values[rows].astype(float) for values in (data.touch_x, data.touch_y, data.touch_force)
         )
         clamps = np.stack([getattr(data, name)[rows] for name in CLAMP_FIELDS], axis=1)
-        alone = Combinations(noise_of(data, images))
+        alone = Combinations(frame_noise(data, images))
         touches = [np.stack([*mirror.places(x, y), force], axis=-1) for mirror in images]
         return cls(
             np.concatenate([change[:, mirror.order] for mirror in images]),
@@ -100,14 +100,14 @@ class MirroredFrames:
             np.diag(variance * alone.noise**2),
         )
 
-    def combined(
+    def combine(
         self, features: SpecimenFeatures, combinations: Combinations, drift: float = 0.0
     ) -> "MirroredFrames":
         """The frames in combinations of their measurements, and with features of the specimens.
 
         Args:
-            features: of specimens.
-            combinations: of the measurements, which each are by themselves so far.
+            features: features of specimens.
+            combinations: combinations of the measurements, which each are on their own so far.
             drift: variance of the change common to all measurements.
         """
         noise = np.diag(self.variance * combinations.unit**2)
@@ -147,16 +147,16 @@ class MirroredFrames:
             rows = self.specimen == number
             gram = powers[rows].T @ powers[rows] + RIDGE * np.eye(POWERS)
             curves[number] = np.linalg.solve(gram, powers[rows].T @ self.change[rows]).ravel()
-        left, sizes, _ = np.linalg.svd(curves - curves.mean(axis=0), full_matrices=False)
-        coordinates: Array = (left * sizes)[:, : 2 * POWERS]
+        left_vectors, sizes, _ = np.linalg.svd(curves - curves.mean(axis=0), full_matrices=False)
+        coordinates: Array = (left_vectors * sizes)[:, : 2 * POWERS]
         return coordinates
 
 
 def is_touched(data: Dataset) -> NDArray[np.bool_]:
     """Whether each frame (n,) has touches of known force and radius and a reference."""
     count = data.touch_count
-    known = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
-    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & data.has_touch_reference
+    labels = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
+    touched: NDArray[np.bool_] = (count > 0) & labels[0] & labels[1] & data.has_touch_reference
     return touched
 
 
@@ -166,7 +166,7 @@ def is_untouched(data: Dataset) -> NDArray[np.bool_]:
     return untouched
 
 
-def noise_of(data: Dataset, images: Sequence[Mirror]) -> Array:
+def frame_noise(data: Dataset, images: Sequence[Mirror]) -> Array:
     """Standard deviation of log V in one frame (C,), averaged over mirror images."""
     quiet = is_untouched(data)
     change = log_ratio(data.impedance[quiet], data.touch_reference[quiet])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.channel_faults import (
-    MOST_FAULTS,
+    MAX_FAULTS,
     ChannelFault,
     PossibleFaults,
     fit_with_fault,
@@ -30,7 +30,7 @@ from eitskin.training.joint.objective import (
     levenberg_marquardt,
     price,
 )
-from eitskin.training.joint.touch_response import MOST_TOUCHES
+from eitskin.training.joint.touch_response import MAX_TOUCHES
 from eitskin.training.joint.touch_search import (
     FINE,
     TouchCandidates,
@@ -38,7 +38,7 @@ from eitskin.training.joint.touch_search import (
     further_gain,
     initial_touches,
     pair_starts,
-    pruned,
+    prune,
     single_starts,
 )
 from eitskin.training.joint.wide_contact import WideContact, wide_rival
@@ -58,8 +58,9 @@ CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its
 # Motion since the reference from which touches are fitted from there as well, where the first fit
 # explains the frame and where it does not.
 FAR_DEG, NEAR_DEG = 5.0, 1.0
-SAME = 4.0  # rise of the misfit from one estimate to another, below which both are taken for one
-LEAST_DIVISION = -2.0  # gain of two touches in place of one, from which that may be a wide contact
+# rise of the misfit from one estimate to another, below which both are taken for one
+SAME_RISE = 4.0
+MIN_DIVISION = -2.0  # gain of two touches in place of one, from which that may be a wide contact
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -81,7 +82,7 @@ class FrameFit:
         touches: x [m], y [m] and force [N] of each (k, 3).
         angle_deg: bend angle [deg].
         angle_deviation_deg: standard error of its change since the reference [deg].
-        covariance: of each touch's x, y and force (k, 3, 3).
+        covariance: covariance of each touch's x, y and force (k, 3, 3).
         misfit: sum of squares of the whitened residual, with its remainder, and the prior's terms.
         degrees_of_freedom: number of measurements minus number of unknowns.
     """
@@ -112,7 +113,7 @@ class FrameFit:
         self.covariance = of_touches * (TOUCH_UNITS[:, None] * TOUCH_UNITS)
 
     @classmethod
-    def untouched(
+    def without_touches(
         cls, objective: TouchObjective, faults: tuple[ChannelFault, ...] = ()
     ) -> "FrameFit":
         """Fit without touches, of a frame whose `faults` were taken out."""
@@ -120,7 +121,7 @@ class FrameFit:
         return cls(levenberg_marquardt(objective, nothing, *FINE), 0.0, faults)
 
     @property
-    def hidden(self) -> Array:
+    def hidden_variance(self) -> Array:
         """Variance of the place of each touch by what may be two touches (k,) [m2]."""
         odds = DIVIDED_ODDS * np.exp(np.minimum(0.5 * self.division[:, 0], 50.0))
         share: Array = odds / (1.0 + odds) * self.division[:, 1] ** 2
@@ -129,8 +130,8 @@ class FrameFit:
     @property
     def improbability(self) -> float:
         """That of the estimate, with what no combination of measurements has."""
-        rest = self.estimate.whole[0]
-        return self.estimate.improbability + float(rest @ rest)
+        residual = self.estimate.whole[0]
+        return self.estimate.improbability + float(residual @ residual)
 
 
 def fit_frame(
@@ -146,31 +147,31 @@ def fit_frame(
     unlike most the fit may end far from it, and take what is left for touches.
 
     Args:
-        objective: of the frame.
+        objective: objective of the frame.
         candidates: positions that are tried for further touches.
         proposed: positions (k, 2) [m] from which the fit starts.
         possible: faults that are considered; none by default.
         bend_deg: gives the angle [deg] of the sensor, should it be untouched, if it is known.
     """
-    untouched, found, evidence = _likeliest(objective, candidates, proposed)
+    untouched, best_fit, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
-    while possible and len(faults) < MOST_FAULTS:
-        better = fit_with_fault(untouched, found, possible)
+    while possible and len(faults) < MAX_FAULTS:
+        better = fit_with_fault(untouched, best_fit, possible)
         if better is None:
             break
-        fault, found = better
+        fault, best_fit = better
         faults.append(fault)
-        untouched = levenberg_marquardt(found.objective, untouched.unknowns, *FINE)
-        evidence = found.gain_over(untouched)
-    if found.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
+        untouched = levenberg_marquardt(best_fit.objective, untouched.unknowns, *FINE)
+        evidence = best_fit.misfit_decrease(untouched)
+    if best_fit.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
         nothing = Unknowns(np.zeros((0, 3)), angle_deg)
-        alone = levenberg_marquardt(found.objective, nothing, *FINE)
-        if alone.improbability < found.improbability:
-            found, evidence = alone, 0.0
-    further, division = further_gain(found, candidates), divisions(found, candidates)
-    several = len(division) > 1 or (division[:, 0] > LEAST_DIVISION).any()
-    wide = wide_rival(found) if several else None
-    return FrameFit(found, evidence, tuple(faults), "", further, division, wide)
+        alone = levenberg_marquardt(best_fit.objective, nothing, *FINE)
+        if alone.improbability < best_fit.improbability:
+            best_fit, evidence = alone, 0.0
+    further, division = further_gain(best_fit, candidates), divisions(best_fit, candidates)
+    several = len(division) > 1 or (division[:, 0] > MIN_DIVISION).any()
+    wide = wide_rival(best_fit) if several else None
+    return FrameFit(best_fit, evidence, tuple(faults), "", further, division, wide)
 
 
 def _likeliest(
@@ -192,87 +193,87 @@ def _likeliest(
             return []
         return [initial_touches(objective, proposed, at)]
 
-    def started(start: Unknowns) -> MapEstimate:
+    def minimise_from(start: Unknowns) -> MapEstimate:
         return levenberg_marquardt(objective, start, *COARSE)
 
-    begun = [started(start) for start in proposal(untouched.at)] or [untouched]
-    seen: Seen = []
-    found, evidence = _fit(candidates, untouched, begun[0], seen)
-    moved = abs(found.at.angle_deg - objective.reference_deg)
-    least = NEAR_DEG if found.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
-    if not len(found.at.touches) or moved < least:
-        return untouched, found, evidence
+    begun = [minimise_from(start) for start in proposal(untouched.at)] or [untouched]
+    fits: Seen = []
+    best_fit, evidence = _fit(candidates, untouched, begun[0], fits)
+    moved = abs(best_fit.at.angle_deg - objective.reference_deg)
+    least = NEAR_DEG if best_fit.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
+    if not len(best_fit.at.touches) or moved < least:
+        return untouched, best_fit, evidence
     still = objective.reference_deg
-    starts = [found.unknowns._replace(angle_deg=still)]
-    starts += proposal(objective.linearised(nothing._replace(angle_deg=still)))
-    begun = [each for each in map(started, starts) if _met(each, seen) is None]
+    starts = [best_fit.unknowns._replace(angle_deg=still)]
+    starts += proposal(objective.linearise(nothing._replace(angle_deg=still)))
+    begun = [each for each in map(minimise_from, starts) if _earlier_minimum(each, fits) is None]
     if not begun:
-        return untouched, found, evidence
-    again, _ = _fit(candidates, untouched, min(begun, key=lambda trial: trial.improbability), seen)
+        return untouched, best_fit, evidence
+    again, _ = _fit(candidates, untouched, min(begun, key=lambda trial: trial.improbability), fits)
     best = min(
-        (found, again),
+        (best_fit, again),
         key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, trial.improbability),
     )
-    return untouched, best, evidence if best is found else best.gain_over(untouched)
+    return untouched, best, evidence if best is best_fit else best.misfit_decrease(untouched)
 
 
 def _fit(
-    candidates: TouchCandidates, untouched: MapEstimate, started: MapEstimate, seen: Seen
+    candidates: TouchCandidates, untouched: MapEstimate, started: MapEstimate, fits: Seen
 ) -> tuple[MapEstimate, float]:
     """The best estimate from a first one, with touches or without, and the evidence of any touch.
 
-    A fit ends where it meets an estimate that an earlier one has `seen`, with what that led to.
+    A fit ends where it meets an estimate that an earlier one has `fits`, with what that led to.
     """
-    found, evidence = untouched, 0.0
+    best_fit, evidence = untouched, 0.0
     if len(started.at.touches):
-        evidence = started.gain_over(untouched)
+        evidence = started.misfit_decrease(untouched)
         if evidence > TOUCH_THRESHOLD:
-            found = started
-    most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
-    while len(found.at.touches) < most and _may_gain(found):
-        least = price(len(found.at.touches) + 1) - price(len(found.at.touches))
-        starts = single_starts(found, candidates, START_THRESHOLD * least)
+            best_fit = started
+    most = MAX_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
+    while len(best_fit.at.touches) < most and _may_gain(best_fit):
+        least = price(len(best_fit.at.touches) + 1) - price(len(best_fit.at.touches))
+        starts = single_starts(best_fit, candidates, START_THRESHOLD * least)
         if not starts:
             break
-        trials = [levenberg_marquardt(found.objective, start, *COARSE) for start in starts]
+        trials = [levenberg_marquardt(best_fit.objective, start, *COARSE) for start in starts]
         more = min(trials, key=lambda trial: trial.misfit)
-        gain = more.gain_over(found)
+        gain = more.misfit_decrease(best_fit)
         evidence = max(evidence, gain)
         if gain < least:
             break
-        found = more
-    best = alone = pruned(found)
-    if (known := _met(alone, seen)) is not None:
-        return known, evidence
+        best_fit = more
+    best = alone = prune(best_fit)
+    if (earlier_minimum := _earlier_minimum(alone, fits)) is not None:
+        return earlier_minimum, evidence
     if alone.misfit_sigma > CHI2_HIGH_SIGMA and len(alone.at.touches) < most:
         best = _split(alone, candidates)
-    seen += [(alone, best), (best, best)]
+    fits += [(alone, best), (best, best)]
     return best, evidence
 
 
-def _met(found: MapEstimate, seen: Seen) -> MapEstimate | None:
-    """Fit of an earlier start that `found` cannot be told from, by its standard errors."""
-    for known, best in seen:
-        if apart(found, known) < SAME:
+def _earlier_minimum(estimate: MapEstimate, fits: Seen) -> MapEstimate | None:
+    """Fit of an earlier start that `estimate` is equal to within its standard errors."""
+    for earlier_fit, best in fits:
+        if misfit_rise(estimate, earlier_fit) < SAME_RISE:
             return best
     return None
 
 
-def apart(found: MapEstimate, other: MapEstimate) -> float:
+def misfit_rise(estimate: MapEstimate, second: MapEstimate) -> float:
     """Rise of the misfit from an estimate to another one, to second order.
 
     Infinite to one with another number of touches, or with touches elsewhere.
     """
-    mine, others = found.at.touches, other.at.touches
+    mine, others = estimate.at.touches, second.at.touches
     if len(mine) != len(others):
         return math.inf
     away = (others[:, None] - mine) / TOUCH_UNITS  # their order may differ
     nearest = np.einsum("ijc,ijc->ij", away, away).argmin(axis=0) if len(mine) else np.arange(0)
     if len(set(nearest.tolist())) < len(mine):
         return math.inf
-    turned = (other.at.angle_deg - found.at.angle_deg) / ANGLE_UNIT
+    turned = (second.at.angle_deg - estimate.at.angle_deg) / ANGLE_UNIT
     step = np.concatenate([[turned], away[nearest, np.arange(len(mine))].ravel()])
-    return float(step @ found.hessian @ step)
+    return float(step @ estimate.hessian @ step)
 
 
 def _initial_angle(objective: TouchObjective) -> float:
@@ -300,16 +301,16 @@ def _split(found: MapEstimate, candidates: TouchCandidates) -> MapEstimate:
     """
     objective = found.objective
     replaced: list[int | None] = list(range(len(found.at.touches)))
-    if len(found.at.touches) <= MOST_TOUCHES - 2:
+    if len(found.at.touches) <= MAX_TOUCHES - 2:
         replaced.append(None)
     pairs = pair_starts(found, replaced, candidates)
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
-        at = objective.linearised(start)
+        at = objective.linearise(start)
         whitening = objective.whitening(at)
         more = price(len(start.touches)) - price(len(best.at.touches))
         goal = objective.misfit(best.at, whitening) - more
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial
-    return best if best is found else pruned(best)
+    return best if best is found else prune(best)

@@ -2,7 +2,7 @@
 
 One Gaussian distribution of bend curves (`BendCurvePrior`) holds the sensors of one clamp. Where
 the clamps of the training set differ, a curve's shape depends nonlinearly on the clamp, and the
-networks tell the angle from the shape of the change. They estimate it as long as a sensor is not
+networks show the angle from the shape of the change. They estimate it as long as a sensor is not
 calibrated; the curve of a calibrated one is known better than that.
 """
 
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from eitskin.training.joint.bend_curve import BEYOND_DEG
-from eitskin.training.joint.touch_response import MOST_TOUCHES
-from eitskin.training.method.stored_fields import Stored, StoredFields
+from eitskin.training.joint.touch_response import MAX_TOUCHES
+from eitskin.training.method.stored_fields import StoredField, StoredFields
 
 Array = NDArray[np.float64]
 
@@ -44,16 +44,16 @@ class AngleNetworks(StoredFields):
     (Efron and Stein 1981; Lakshminarayanan et al. 2017 for ensembles of such networks).
 
     Attributes:
-        weights: of each layer (M, outputs, inputs).
-        biases: of each layer (M, outputs).
+        weights: weights of each layer (M, outputs, inputs).
+        biases: biases of each layer (M, outputs).
         unit: rms of each combination of the change in training (K,).
         drift: combinations of a common change of log V by one, in units (K,).
         filter: weights of the change, in units, in the estimate of the common change (K,).
         angle_deg: smallest and largest angle learned from [deg].
     """
 
-    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
-    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
+    weights: Annotated[tuple[Array, ...], StoredField("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], StoredField("bias", single=True)]
     unit: Array
     drift: Array
     filter: Array
@@ -64,7 +64,7 @@ class AngleNetworks(StoredFields):
 
         Args:
             change: combinations of the change from the flat sensor (..., K).
-            features: of the specimen (..., P).
+            features: features of the specimen (..., P).
             drift: standard deviation of the change common to all measurements (...).
         """
         held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
@@ -91,13 +91,13 @@ class ProposalNetwork(StoredFields):
     """Network from a frame's change of log V to a coarse map of touches.
 
     Attributes:
-        weights: of the layers (outputs, inputs) each.
-        biases: of the layers (outputs,) each.
+        weights: weights of the layers (outputs, inputs) each.
+        biases: biases of the layers (outputs,) each.
         columns, rows: x and y of the cells' centres, rising evenly [m].
     """
 
-    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
-    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
+    weights: Annotated[tuple[Array, ...], StoredField("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], StoredField("bias", single=True)]
     columns: Array
     rows: Array
     _centres: Array = field(init=False, repr=False)  # x, y of all cells (rows x columns, 2) [m]
@@ -126,7 +126,7 @@ class ProposalNetwork(StoredFields):
         values = self.map(inputs).ravel()
         remaining = values.copy()
         found: list[Array] = []
-        while len(found) < MOST_TOUCHES and remaining[best := int(remaining.argmax())] > THRESHOLD:
+        while len(found) < MAX_TOUCHES and remaining[best := int(remaining.argmax())] > THRESHOLD:
             x, y = self._centres.T
             square = (x - x[best]) ** 2 + (y - y[best]) ** 2
             around = values * (square < (2.0 * WIDTH) ** 2)
@@ -142,8 +142,8 @@ def without_drift(change: Any, variance: Any, drift: Any, filter_: Any) -> Any:
     variance v (...), its estimate of least mean square is v d C^-1 c / (1 + v d C^-1 d). Arrays of
     numpy or torch; `drift` is d and `filter_` is C^-1 d (K,).
     """
-    told = variance * (change @ filter_) / (1.0 + variance * (drift @ filter_))
-    return change - told[..., None] * drift
+    drift_share = variance * (change @ filter_) / (1.0 + variance * (drift @ filter_))
+    return change - drift_share[..., None] * drift
 
 
 def dense_network(layers: Iterable[tuple[Any, Any]], values: NDArray[Any]) -> Any:
@@ -166,8 +166,8 @@ def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: 
     Args:
         change: combinations of the change of log V (..., K); those not finite count as unchanged.
         noise: standard deviation of the change (K,).
-        angle_deg: of the reference (...) [deg].
-        features: of the specimen (..., P).
+        angle_deg: angle of the reference (...) [deg].
+        features: features of the specimen (..., P).
     """
     sizes = np.arcsinh(np.where(np.isfinite(change), change, 0.0) / (2.0 * noise))
     return np.concatenate([sizes, np.asarray(angle_deg)[..., None] / 30.0, features], axis=-1)

@@ -31,7 +31,7 @@ TOUCH_THRESHOLD = 25.0
 """Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
 of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
 FURTHER_THRESHOLD = 20.0
-"""The same of a touch beside others: above this once in 100 frames. Several touches are missed more
+"""The same of a touch near others: above this once in 100 frames. Several touches are missed more
 often than one is made up."""
 
 
@@ -40,7 +40,7 @@ class Unknowns(NamedTuple):
 
     Attributes:
         touches: x [m], y [m] and force [N] of each (k, 3).
-        angle_deg: of the bend [deg].
+        angle_deg: angle of the bend [deg].
     """
 
     touches: Array
@@ -63,7 +63,7 @@ class Linearisation(NamedTuple):
         touches, angle_deg: the unknowns.
         rows: the residual, then the derivative of the model by a unit step of each of the n
             unknowns (1 + n, K).
-        changes: by each touch (k, K).
+        changes: changes by each touch (k, K).
         hidden: output of the response network, from which its uncertainty follows (k, hidden).
     """
 
@@ -92,9 +92,9 @@ class TouchObjective:
     Attributes:
         combined: of the change since the reference.
         reference_deg: bend angle at which the reference was taken [deg].
-        response: of the specimen to touches.
-        curve: of the specimen's bending.
-        prior: of touches.
+        response: response of the specimen to touches.
+        curve: curve of the specimen's bending.
+        prior: prior of touches.
         reference_bend: value of the bend curve at that angle (K,).
         kernels: functions of `fit_kernels`, compiled where they are wanted.
     """
@@ -130,9 +130,9 @@ class TouchObjective:
 
     def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
         """The objective with some measurements left out."""
-        return replace(self, combined=self.combined.without(measurements))
+        return replace(self, combined=self.combined.drop(measurements))
 
-    def linearised(self, unknowns: Unknowns) -> Linearisation:
+    def linearise(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
         touches = np.ascontiguousarray(unknowns.touches)
         point = self.kernels.linearise(touches, unknowns.angle_deg, self.sensor, self.frame)
@@ -168,7 +168,7 @@ class TouchObjective:
         """Value of the objective, in the metric of `whitening`."""
         return self.quadratic(at, whitening).misfit
 
-    def stepped(self, unknowns: Unknowns, step: Array) -> Unknowns:
+    def apply_step(self, unknowns: Unknowns, step: Array) -> Unknowns:
         """Unknowns after a step (n,) in unit steps, clipped to their bounds."""
         return Unknowns(*self.kernels.apply_step(*unknowns, step, self.frame))
 
@@ -226,7 +226,7 @@ class MapEstimate:
     touch. The inverse Hessian is the covariance.
 
     Attributes:
-        objective: that it minimises.
+        objective: objective that it minimises.
         at: the model linearised at the estimate.
         whitening: metric of the residual in which the estimate was sought (K, K).
         products: misfit, minus half its gradient and half its Hessian, as blocks (1 + n, 1 + n).
@@ -263,12 +263,12 @@ class MapEstimate:
         step, promised = objective.kernels.trust_step(
             self.products, at.touches, objective.frame, RADIUS
         )
-        return at if promised > tolerance else objective.stepped(at, step)
+        return at if promised > tolerance else objective.apply_step(at, step)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Number of residuals minus number of unknowns, at least one."""
-        return max(self.objective.combined.told + 1 - len(self.products), 1)
+        return max(self.objective.combined.rank + 1 - len(self.products), 1)
 
     @property
     def misfit_sigma(self) -> float:
@@ -279,11 +279,11 @@ class MapEstimate:
     def whole(self) -> tuple[Array, float, int]:
         """Whitened remainder of the measurements, and misfit and degrees of freedom with it.
 
-        The remainder, which no bend and no touch explains, tells faults (C,).
+        The remainder, which no bend and no touch explains, shows faults (C,).
         """
         combined = self.objective.combined
         rest = combined.rest / self.objective.remainder_scale(self.at)
-        further = combined.count - combined.told
+        further = combined.count - combined.rank
         return rest, self.misfit + float(rest @ rest), self.degrees_of_freedom + further
 
     @property
@@ -308,7 +308,7 @@ class MapEstimate:
         gains: Array = (self.at.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
         return gains
 
-    def gain_over(self, before: "MapEstimate") -> float:
+    def misfit_decrease(self, before: "MapEstimate") -> float:
         """Decrease of the misfit from an earlier estimate, in the metric of this one."""
         return self.objective.misfit(before.at, self.whitening) - self.misfit
 
@@ -328,7 +328,7 @@ def levenberg_marquardt(
     where the misfit `goal` is out of reach: where `OPTIMISM` times the promise would leave more.
     The metric of the residual, `whitening` (K, K), is that of the start by default.
     """
-    at = objective.linearised(start) if isinstance(start, Unknowns) else start
+    at = objective.linearise(start) if isinstance(start, Unknowns) else start
     if whitening is None:
         whitening = objective.whitening(at)
     arrays = np.ascontiguousarray(whitening.T), objective.sensor, objective.frame

@@ -15,7 +15,7 @@ from scipy.special import expit
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurve
 from eitskin.training.joint.channel_faults import (
     FAULT_THRESHOLD,
-    MOST_FAULTS,
+    MAX_FAULTS,
     SUSPICIOUS_SIGMA,
     ChannelFault,
     PossibleFaults,
@@ -38,16 +38,16 @@ NORMAL_DEG = 0.4
 and curves are straight over so few degrees."""
 ONE_MODE = 0.99  # least share of the posterior within three standard errors
 CONTRADICTION = 3.0  # standard errors between angles that contradict each other
-NEAR_DEG = 5.0
+BLEND_START_DEG = 5.0
 """Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
-FAR_DEG = 20.0
+BLEND_END_DEG = 20.0
 """Angle by a bend curve beyond which it does not count where networks see no bend: curves of any
 clamp are so wide there that a large bend explains almost any frame."""
 LOG_ODDS = math.log(1.0 / 50.0)
 """Logarithm of the odds that a sensor bends as usual, before any of its frames is seen: the usual
 clamp counts as one of some fifty, however many of the training specimens it holds."""
 RIVAL = 2.0 * math.log(20.0)  # of improbabilities; what is likelier by less does not settle it
-MOVED = 2.0  # standard errors below which no bend is claimed, and no fault looked for
+MIN_BEND_DEVIATIONS = 2.0  # standard errors below which no bend is claimed, and no fault looked for
 TEMPER = 0.7
 """Power of the evidence for the usual clamp in standard errors: a clamp near it fits as well."""
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
@@ -65,7 +65,7 @@ class AngleEstimate:
             (Laplace's approximation).
         usual: probability that the sensor bends as usual (`usual.py`).
         rival: faults of a flat sensor that explain the frame about as well, in words.
-        by_curve: angle and standard error [deg] by the bend curve, where networks tell the angle.
+        by_curve: angle and standard error [deg] by the bend curve, where networks show the angle.
     """
 
     angle_deg: float
@@ -79,7 +79,7 @@ class AngleEstimate:
 
     @property
     def from_flat(self) -> tuple[float, float]:
-        """Angle and standard error [deg] by which bent is told from flat."""
+        """Angle and standard error [deg] by which bent is reported from flat."""
         return self.by_curve or (self.angle_deg, self.deviation_deg)
 
     @property
@@ -97,8 +97,8 @@ def estimate_angle(
     curve's own uncertainty at the present angle.
 
     Args:
-        curve: of the specimen.
-        change: from the flat sensor (K,).
+        curve: curve of the specimen.
+        change: change from the flat sensor (K,).
         noise: covariance of the change (K, K), without the curve's uncertainty.
         start_deg: where the search begins [deg]; the best of a grid in the metric of the noise.
     """
@@ -152,22 +152,22 @@ def robust_angle(
     """
     faults: tuple[ChannelFault, ...] = ()
     while True:
-        found, residual, whitening = _estimate(curve, combined)
-        if found.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
+        estimate, residual, whitening = _estimate(curve, combined)
+        if estimate.misfit_sigma >= SUSPICIOUS_SIGMA:  # perhaps at a local minimum
             angles, _ = curve.grid(GRID)
             densities = grid_log_densities(curve, angles, combined.change, combined.noise)
             again = _estimate(curve, combined, float(angles[densities.argmax()]))
-            if again[0].log_evidence > found.log_evidence:
-                found, residual, whitening = again
-        found = replace(found, faults=faults)
-        if found.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MOST_FAULTS:
-            return found
+            if again[0].log_evidence > estimate.log_evidence:
+                estimate, residual, whitening = again
+        estimate = replace(estimate, faults=faults)
+        if estimate.misfit_sigma < SUSPICIOUS_SIGMA or len(faults) == MAX_FAULTS:
+            return estimate
         scale = math.sqrt(combined.frames)
-        jacobian = (whitening @ curve.slope(found.angle_deg))[:, None]
+        jacobian = (whitening @ curve.slope(estimate.angle_deg))[:, None]
         fault, gain = possible.likeliest(combined, whitening, scale, residual, jacobian)
-        fewer = combined.without(fault.members)
+        fewer = combined.drop(fault.members)
         if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
-            return found
+            return estimate
         combined, faults = fewer, (*faults, fault)
 
 
@@ -177,8 +177,8 @@ def _estimate(
     """`estimate_angle` with its misfit, the whitened residual, and its metric (K, K)."""
     angle, deviation = estimate_angle(curve, combined.change, combined.noise, start_deg)
     whitening = whitening_matrix(combined.noise + curve.uncertainty(angle))
-    rest = combined.rest / math.sqrt(combined.frames)
-    residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), rest])
+    scaled_residual = combined.rest / math.sqrt(combined.frames)
+    residual = np.concatenate([whitening @ (combined.change - curve.value(angle)), scaled_residual])
     misfit = float(residual @ residual)
     width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
     evidence = 0.5 * (width - misfit) + math.log(deviation)
@@ -199,14 +199,14 @@ def mixture_moments(
     return mean, math.sqrt(square)
 
 
-def blended(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
+def blend_angles(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
     """Angle and its standard error [deg] from those by the bend curve and by the networks.
 
-    Near zero the curve counts; the networks alone do from `NEAR_DEG` by themselves on, or `FAR_DEG`
-    by the curve.
+    Near zero the curve counts; the networks alone do from `BLEND_START_DEG` on their own on, or
+    `BLEND_END_DEG` by the curve.
     """
-    far = (abs(curve[0]) - NEAR_DEG) / (FAR_DEG - NEAR_DEG)
-    share = min(max(abs(networks[0]) / NEAR_DEG, far), 1.0)
+    far = (abs(curve[0]) - BLEND_START_DEG) / (BLEND_END_DEG - BLEND_START_DEG)
+    share = min(max(abs(networks[0]) / BLEND_START_DEG, far), 1.0)
     angle, deviation = np.add(np.multiply(1.0 - share, curve), np.multiply(share, networks))
     return float(angle), float(deviation)
 
@@ -219,14 +219,14 @@ def posterior_angle(
     Before it is measured, any angle learned is as likely as another, and those beyond are less so.
 
     The variance of everything that the frame is weighed by grows with the misfit per degree of
-    freedom, where this exceeds one (Birge 1932): a curve that explains no frame well tells less of
+    freedom, where this exceeds one (Birge 1932): a curve that explains no frame well shows less of
     the angle than it says.
     """
     freedom = max(combined.count - len(likeliest.left_out) - 1, 1)
     misfit = freedom + likeliest.misfit_sigma * math.sqrt(2.0 * freedom)
     excess = max(misfit / freedom, 1.0)
     deviation = likeliest.deviation_deg * math.sqrt(excess)
-    fewer = combined.without(likeliest.left_out) if likeliest.faults else combined
+    fewer = combined.drop(likeliest.left_out) if likeliest.faults else combined
     low, high = curve.angle_deg
     angles = np.arange(
         low - BEYOND_DEG, high + BEYOND_DEG + POSTERIOR_STEP_DEG / 2, POSTERIOR_STEP_DEG
@@ -252,7 +252,7 @@ def candidate_rows(
     """
     low, high = (round(end / STEP_DEG) for end in np.add(angle_deg, (-BEYOND_DEG, BEYOND_DEG)))
     touches = np.column_stack([places, np.full(len(places), response.ranges.middle_force)])
-    return {step: response.hidden(touches, step * STEP_DEG) for step in range(low, high + 1)}
+    return {step: response.hidden_output(touches, step * STEP_DEG) for step in range(low, high + 1)}
 
 
 @dataclass(slots=True, eq=False)
@@ -260,12 +260,12 @@ class SpecimenModel:
     """The learned model for one specimen.
 
     Attributes:
-        features: of the specimen (P,).
-        response: to touches.
-        curve: of bending.
-        faults: that are considered.
+        features: features of the specimen (P,).
+        response: response to touches.
+        curve: curve of bending.
+        faults: faults that are considered.
         problems: reasons to doubt the model, in words.
-        networks: of the angle, with the features that they are told; None without.
+        networks: networks of the angle, with the features that they are given; None without.
         usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
             curve is known.
     """
@@ -299,9 +299,9 @@ class SpecimenModel:
         A contact that changes moves its channels as some clamp's bend does. Both are weighed by the
         evidence, the bend uniform over the angles learned.
         """
-        if abs(bend.angle_deg) < MOVED * bend.deviation_deg:
+        if abs(bend.angle_deg) < MIN_BEND_DEVIATIONS * bend.deviation_deg:
             return None
-        fewer = combined.without(bend.left_out) if bend.faults else combined
+        fewer = combined.drop(bend.left_out) if bend.faults else combined
         low, high = self.curve.angle_deg
         bent = -2.0 * (bend.log_evidence + math.log(math.sqrt(2.0 * math.pi) / (high - low)))
         nothing = np.zeros((1, len(combined.change)))
@@ -310,8 +310,8 @@ class SpecimenModel:
             return None
         if faulty.improbability >= bent:
             return replace(bend, rival=faulty.names)
-        found = self._angle(faulty.rest)
-        return replace(found, faults=(*bend.faults, *faulty.faults, *found.faults))
+        estimate = self._angle(faulty.rest)
+        return replace(estimate, faults=(*bend.faults, *faulty.faults, *estimate.faults))
 
     def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float] | None:
         """Angle of an untouched frame and its standard error [deg] by the networks, if any."""
@@ -329,7 +329,7 @@ class SpecimenModel:
             return self._angle_of_any(combined)
         usual = robust_angle(self.usual, combined, self.faults)
         # Densities of the same measurements are compared; faults have the price of being found.
-        fewer = combined.without(usual.left_out) if usual.faults else combined
+        fewer = combined.drop(usual.left_out) if usual.faults else combined
         other = self._angle_of_any(fewer)
         log_odds = LOG_ODDS - 0.5 * FAULT_THRESHOLD * len(usual.faults)
         evidence = usual.log_evidence - other.log_evidence
@@ -347,23 +347,23 @@ class SpecimenModel:
         """Angle by the curve, and by the networks where all measurements are good.
 
         Where the curve leaves out a measurement that the networks take for the bend of some clamp,
-        nothing tells which of both is right.
+        nothing shows which of both is right.
         """
-        found = robust_angle(self.curve, combined, self.faults)
+        estimate = robust_angle(self.curve, combined, self.faults)
         by_networks = self.angle_by_networks(combined)
         if by_networks is None:
-            return posterior_angle(self.curve, combined, found)
-        by_curve = (found.angle_deg, found.deviation_deg)
+            return posterior_angle(self.curve, combined, estimate)
+        by_curve = (estimate.angle_deg, estimate.deviation_deg)
         apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
-        if not combined.good.all() or (found.faults and apart < CONTRADICTION):
-            return found
-        if found.faults:
+        if not combined.good.all() or (estimate.faults and apart < CONTRADICTION):
+            return estimate
+        if estimate.faults:
             angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
         else:
-            angle, deviation = blended(by_curve, by_networks)
-        lost = abs(by_networks[0]) < NEAR_DEG and abs(by_curve[0]) >= FAR_DEG
-        told = None if found.faults or lost else by_curve
-        return replace(found, angle_deg=angle, deviation_deg=deviation, by_curve=told)
+            angle, deviation = blend_angles(by_curve, by_networks)
+        lost = abs(by_networks[0]) < BLEND_START_DEG and abs(by_curve[0]) >= BLEND_END_DEG
+        curve_estimate = None if estimate.faults or lost else by_curve
+        return replace(estimate, angle_deg=angle, deviation_deg=deviation, by_curve=curve_estimate)
 
     def candidates(
         self, angle_deg: float, places: Array, rows: Mapping[int, Array]

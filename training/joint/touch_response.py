@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
 from eitskin.training.joint.fit_kernels import TOUCH_UNITS, linearise
-from eitskin.training.method.stored_fields import Stored, StoredFields
+from eitskin.training.method.stored_fields import StoredField, StoredFields
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 Weights: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
 
-MOST_TOUCHES = 4  # in one frame
+MAX_TOUCHES = 4  # in one frame
 MARGIN = 0.003  # m, by which touches may lie outside of the positions trained with
 FORCE_MARGINS = (0.3, 1.3)  # times the smallest and the largest force trained with
 SENSITIVITY_STD = 0.15  # relative; specimens respond more or less strongly to the same force
@@ -38,8 +38,8 @@ class TouchPrior:
         separation: smallest distance of two simultaneous touches [m].
         force: mean and standard deviation [N].
         low, high: bounds of x, y [m] and force [N], (3,).
-        box: of x, y [m] and force [N] the mean, the inverse variance in unit steps, and the bounds
-            (4, 3); follows from the above.
+        box: box of x, y [m] and force [N] the mean, the inverse variance in unit steps, and the
+            bounds (4, 3); follows from the above.
     """
 
     separation: float
@@ -64,14 +64,14 @@ class TouchPrior:
         Args:
             touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent.
             outline: length and width of the sensor [m].
-            largest_radius: of the indenters [m]; touches keep its double apart where no frame has
-                two touches.
+            largest_radius: largest radius of the indenters [m]; touches keep its double apart where
+                no frame has two touches.
         """
         least, most = (end(touches, axis=(0, 1)) for end in (np.nanmin, np.nanmax))
         low = [*np.maximum(least[:2] - MARGIN, 0.0), FORCE_MARGINS[0] * least[2]]
         high = [*np.minimum(most[:2] + MARGIN, outline), FORCE_MARGINS[1] * most[2]]
-        one, other = np.triu_indices(touches.shape[1], 1)
-        distances = np.hypot(*(touches[:, one, :2] - touches[:, other, :2]).T)
+        first, second = np.triu_indices(touches.shape[1], 1)
+        distances = np.hypot(*(touches[:, first, :2] - touches[:, second, :2]).T)
         distances = distances[np.isfinite(distances)]
         separation = float(distances.min()) if len(distances) else 2 * largest_radius
         mean = float(np.nanmean(touches[..., 2]))
@@ -111,7 +111,7 @@ class InputRanges:
 
         Args:
             touches: x [m], y [m] and force [N] (..., 3).
-            angle_deg: of the bend (...) [deg].
+            angle_deg: angle of the bend (...) [deg].
         """
         angle = np.asarray(angle_deg)[..., None] / _ANGLE_SCALE
         return np.concatenate([touches * self.input_scale - 1.0, angle], axis=-1)
@@ -140,24 +140,24 @@ class TouchResponse(StoredFields):
     little.
 
     Attributes:
-        weights: of the three layers, (hidden, inputs) each.
-        biases: of the three layers, (hidden,) each.
+        weights: weights of the three layers, (hidden, inputs) each.
+        biases: biases of the three layers, (hidden,) each.
         output: last layer for the middle specimen, then its derivative by each feature
             (1 + P, K, hidden + 1).
         latent_output: derivative of the last layer by each q (Q, K, hidden + 1).
         scale: typical change of log V.
-        ranges: of the inputs learned from.
+        ranges: ranges of the inputs learned from.
         mismatch: rms error of each measurement relative to its rms change, on held-out specimens,
             after fitting their strength and q.
     """
 
-    weights: Annotated[tuple[Array, ...], Stored("weight", single=True)]
-    biases: Annotated[tuple[Array, ...], Stored("bias", single=True)]
-    output: Annotated[Array, Stored(single=True)]
-    latent_output: Annotated[Array, Stored("hidden_output", single=True)]
-    scale: Annotated[float, Stored("scale")]
-    ranges: Annotated[InputRanges, Stored(stacked=True)]
-    mismatch: Annotated[float, Stored("scale")]
+    weights: Annotated[tuple[Array, ...], StoredField("weight", single=True)]
+    biases: Annotated[tuple[Array, ...], StoredField("bias", single=True)]
+    output: Annotated[Array, StoredField(single=True)]
+    latent_output: Annotated[Array, StoredField("hidden_output", single=True)]
+    scale: Annotated[float, StoredField("scale")]
+    ranges: Annotated[InputRanges, StoredField(stacked=True)]
+    mismatch: Annotated[float, StoredField("scale")]
     _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
     _biases: tuple[Array, ...] = field(init=False, repr=False)
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
@@ -172,7 +172,7 @@ class TouchResponse(StoredFields):
         object.__setattr__(self, "_biases", biases)
         object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
 
-    def hidden(self, touches: Array, angle_deg: ArrayLike) -> Array:
+    def hidden_output(self, touches: Array, angle_deg: ArrayLike) -> Array:
         """Input of the last layer, [h, 1] F / F0 scale (..., hidden + 1), for touches (..., 3)."""
         before = touches @ self._layers[0] + self._biases[0]
         before += np.asarray(angle_deg)[..., None] * self._bias_by_angle
@@ -195,7 +195,7 @@ class TouchResponse(StoredFields):
         """Factor of a touch divided by its force [1/N]."""
         return self.scale / self.ranges.middle_force
 
-    def of(self, features: ArrayLike) -> "SpecimenResponse":
+    def for_specimen(self, features: ArrayLike) -> "SpecimenResponse":
         """The response of a specimen with features (P,)."""
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         return SpecimenResponse(self, np.tensordot(p, self.output, axes=1))
@@ -206,7 +206,7 @@ class SpecimenResponse:
     """Change of log V by touches on one specimen.
 
     Attributes:
-        response: of every specimen.
+        response: response of every specimen.
         output: last layer of this specimen (K, hidden + 1).
     """
 
@@ -224,7 +224,7 @@ class SpecimenResponse:
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""
-        change: Array = self.response.hidden(touches, angle_deg) @ self.output.T
+        change: Array = self.response.hidden_output(touches, angle_deg) @ self.output.T
         return change
 
     def with_derivatives(self, touches: Array, angle_deg: float) -> Array:
@@ -238,6 +238,6 @@ class SpecimenResponse:
 
     def latent_changes(self, touches: Array, angle_deg: float) -> Array:
         """Derivative of the touches' summed change by each q (Q, K)."""
-        hidden = self.response.hidden(touches, angle_deg).sum(axis=0)
+        hidden = self.response.hidden_output(touches, angle_deg).sum(axis=0)
         change: Array = self.response.latent_output @ hidden
         return change

@@ -23,13 +23,15 @@ from eitskin.training.joint.objective import (
 
 Array = NDArray[np.float64]
 
-LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
+MIN_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
 RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
 DIVISION_STRIDE = 2  # the same of a pair in place of one touch
-NEAREST = 0.5  # of the least distance of touches: that of two in place of one
-REFINED = -5.0  # gain to first order from which two touches in place of the only one are fitted
+MIN_SPACING = 0.5  # of the least distance of touches: that of two in place of one
+# gain to first order from which two touches in place of the only one are fitted
+REFINEMENT_GAIN = -5.0
 FAINT = 2.5  # times the least force: least of either
-LEAST_OWN = 0.01  # share of its change that a further touch does not share with the others
+# share of its change that a further touch does not share with the others
+MIN_UNSHARED_CHANGE = 0.01
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
@@ -42,8 +44,8 @@ class TouchCandidates:
 
     Attributes:
         places: (n, 2) [m].
-        force: of every candidate [N].
-        change: by each (n, K), at one angle.
+        force: force of every candidate [N].
+        change: change by each (n, K), at one angle.
     """
 
     places: Array
@@ -84,7 +86,7 @@ def single_starts(
     on_bend, on_residual = shapes @ bend, shapes @ residual
     sizes = np.einsum("nk,nk->n", shapes, shapes) - (2.0 - bend @ bend) * on_bend**2
     strength = (on_residual - on_bend * (bend @ residual)) / sizes
-    allowed = (strength > 0) & _is_apart(objective, candidates.places, unknowns)
+    allowed = (strength > 0) & _is_far_enough(objective, candidates.places, unknowns)
     gain = np.where(allowed, 1.0, 0.0)
     gain *= strength**2 * sizes
     starts: list[Unknowns] = []
@@ -110,7 +112,7 @@ def pair_starts(
 
     Args:
         found: estimate of the frame.
-        replaced: number of the touch that a pair takes the place of; None for a pair beside all.
+        replaced: number of the touch that a pair takes the place of; None for a pair next to all.
         candidates: of which some may be one of a pair.
 
     Returns:
@@ -129,7 +131,7 @@ def pair_starts(
         if touch is not None:
             unknowns = unknowns.without_touch(touch)
             residual = residual + found.whitening @ found.at.changes[touch]
-        free = _is_apart(objective, places, unknowns)
+        free = _is_far_enough(objective, places, unknowns)
         gain, *pair = _best_pair(gram, shapes @ residual, apart, free, least, most)
         if gain <= 0.0:
             continue
@@ -144,9 +146,9 @@ def further_gain(found: MapEstimate, candidates: TouchCandidates) -> float:
     Whatever the touches there are, and the angle, would explain as well does not count.
     """
     whole = candidates.change @ found.whitening.T
-    shapes, residual = _beside(found.white[1:], whole, found.white[0])
+    shapes, residual = _project_out(found.white[1:], whole, found.white[0])
     own, size = (np.einsum("nk,nk->n", each, each) for each in (shapes, whole))
-    gain = np.maximum(shapes @ residual, 0.0) ** 2 / np.maximum(own, LEAST_OWN * size)
+    gain = np.maximum(shapes @ residual, 0.0) ** 2 / np.maximum(own, MIN_UNSHARED_CHANGE * size)
     return float(gain.max(initial=0.0))
 
 
@@ -159,32 +161,32 @@ def divisions(found: MapEstimate, candidates: TouchCandidates) -> Array:
     objective, found_so = found.objective, np.tile([-np.inf, 0.0], (len(found.at.touches), 1))
     limits = objective.prior.low[2], objective.prior.high[2]
     least, most = FAINT * limits[0] / candidates.force, limits[1] / candidates.force
-    rest = _beside(found.white[1:], np.zeros((0, found.white.shape[1])), found.white[0])[1]
+    rest = _project_out(found.white[1:], np.zeros((0, found.white.shape[1])), found.white[0])[1]
     for number, (touch, change) in enumerate(zip(found.at.touches, found.at.changes, strict=True)):
         away = np.hypot(*(candidates.places - touch[:2]).T)
         around = np.flatnonzero(away < objective.prior.separation)[::DIVISION_STRIDE]
         places, free = candidates.places[around], np.ones(len(around), bool)
         others = np.delete(found.white[1:], slice(1 + 3 * number, 4 + 3 * number), axis=0)
         shapes = candidates.change[around] @ found.whitening.T
-        shapes, residual = _beside(others, shapes, found.white[0] + found.whitening @ change)
-        apart = cdist(places, places) > NEAREST * objective.prior.separation
+        shapes, residual = _project_out(others, shapes, found.white[0] + found.whitening @ change)
+        apart = cdist(places, places) > MIN_SPACING * objective.prior.separation
         gain, (one, a), (other, b) = _best_pair(
             shapes @ shapes.T, shapes @ residual, apart, free, least, most
         )
         if gain > 0.0:
-            left = float(residual @ residual) - float(rest @ rest)
-            found_so[number] = gain - left, max(away[around[one]], away[around[other]])
-        if len(found.at.touches) == 1 and found_so[number, 0] > REFINED:
+            decrease = float(residual @ residual) - float(rest @ rest)
+            found_so[number] = gain - decrease, max(away[around[one]], away[around[other]])
+        if len(found.at.touches) == 1 and found_so[number, 0] > REFINEMENT_GAIN:
             pair = np.column_stack([places[[one, other]], candidates.force * np.array([a, b])])
-            found_so[number] = _refined(found, pair)
+            found_so[number] = _refine_pair(found, pair)
     return found_so
 
 
-def _refined(found: MapEstimate, pair: Array) -> tuple[float, float]:
+def _refine_pair(found: MapEstimate, pair: Array) -> tuple[float, float]:
     """Decrease of the misfit by a pair (2, 3) in place of a touch, fitted, and its distance [m]."""
     prior = found.objective.prior
     objective = replace(
-        found.objective, prior=replace(prior, separation=NEAREST * prior.separation)
+        found.objective, prior=replace(prior, separation=MIN_SPACING * prior.separation)
     )
     fitted = levenberg_marquardt(
         objective, Unknowns(pair, found.at.angle_deg), *FINE, found.whitening
@@ -193,7 +195,7 @@ def _refined(found: MapEstimate, pair: Array) -> tuple[float, float]:
     return found.misfit - fitted.misfit, float(away.max())
 
 
-def _beside(explained: Array, shapes: Array, residual: Array) -> tuple[Array, Array]:
+def _project_out(explained: Array, shapes: Array, residual: Array) -> tuple[Array, Array]:
     """Shapes (n, K) and a residual (K,) less what other changes (m, K) explain as well."""
     factors, tau, _, _ = lapack.dgeqrf(explained.T)
     basis = lapack.dorgqr(factors[:, : len(tau)], tau)[0]
@@ -229,9 +231,11 @@ def _best_pair(
     return gain[a, b], (a, first[a, b]), (b, first[b, a])
 
 
-def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> NDArray[np.bool_]:
+def _is_far_enough(
+    objective: TouchObjective, places: Array, unknowns: Unknowns
+) -> NDArray[np.bool_]:
     """Whether each of `places` (n, 2) is far enough from the present touches (n,)."""
-    least = (LEAST_DISTANCE * objective.prior.separation) ** 2
+    least = (MIN_DISTANCE * objective.prior.separation) ** 2
     x, y = places.T
     apart = np.ones(len(places), bool)
     for at_x, at_y, _ in unknowns.touches.tolist():
@@ -239,21 +243,21 @@ def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> N
     return apart
 
 
-def pruned(found: MapEstimate) -> MapEstimate:
+def prune(estimate: MapEstimate) -> MapEstimate:
     """The converged estimate without touches that the others make superfluous."""
-    while len(found.at.touches):
-        found = levenberg_marquardt(found.objective, found.at, *FINE)
+    while len(estimate.at.touches):
+        estimate = levenberg_marquardt(estimate.objective, estimate.at, *FINE)
         # A touch that is held at the least force would rather be weaker, or not there.
-        faint = found.at.touches[:, 2] <= found.objective.prior.low[2]
-        gains = np.where(faint, 0.0, found.gains)
-        weakest, threshold = int(gains.argmin()), _threshold_of_weakest(found)
+        faint = estimate.at.touches[:, 2] <= estimate.objective.prior.low[2]
+        gains = np.where(faint, 0.0, estimate.gains)
+        weakest, threshold = int(gains.argmin()), _threshold_of_weakest(estimate)
         if gains[weakest] > PRUNING_LIMIT * threshold:
             break
-        fewer = _without_touch(found, weakest, threshold)
-        if found.gain_over(fewer) > threshold:
+        fewer = _without_touch(estimate, weakest, threshold)
+        if estimate.misfit_decrease(fewer) > threshold:
             break
-        found = fewer
-    return found
+        estimate = fewer
+    return estimate
 
 
 def _threshold_of_weakest(found: MapEstimate) -> float:
@@ -272,8 +276,8 @@ def _threshold_of_weakest(found: MapEstimate) -> float:
 def _without_touch(found: MapEstimate, touch: int, threshold: float) -> MapEstimate:
     """The estimate without one touch; one that has not converged where the touch is needed."""
     objective = found.objective
-    others = objective.linearised(found.unknowns.without_touch(touch))
+    others = objective.linearise(found.unknowns.without_touch(touch))
     whitening = objective.whitening(others)
-    goal = found.misfit + threshold  # in the metric of `found`
+    goal = found.misfit + threshold  # in the metric of `estimate`
     goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
     return levenberg_marquardt(objective, others, *FINE, whitening, goal)

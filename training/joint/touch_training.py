@@ -18,7 +18,7 @@ from eitskin.training.joint.mirrored_frames import MirroredFrames
 from eitskin.training.joint.networks import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import (
     LOG_STRENGTH_STD,
-    MOST_TOUCHES,
+    MAX_TOUCHES,
     InputRanges,
     TouchPrior,
     TouchResponse,
@@ -36,7 +36,7 @@ from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
 
-HIDDEN = 96
+HIDDEN_SIZE = 96
 LAYERS = 3
 LATENT = 8  # most latent variables q of a specimen
 SPECIMENS = 3  # to learn each of them from
@@ -58,14 +58,14 @@ class ResponseNetwork(nn.Module):
     def __init__(self, frames: MirroredFrames) -> None:
         """Size the network for the touches, channels, features and specimens of `frames`."""
         super().__init__()
-        sizes = [4] + [HIDDEN] * LAYERS
+        sizes = [4] + [HIDDEN_SIZE] * LAYERS
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
         specimens = int(frames.specimen.max()) + 1
         latent = min(LATENT, len(np.unique(frames.specimen)) // SPECIMENS)
         terms = 1 + self.features + latent
-        self.output = nn.Linear(HIDDEN + 1, self.channels * terms, bias=False)
+        self.output = nn.Linear(HIDDEN_SIZE + 1, self.channels * terms, bias=False)
         with torch.no_grad():  # start near a response that all specimens share
             self.output.weight[self.channels :] *= 0.1
         self.log_strength = nn.Parameter(torch.zeros(specimens))
@@ -140,15 +140,15 @@ def folded_response(
     network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: InputRanges
 ) -> TouchResponse:
     """The trained response, with q shifted and scaled to zero mean and unit variance."""
-    output = as_array(network.output.weight).reshape(-1, network.channels, HIDDEN + 1)
-    known, latent = output[: 1 + network.features], output[1 + network.features :]
+    output = as_array(network.output.weight).reshape(-1, network.channels, HIDDEN_SIZE + 1)
+    feature_output, latent = output[: 1 + network.features], output[1 + network.features :]
     q = as_array(network.latent)[specimens]
-    known[0] += np.tensordot(q.mean(axis=0), latent, axes=1)
+    feature_output[0] += np.tensordot(q.mean(axis=0), latent, axes=1)
     variance = np.cov(q.T).reshape(2 * q.shape[1:]) if q.size else np.zeros((0, 0))
     spread = np.linalg.cholesky(variance + 1e-12 * np.eye(len(variance)))
     return TouchResponse(
         *linear_layers(network.layers),
-        known,
+        feature_output,
         np.tensordot(spread.T, latent, axes=1),
         scale,
         ranges,
@@ -167,8 +167,8 @@ class SyntheticFrames:
 
     def frames(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw network inputs (count, inputs) and touch positions (count, MOST_TOUCHES, 2) [m]."""
-        known = len(self.response.output) - 1
-        features = rng.standard_normal((count, known + len(self.response.latent_output)))
+        feature_count = len(self.response.output) - 1
+        features = rng.standard_normal((count, feature_count + len(self.response.latent_output)))
         low, high = self.bend_prior.angle_deg
         angle = np.where(rng.uniform(size=count) < 0.25, 0.0, rng.uniform(low, high, count))
         touches = self._touches(count, rng)
@@ -177,21 +177,21 @@ class SyntheticFrames:
         unit = self.combinations.unit
         change += rng.standard_normal(change.shape) * unit * np.sqrt(1 + averaged)[:, None]
         moved = rng.standard_normal(count) * MOVED_DEG * (rng.uniform(size=count) < 0.5)
-        curve = self.bend_prior.of(np.zeros(known))
+        curve = self.bend_prior.predict(np.zeros(feature_count))
         change += curve.value(angle + moved) - curve.value(angle)
-        inputs = network_inputs(change, np.sqrt(2.0) * unit, angle, features[:, :known])
+        inputs = network_inputs(change, np.sqrt(2.0) * unit, angle, features[:, :feature_count])
         return inputs, touches[..., :2]
 
     def _touches(self, count: int, rng: np.random.Generator) -> Array:
         """Draw x [m], y [m] and force [N] of touches (count, MOST_TOUCHES, 3), NaN where absent."""
         low, high = self.touch_prior.low, self.touch_prior.high
-        touches = rng.uniform(low, high, (count, MOST_TOUCHES, 3))
+        touches = rng.uniform(low, high, (count, MAX_TOUCHES, 3))
         mean, deviation = self.touch_prior.force
-        force = rng.uniform(-1.73, 1.73, (count, MOST_TOUCHES)) * deviation + mean
+        force = rng.uniform(-1.73, 1.73, (count, MAX_TOUCHES)) * deviation + mean
         touches[..., 2] = np.clip(force, low[2], high[2])
-        absent = np.arange(MOST_TOUCHES) >= rng.integers(0, MOST_TOUCHES + 1, count)[:, None]
+        absent = np.arange(MAX_TOUCHES) >= rng.integers(0, MAX_TOUCHES + 1, count)[:, None]
         touches[absent] = np.nan
-        for i in range(MOST_TOUCHES):
+        for i in range(MAX_TOUCHES):
             for j in range(i):
                 apart = np.hypot(*(touches[:, i, :2] - touches[:, j, :2]).T)
                 touches[apart < self.touch_prior.separation, i] = np.nan
@@ -202,11 +202,11 @@ class SyntheticFrames:
     ) -> Array:
         """Change (count, K) by the touches, on specimens that differ."""
         response = self.response
-        summed = response.hidden(np.nan_to_num(touches), angle[:, None]).sum(axis=1)
+        summed = response.hidden_output(np.nan_to_num(touches), angle[:, None]).sum(axis=1)
         share = np.concatenate([np.ones((len(touches), 1)), features], axis=1)
         output = np.concatenate([response.output, response.latent_output])
         change: Array = np.einsum("npc,np->nc", np.tensordot(summed, output, axes=(1, 2)), share)
-        each = change @ self.combinations.back  # the measurements err independently
+        each = change @ self.combinations.back  # the measurements have an error independently
         errors = each * rng.standard_normal(each.shape) @ self.combinations.forward
         strength = np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
         return (change + response.mismatch * errors) * strength

@@ -20,10 +20,10 @@ from eitskin.training.joint.clamps import usual_curves
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
 from eitskin.training.joint.mirrored_frames import (
     MirroredFrames,
+    frame_noise,
     is_touched,
     is_untouched,
     log_ratio,
-    noise_of,
 )
 from eitskin.training.joint.networks import AngleNetworks, ProposalNetwork
 from eitskin.training.joint.specimen_model import estimate_angle
@@ -38,17 +38,17 @@ Array = NDArray[np.float64]
 Made = TypeVar("Made")
 
 PITCH = 0.004  # m, between positions that are tried for touches
-FEWEST = 100  # frames of each kind
+MIN_FRAMES = 100  # frames of each kind
 WEAKEST = 0.1  # least strength of a touch, in units of the noise
 TOUCHED_FRAMES = 4000
 """Touched frames from which the proposals are trained for all of their epochs; with fewer, the
 response limits the fit."""
-LEAST_PROPOSALS = 0.25
+MIN_PROPOSALS = 0.25
 """Share of the epochs that the proposals are trained for at least."""
-HOLD_OUT = 8  # every how many-th specimen is held out, to tell how far errors are larger there
-CHECKED = 500  # frames of these, by which standard errors of places are scaled
-FEWEST_SPECIMENS = 100  # from which on networks of the angle are tried
-COMPARED = 2000  # frames, by which networks and bend curves are compared
+HOLD_OUT = 8  # every how many-th specimen is held out, to show how far errors are larger there
+CHECK_FRAMES = 500  # frames of these, by which standard errors of places are scaled
+MIN_SPECIMENS = 100  # from which on networks of the angle are tried
+COMPARISON_FRAMES = 2000  # frames, by which networks and bend curves are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +56,9 @@ class TrainingRun:
     """Arguments that the training of all parts of a method shares.
 
     Attributes:
-        features: of specimens, as networks of the angle are told them.
-        combinations: of the measurements.
-        settings: of the training.
+        features: features of specimens, as networks of the angle are reported them.
+        combinations: combinations of the measurements.
+        settings: settings of the training.
         seed: of everything random.
         progress: called with a stage, steps done and steps in all.
     """
@@ -90,9 +90,12 @@ def fit_joint(
     """
     data, images = _usable(dataset), mirrors(spec.design, spec.protocol)
     every = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
+    touched, bent = (
+        MirroredFrames.from_touched(data, images),
+        MirroredFrames.from_bent(data, images),
+    )
     kinds = [(each.change, each.variance) for each in (touched, bent) if len(each.change)]
-    combinations = Combinations.fit(kinds, noise_of(data, images))
+    combinations = Combinations.fit(kinds, frame_noise(data, images))
     run = TrainingRun(every, combinations, settings, seed, progress)
     bends, losses = fit_bends(run, bent)
     touches, touch_losses = _fit_touches(run, data, touched, bends["bend_prior"], spec)
@@ -117,7 +120,7 @@ def _fit_touches(
     curves: BendCurvePrior,
     spec: InputSpec,
 ) -> tuple[dict[str, Any], dict[str, LearningCurve]]:
-    """Fields of the method that touched frames and their mirror images tell, and losses, by name.
+    """Fields of the method that touched frames and their mirror images show, and losses, by name.
 
     Without such frames the method is one of the bend alone.
     """
@@ -139,15 +142,15 @@ def _fit_touches(
     angle = data.bend_angle_deg
     force = (float(np.nanmin(data.touch_force)), float(np.nanmax(data.touch_force)))
     ranges = InputRanges(spec.outline, force, (float(angle.min()), float(angle.max())))
-    frames = touched.combined(run.features.first(), run.combinations)
+    frames = touched.combine(run.features.first(), run.combinations)
     held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
     seen, checked = (frames[~held_out], frames[held_out]) if held_out.any() else (frames, frames)
     response, response_losses = fit_response(
         seen, ranges, run.settings.response, run.seed, run.progress
     )
     response = replace(response, mismatch=_mismatch(response, checked))
-    share = max(len(touched.change) // images / TOUCHED_FRAMES, LEAST_PROPOSALS)
-    settings = run.settings.proposals.shortened(min(share, 1.0))
+    share = max(len(touched.change) // images / TOUCHED_FRAMES, MIN_PROPOSALS)
+    settings = run.settings.proposals.shorten(min(share, 1.0))
     synthetic = SyntheticFrames(response, curves, prior, run.combinations)
     proposals, losses = fit_proposals(synthetic, settings, run.seed, run.progress)
     fields = {
@@ -161,7 +164,7 @@ def _fit_touches(
 
 
 def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], LearningCurve]:
-    """Fields of the method that tell the bend, by name, and losses of the networks of the angle.
+    """Fields of the method that show the bend, by name, and losses of the networks of the angle.
 
     Learned from bent frames and the references of touches on the bent sensor, if there are any.
     Curves depend on the first of the features, networks on all of them.
@@ -171,35 +174,37 @@ def fit_bends(run: TrainingRun, bent: MirroredFrames) -> tuple[dict[str, Any], L
         flat = BendCurvePrior.flat(len(first.directions), len(combinations))
         return {"bend_prior": flat}, LearningCurve()
     drift = run.settings.drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    frames = bent.combined(first, combinations, drift)
+    frames = bent.combine(first, combinations, drift)
     run.progress("bend curve", 0, 2)
     curves = BendCurvePrior.fit(frames)
     run.progress("bend curve", 1, 2)
     usual = usual_curves(frames, curves)
     run.progress("bend curve", 2, 2)
     networks, losses = _fit_networks(run, frames, curves)
-    told = run.features if networks else None
-    parts = {"bend_prior": curves, "usual": usual, "angles": networks, "angle_features": told}
+    features = run.features if networks else None
+    parts = {"bend_prior": curves, "usual": usual, "angles": networks, "angle_features": features}
     return parts, losses
 
 
 def _fit_networks(
     run: TrainingRun, frames: MirroredFrames, curves: BendCurvePrior
 ) -> tuple[AngleNetworks | None, LearningCurve]:
-    """Networks of the bend angle, where they tell it better than the bend curves, and losses.
+    """Networks of the bend angle, where they show it better than the bend curves, and losses.
 
-    They are told all features, and compared by the likelihood of the angles of specimens that
+    They are reported all features, and compared by the likelihood of the angles of specimens that
     they were trained without. The curves were fitted with these, a small advantage.
     """
-    if frames.specimens < FEWEST_SPECIMENS:
+    if frames.specimens < MIN_SPECIMENS:
         return None, LearningCurve()
     from eitskin.training.joint.angle_training import fit_angles, loss_of_estimates
 
     settings, features = run.settings.angles, run.features.apply(frames.flat)
     networks, losses = fit_angles(frames, features, curves, settings, run.seed, run.progress)
-    few = frames[:: -(-len(frames.change) // COMPARED)]
+    few = frames[:: -(-len(frames.change) // COMPARISON_FRAMES)]
     pairs = zip(few.change, few.features, strict=True)
-    by_curves = np.array([estimate_angle(curves.of(p), change, few.noise) for change, p in pairs])
+    by_curves = np.array(
+        [estimate_angle(curves.predict(p), change, few.noise) for change, p in pairs]
+    )
     return networks if losses.validation[-1] < loss_of_estimates(few, by_curves) else None, losses
 
 
@@ -215,26 +220,26 @@ def _usable(dataset: Dataset) -> Dataset:
     data = data.select(single) if single.mean() > 0.5 else data
     bent = int(np.sum(data.bend_angle_deg != 0))
     if not bent:
-        data = replace(data, touch_reference=data.untouched)  # the flat reference
+        data = replace(data, touch_reference=data.values_before_touch)  # the flat reference
     if not np.isfinite(data.touch_force).any():
         data = _with_strengths(data)
-    found = {"untouched frames with a reference": int(is_untouched(data).sum())}
+    usable_counts = {"untouched frames with a reference": int(is_untouched(data).sum())}
     if touched := bool(np.isfinite(data.touch_x).any()):
         kind = "touched frames with known places, forces, radii and a reference"
-        found[kind] = int(is_touched(data).sum())
+        usable_counts[kind] = int(is_touched(data).sum())
     if bent or not touched:
-        found["bent frames"] = bent
-    if min(found.values()) < FEWEST:
-        counts = ", ".join(f"{count} {kind}" for kind, count in found.items())
+        usable_counts["bent frames"] = bent
+    if min(usable_counts.values()) < MIN_FRAMES:
+        counts = ", ".join(f"{count} {kind}" for kind, count in usable_counts.items())
         raise DataError(
-            f"the joint method needs at least {FEWEST} frames of each kind that a set has, got "
+            f"the joint method needs at least {MIN_FRAMES} frames of each kind that a set has, got "
             f"{counts}; generate more, or train another method with --preset quick"
         )
     return data
 
 
 def _with_strengths(data: Dataset) -> Dataset:
-    """Frames with the strength of each touch in place of its force, which no frame tells.
+    """Frames with the strength of each touch in place of its force, which no frame shows.
 
     The strength of a frame is the root mean square of its change of log V, less that of the
     untouched frames, over the median of the touched frames. k touches at a time share it as equal
@@ -260,7 +265,7 @@ def held_out_touches(dataset: Dataset) -> Dataset | None:
     _, specimen = np.unique(data.specimen[rows], return_inverse=True)
     rows = rows[specimen % HOLD_OUT == HOLD_OUT - 1]
     chosen = np.zeros(len(data), dtype=bool)
-    chosen[rows[:: max(1, -(-len(rows) // CHECKED))]] = True
+    chosen[rows[:: max(1, -(-len(rows) // CHECK_FRAMES))]] = True
     return data.select(chosen) if len(rows) else None
 
 
@@ -277,7 +282,7 @@ def _mismatch(response: TouchResponse, frames: MirroredFrames) -> float:
     total = np.sum(combinations.forward**2, axis=1)
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
-        specimen = response.of(frames.features[i])
+        specimen = response.for_specimen(frames.features[i])
         modelled = specimen(touches, float(frames.angle_deg[i]))
         shapes = specimen.latent_changes(touches, float(frames.angle_deg[i]))
         columns = np.concatenate([modelled.sum(axis=0)[None], shapes])

@@ -35,7 +35,7 @@ class WideContact:
     Attributes:
         misfit: rise of the misfit that it makes in place of the touches of an estimate.
         centre: x and y [m].
-        length: of the bar, or diameter of the disc [m].
+        length: length of the bar, or diameter of the disc [m].
     """
 
     misfit: float
@@ -58,11 +58,13 @@ def wide_rival(found: MapEstimate) -> WideContact | None:
         starts.append((BAR, half * vectors[:, 1]))
     if values.sum() < RADIUS**2:
         starts.append((DISC, np.array([radius])))
-    rivals = [_fitted(found, shape, centre, size) for shape, size in starts]
+    rivals = [_fit_contact(found, shape, centre, size) for shape, size in starts]
     return min(filter(None, rivals), key=lambda each: each.misfit, default=None)
 
 
-def _fitted(found: MapEstimate, shape: Array, centre: Array, size: Array) -> WideContact | None:
+def _fit_contact(
+    found: MapEstimate, shape: Array, centre: Array, size: Array
+) -> WideContact | None:
     """Contact of points centre + shape (n, 2, m) size (m,) of equal forces, by least squares.
 
     None where it cannot become a rival.
@@ -77,7 +79,7 @@ def _fitted(found: MapEstimate, shape: Array, centre: Array, size: Array) -> Wid
         touches = np.empty((count, 3))
         touches[:, :2] = np.minimum(np.maximum(points, prior.low[:2]), prior.high[:2])
         touches[:, 2] = unknowns[3]
-        each = objective.linearised(Unknowns(touches, float(unknowns[0]))).rows
+        each = objective.linearise(Unknowns(touches, float(unknowns[0]))).rows
         by_point = each[2:].reshape(count, 3, -1)
         by_size = np.tensordot(shape, by_point[:, :2], axes=((0, 1), (0, 1)))
         return np.concatenate([each[:2], by_point.sum(axis=0), by_size]) @ found.whitening.T

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from eitskin.bounds import LARGEST_READING, LEAST_READING, require_axes
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets import Dataset
+from eitskin.extras import old_names
 from eitskin.geometry import (
     ConfigurationError,
     DataError,
@@ -26,20 +27,21 @@ from eitskin.simulator import Frame, Protocol
 Array = NDArray[np.float64]
 
 _GRID = 37  # points along x and along y at which an outline is compared with its image
-MOST_ORDERED = 64  # electrodes, of which wrong orders are tried
+MAX_ORDERED_ELECTRODES = 64  # electrodes, of which wrong orders are tried
 _TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
 Known = TypeVar("Known")
 FREQUENCY_TOLERANCE = 0.01  # relative
-LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
-LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
+MAX_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
+MAX_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
 # Readings of neighbours depend far more on the places of electrodes: between 32 on a rim they
 # scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
 SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
-WIDEST_SPREAD = 0.5
-EXCHANGED = 0.5  # share of the scatter that another order of the electrodes leaves of a wrong one
+MAX_CHANNEL_SPREAD = 0.5
+# share of the scatter that another order of the electrodes leaves of a wrong one
+EXCHANGE_SCATTER_SHARE = 0.5
 SMALL = 0.1  # of the rms of all values, below which a channel counts less
 PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
-FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
+MIN_CHANNELS = 0.5  # share of a frame that must be usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +72,7 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
     length, width = design.outline.length, design.outline.width
     places = np.array([[e.x, e.y] for e in design.electrodes])
     shapes = [replace(electrode, x=0.0, y=0.0) for electrode in design.electrodes]
-    found = []
+    mirror_list = []
     for flips in ((False, False), (True, False), (False, True), (True, True)):
         image = np.where(flips, (length, width) - places, places)
         distance = np.linalg.norm(image[:, None] - places[None], axis=2)
@@ -82,22 +84,22 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
         )
         order = _order(np.array(protocol.table), partner) if same else None
         if order is not None:
-            found.append(Mirror(flips, order, (length, width)))
-    return tuple(found)
+            mirror_list.append(Mirror(flips, order, (length, width)))
+    return tuple(mirror_list)
 
 
 def electrode_orders(protocol: Protocol) -> Iterator[tuple[str, NDArray[np.int64]]]:
     """Wrong orders of the electrodes, in words, and the measurements that these exchange.
 
     Two electrodes are exchanged, or all are counted from another one, in either direction; none of
-    more than `MOST_ORDERED` electrodes, whose pairs are too many to try.
+    more than `MAX_ORDERED_ELECTRODES` electrodes, whose pairs are too many to try.
 
     Yields:
         name: of the order.
         order: number of the measurement that is in each one's place (m,).
     """
     numbers = np.arange(protocol.n_electrodes)
-    if len(numbers) > MOST_ORDERED:
+    if len(numbers) > MAX_ORDERED_ELECTRODES:
         return
     orders = []
     for a, b in itertools.combinations(numbers.tolist(), 2):
@@ -145,14 +147,15 @@ def _codes(table: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return codes
 
 
+@old_names(described="complete_dataset", of="from_dataset", of_sensor="for_sensor")
 @dataclass(frozen=True, slots=True, eq=False)
 class InputSpec:
     """Sensor, measurements and units that a pipeline was trained for.
 
     Attributes:
-        known_design: the nominal sensor; None where a recording of touches tells none.
+        known_design: the nominal sensor; None where a recording of touches shows none.
         known_protocol: the table of measurements; None as above.
-        frequency: of the excitation [Hz]; NaN where unknown.
+        frequency: frequency of the excitation [Hz]; NaN where unknown.
         reference: magnitudes of the flat, untouched sensor (measurements,) [ohm]; median over the
             specimens trained with; NaN where any sensor is taken.
         spread: largest root mean square of the logarithms of a sensor's magnitudes over
@@ -170,20 +173,22 @@ class InputSpec:
     known_protocol: Protocol | None
     frequency: float
     reference: NDArray[np.float64]
-    spread: float = LARGEST_SPREAD
+    spread: float = MAX_SPREAD
     extent: NDArray[np.float64] | None = None
 
     @classmethod
-    def of(cls, dataset: Dataset, design: SensorDesign, protocol: Protocol) -> "InputSpec":
+    def from_dataset(
+        cls, dataset: Dataset, design: SensorDesign, protocol: Protocol
+    ) -> "InputSpec":
         """Specification for the sensors of a training set."""
         magnitudes = np.abs(dataset.reference[np.unique(dataset.specimen)]).astype(float)
         reference = np.median(magnitudes, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.log(magnitudes / reference)
         weights = _weights(reference)
-        known = [np.isfinite(each) for each in logs]
-        found = [_spread(each[k], weights[k])[0] for each, k in zip(logs, known, strict=True)]
-        spread = min(max(LARGEST_SPREAD, SPREAD_MARGIN * max(found)), WIDEST_SPREAD)
+        finite = [np.isfinite(log) for log in logs]
+        spreads = [_spread(log[k], weights[k])[0] for log, k in zip(logs, finite, strict=True)]
+        spread = min(max(MAX_SPREAD, SPREAD_MARGIN * max(spreads)), MAX_CHANNEL_SPREAD)
         return cls(design, protocol, dataset.frequency, reference, spread)
 
     def document(self) -> dict[str, Any]:
@@ -207,9 +212,9 @@ class InputSpec:
         design, protocol = document["design"], document["protocol"]
         design = design and from_dict(SensorDesign, design, "layout.design")
         protocol = protocol and from_dict(Protocol, protocol, "layout.protocol")
-        known, extent = document["frequency"], document.get("extent")
-        frequency = math.nan if known is None else float(known)
-        spread = document.get("spread", LARGEST_SPREAD)
+        stored_frequency, extent = document["frequency"], document.get("extent")
+        frequency = math.nan if stored_frequency is None else float(stored_frequency)
+        spread = document.get("spread", MAX_SPREAD)
         if np.isnan(reference).all():
             extent = None if extent is None else np.array(extent, dtype=float)
             return cls(design, protocol, frequency, reference, extent=extent)
@@ -218,9 +223,10 @@ class InputSpec:
                 f"expected {len(protocol)} magnitudes of the flat sensor, got an array of shape "
                 f"{reference.shape} or others than positive numbers; train the pipeline again"
             )
-        if not (0 < frequency < np.inf and 0 < float(spread) <= WIDEST_SPREAD):
+        if not (0 < frequency < np.inf and 0 < float(spread) <= MAX_CHANNEL_SPREAD):
             raise DataError(
-                f"expected a frequency and a spread of up to {WIDEST_SPREAD:g}, got {frequency:g} "
+                f"expected a frequency and a spread of up to {MAX_CHANNEL_SPREAD:g}, got "
+                f"{frequency:g} "
                 f"Hz and {float(spread):g}; train the pipeline again"
             )
         return cls(design, protocol, frequency, reference.astype(float), float(spread))
@@ -228,12 +234,12 @@ class InputSpec:
     @property
     def design(self) -> SensorDesign:
         """The nominal sensor; raises ConfigurationError where none is known."""
-        return _known(self.known_design, "sensor's design", "--sensor")
+        return _require_known(self.known_design, "sensor's design", "--sensor")
 
     @property
     def protocol(self) -> Protocol:
         """The table of measurements; raises ConfigurationError where none is known."""
-        return _known(self.known_protocol, "table of measurements", "--protocol")
+        return _require_known(self.known_protocol, "table of measurements", "--protocol")
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -286,7 +292,7 @@ class InputSpec:
                 f"at {frequency:g} Hz; set the board to that frequency"
             )
 
-    def described(self, dataset: Dataset) -> Dataset:
+    def complete_dataset(self, dataset: Dataset) -> Dataset:
         """The dataset with this design and protocol where it has none.
 
         Raises FrameError for other measurements.
@@ -296,16 +302,16 @@ class InputSpec:
             self.require_same_measurements(protocol, dataset.frequency)
         return replace(dataset, protocol=protocol, design=dataset.design or self.known_design)
 
-    def of_sensor(self, flat: NDArray[np.float64]) -> "InputSpec":
+    def for_sensor(self, flat: NDArray[np.float64]) -> "InputSpec":
         """Specification for one sensor of this design.
 
         Args:
             flat: its magnitudes, flat and untouched (measurements,) [ohm]; NaN where unknown.
         """
         require_axes("flat", flat, len(self.reference), more=False)
-        known = np.isfinite(flat) & (flat > 0)
-        common = np.median(flat[known] / self.reference[known])
-        return replace(self, reference=np.where(known, flat, common * self.reference))
+        valid = np.isfinite(flat) & (flat > 0)
+        common = np.median(flat[valid] / self.reference[valid])
+        return replace(self, reference=np.where(valid, flat, common * self.reference))
 
     def require_adaptable(self, voltages: NDArray[np.complex128]) -> None:
         """Alias of `require_same_sensor` with `adapting`; deprecated."""
@@ -316,15 +322,15 @@ class InputSpec:
         """Refuse a first frame (measurements,) [ohm] of another sensor; raises FrameError.
 
         The median of the log ratios to the trained reference is a common factor, the gel's
-        conductivity or the board's gain; `LARGEST_SCALE` limits it. The remainder is due to
+        conductivity or the board's gain; `MAX_SCALE` limits it. The remainder is due to
         contacts and geometry; `spread` limits its root mean square. (A median would
         overlook two swapped electrodes, which leave most channels unchanged.) Where another order
         of the electrodes leaves far less, that is the reason.
 
         Args:
-            voltages: of the flat sensor.
+            voltages: voltages of the flat sensor.
             adapting: whether known frames are to make the pipeline that of this sensor, whose
-                contacts may differ by up to `WIDEST_SPREAD`.
+                contacts may differ by up to `MAX_CHANNEL_SPREAD`.
         """
         require_axes("voltages", voltages, len(self.reference), more=False)
         limit, remedy = (
@@ -333,25 +339,25 @@ class InputSpec:
         )
         if adapting:
             limit, remedy = (
-                WIDEST_SPREAD,
+                MAX_CHANNEL_SPREAD,
                 (
                     "train a pipeline for it (own frames go together with simulated ones: eitskin "
                     "dataset combine)"
                 ),
             )
-        known = np.flatnonzero(np.isfinite(voltages) & np.isfinite(self.reference))
-        if not known.size:
+        good_channels = np.flatnonzero(np.isfinite(voltages) & np.isfinite(self.reference))
+        if not good_channels.size:
             return
-        logs = np.log(np.abs(voltages[known] / self.reference[known]))
-        spread, common = _spread(logs, _weights(self.reference)[known])
-        worst = self.protocol.labels[known[np.abs(logs - common).argmax()]]
-        if abs(common) > np.log(LARGEST_SCALE):
+        logs = np.log(np.abs(voltages[good_channels] / self.reference[good_channels]))
+        spread, common = _spread(logs, _weights(self.reference)[good_channels])
+        worst = self.protocol.labels[good_channels[np.abs(logs - common).argmax()]]
+        if abs(common) > np.log(MAX_SCALE):
             raise FrameError(
                 f"values are {np.exp(common):.3g} times those of the sensor this pipeline was "
-                f"trained for (expected {1 / LARGEST_SCALE:g} to {LARGEST_SCALE:g}): another "
+                f"trained for (expected {1 / MAX_SCALE:g} to {MAX_SCALE:g}): another "
                 "sensor, or other units than ohm; train a pipeline for it"
             )
-        if spread > LARGEST_SPREAD and (other := self._other_order(voltages, spread)):
+        if spread > MAX_SPREAD and (other := self._other_order(voltages, spread)):
             raise FrameError(
                 f"the channels scatter by {spread:.1%} against the sensor this pipeline was "
                 f"trained for, and by {other}: they are in another order; plug them in that of the "
@@ -368,16 +374,16 @@ class InputSpec:
 
     def _other_order(self, voltages: NDArray[np.complex128], spread: float) -> str:
         """Order of the electrodes that leaves far less than `spread`, in words; empty for none."""
-        weights, best, words = _weights(self.reference), EXCHANGED * spread, ""
+        weights, best, words = _weights(self.reference), EXCHANGE_SCATTER_SHARE * spread, ""
         for name, order in electrode_orders(self.protocol):
             logs = np.log(np.abs(voltages[order]) / self.reference)
-            known = np.isfinite(logs)
-            if (left := _spread(logs[known], weights[known])[0]) < best:
-                best, words = left, f"{left:.1%} with {name}"
+            finite = np.isfinite(logs)
+            if (spread_left := _spread(logs[finite], weights[finite])[0]) < best:
+                best, words = spread_left, f"{spread_left:.1%} with {name}"
         return words
 
 
-def _known(value: Known | None, words: str, option: str) -> Known:
+def _require_known(value: Known | None, words: str, option: str) -> Known:
     """A value that recordings may lack; raises ConfigurationError without."""
     if value is None:
         raise ConfigurationError(
@@ -428,11 +434,11 @@ def require_usable(good: NDArray[np.bool_], *problems: str) -> None:
 
     Args:
         good: whether each channel is usable.
-        problems: of the channels, for the message.
+        problems: problems of the channels, for the message.
     """
-    if good.mean() < FEWEST_CHANNELS:
+    if good.mean() < MIN_CHANNELS:
         count = f"got {good.sum()} of {good.size}"
         raise UnusableFrameError(
-            f"expected at least {FEWEST_CHANNELS:.0%} usable channels, "
+            f"expected at least {MIN_CHANNELS:.0%} usable channels, "
             + "; ".join([count, *problems, "check the cable and the electrodes"])
         )

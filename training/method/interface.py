@@ -20,8 +20,8 @@ from eitskin.training.method.stored_fields import Arrays, StoredFields
 from eitskin.training.method.targets import Targets, TrainingFrames
 
 Array = NDArray[np.float64]
-LARGEST_RESIDUAL = 0.25  # relative to the root mean square of the known angles
-LEAST_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
+MAX_RESIDUAL = 0.25  # relative to the root mean square of the known angles
+MIN_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
 FILE_MODULE = "eitskin_method_file_"
 """Prefix of the module name of a file that a user names as the code of a method."""
 
@@ -66,7 +66,7 @@ class Calibration:
         stayed flat 28 deg.
         """
         size = float(np.sqrt(np.mean(known_deg**2)))
-        allowed = max(LEAST_ALLOWED_DEG, LARGEST_RESIDUAL * size)
+        allowed = max(MIN_ALLOWED_DEG, MAX_RESIDUAL * size)
         if self.residual_deg > allowed:
             raise DataError(
                 f"the frames do not fit their angles: {self.residual_deg:.3g} deg off, root mean "
@@ -83,7 +83,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class TwinTrial:
-    """Response to touches without and with a twin, in known touches that the twin is judged by.
+    """Response to touches without and with a twin, in known touches that the twin is tested by.
 
     Attributes:
         touches: number of frames with known touches.
@@ -97,7 +97,7 @@ class TwinTrial:
     with_twin: float | None = None
 
     @property
-    def kept(self) -> bool:
+    def accepts_twin(self) -> bool:
         """Whether the twin's response is taken: unless known touches contradict it."""
         if self.without is None or self.with_twin is None:
             return True
@@ -117,7 +117,7 @@ class Adaptation:
         calibration: errors of the angle; None without known angles.
         error_scale: factor by which known touches changed the standard errors of places; 1 without.
         twin: residuals of known touches without and with a twin; None without one.
-        noise_scale: noise of a frame relative to that in training, as far as the known frames tell.
+        noise_scale: noise of a frame relative to that in training, as far as the known frames show.
     """
 
     flat: int
@@ -141,7 +141,7 @@ class Adaptation:
                 f"adapt to, got none among {self.left_out}; label or record some"
             )
         if self.calibration is not None:
-            self.calibration.require_fit(known.angle_deg[known.bent])
+            self.calibration.require_fit(known.angle_deg[known.is_bent])
         if known.twin is not None and self.twin is None:
             raise ConfigurationError(
                 "expected a pipeline that knows the forces of touches to take a twin's response "
@@ -233,7 +233,7 @@ class Method(ABC):
 
     @abstractmethod
     def predict(self, observations: Observations) -> Predictions:
-        """Predictions for n frames, each independent of the others; see `Predictions.of`."""
+        """Predictions for n independent frames; see `Predictions.from_arrays`."""
 
     def motions(
         self,
@@ -259,7 +259,7 @@ class Method(ABC):
         Args:
             arrays: as `arrays` gave them.
             spec: sensor, measurements and units.
-            settings: of the training, with the same `options`.
+            settings: settings of the training, with the same `options`.
 
         Raises KeyError where an array is missing.
         """

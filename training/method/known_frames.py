@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLAT_DEG = 0.05  # angle up to which a sensor counts as flat
-WIDEST_DEG = 360.0  # of a bend; a roll turns no further than once
-BESIDE = 0.001  # m, by which a place may be told beside the sensor
+MAX_BEND_DEG = 360.0  # of a bend; a roll turns no further than once
+SIDE_MARGIN = 0.001  # m, by which a place may be reported next to the sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +70,9 @@ class FrameLabel:
 
     def __post_init__(self) -> None:
         """Raise DataError for an angle that no bend has."""
-        if self.angle_deg is not None and not abs(self.angle_deg) <= WIDEST_DEG:
+        if self.angle_deg is not None and not abs(self.angle_deg) <= MAX_BEND_DEG:
             raise DataError(
-                f"expected an angle up to {WIDEST_DEG:g} deg, or None where unknown, got "
+                f"expected an angle up to {MAX_BEND_DEG:g} deg, or None where unknown, got "
                 f"{self.angle_deg:g}"
             )
 
@@ -90,8 +90,8 @@ class TwinPresses(Interface):
 
         Args:
             touches: one in each row.
-            angle_deg: of the bend, before and during the touches [deg].
-            radius: of the indenter [m].
+            angle_deg: angle of the bend, before and during the touches [deg].
+            radius: radius of the indenter [m].
         """
 
     def inside(self, places: Array) -> Mask:
@@ -99,13 +99,13 @@ class TwinPresses(Interface):
 
 
 def held_numbers(seen: Array) -> NDArray[np.intp]:
-    """Number of the held touches that each frame sees (n,): the same while `seen` (n, k) stays.
+    """Number of the held touches that each frame shows (n,): the same while `seen` (n, k) stays.
 
     They are one touch to learn from: errors of a response and of the place are the same in all.
     """
-    told = np.nan_to_num(seen, nan=-1.0)
-    moved = (told[1:] != told[:-1]).any(axis=1)
-    return np.cumsum(np.concatenate([np.zeros(min(len(told), 1), dtype=bool), moved]))
+    touch_values = np.nan_to_num(seen, nan=-1.0)
+    moved = (touch_values[1:] != touch_values[:-1]).any(axis=1)
+    return np.cumsum(np.concatenate([np.zeros(min(len(touch_values), 1), dtype=bool), moved]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +118,8 @@ class KnownFrames:
         angle_deg: bend angle (n,) [deg]; NaN where unknown.
         reference_deg: bend angle of the dynamic reference (n,) [deg]; NaN where unknown.
         touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent, a force where unknown.
-        told: whether the touches of each frame are known (n,); none are, where it has none.
-        twin: of the sensor; None without one.
+        reported: whether the touches of each frame are known (n,); none are, where it has none.
+        twin: twin of the sensor; None without one.
     """
 
     observations: Observations
@@ -130,7 +130,7 @@ class KnownFrames:
     twin: TwinPresses | None = None
 
     @classmethod
-    def of(
+    def from_frames(
         cls,
         frames: Sequence[Frame] | Dataset,
         labels: Sequence[FrameLabel] | None,
@@ -143,23 +143,23 @@ class KnownFrames:
         none came before. Without any it is the flat sensor. A dataset has references of its own.
 
         Args:
-            frames: of one session, in order; or a dataset of one specimen.
+            frames: frames of one session, in order; or a dataset of one specimen.
             labels: one for each frame; None for a dataset, which has its own.
-            spec: of the pipeline.
+            spec: spec of the pipeline.
 
         Raises:
             ConfigurationError: without a label for each frame, without a flat frame, or for a
-                dataset of several specimens, without a protocol, or with labels beside its own.
+                dataset of several specimens, without a protocol, or with labels next to its own.
             FrameError: for a frame of another sensor, table or frequency.
-            DataError: for a touch beside the sensor.
+            DataError: for a touch next to the sensor.
         """
         if isinstance(frames, Dataset):
             if labels is not None:
                 raise ConfigurationError(
-                    "expected no labels beside those of the dataset, got some; label frames, or "
+                    "expected no labels besides those of the dataset, got some; label frames, or "
                     "the dataset"
                 )
-            return cls._of_dataset(frames, spec)
+            return cls._from_dataset(frames, spec)
         labels = labels or ()
         if len(labels) != len(frames):
             raise ConfigurationError(
@@ -194,12 +194,12 @@ class KnownFrames:
             dynamic_age=np.maximum(time - renewed, 0.0),
         )
         referred = [angles[rows[0]] if rows else 0.0 for rows in befores]
-        told = np.array([label.touches is not None for label in labels])
-        return cls(observations, angles, np.array(referred), touches, told)
+        has_touch_label = np.array([label.touches is not None for label in labels])
+        return cls(observations, angles, np.array(referred), touches, has_touch_label)
 
     @classmethod
-    def _of_dataset(cls, data: Dataset, spec: InputSpec) -> "KnownFrames":
-        """All frames of a dataset of one specimen, with what it has labels for; see `of`."""
+    def _from_dataset(cls, data: Dataset, spec: InputSpec) -> "KnownFrames":
+        """All frames of a dataset of one specimen, with its labels; see `from_frames`."""
         specimens = np.unique(data.specimen)
         if len(specimens) != 1 or data.protocol is None:
             raise ConfigurationError(
@@ -212,9 +212,9 @@ class KnownFrames:
         angle = np.where(idle, 0.0, data.bend_angle_deg.astype(float))
         touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1).astype(float)
         placed = data.touch_count > 0
-        told = placed | ((data.state != State.TOUCH) & (data.state != UNKNOWN_STATE))
+        has_touch_label = placed | ((data.state != State.TOUCH) & (data.state != UNKNOWN_STATE))
         before = np.where(data.has_touch_reference, angle, 0.0)
-        return cls(Observations.of(data), angle, before, touches, told)
+        return cls(Observations.from_dataset(data), angle, before, touches, has_touch_label)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -226,19 +226,19 @@ class KnownFrames:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
-    def touched(self) -> Mask:
+    def has_touches(self) -> Mask:
         """Whether each frame (n,) has touches at known places."""
         return np.asarray(np.isfinite(self.touches[..., 0]).any(axis=1))
 
     @property
-    def bent(self) -> Mask:
+    def is_bent(self) -> Mask:
         """Whether each frame (n,) is untouched and bent by a known angle."""
-        return np.asarray(self.told & ~self.touched & (np.abs(self.angle_deg) > FLAT_DEG))
+        return np.asarray(self.told & ~self.has_touches & (np.abs(self.angle_deg) > FLAT_DEG))
 
     @property
     def flat(self) -> Mask:
         """Whether each frame (n,) is known to be flat and untouched."""
-        return np.asarray(self.told & ~self.touched & (np.abs(self.angle_deg) <= FLAT_DEG))
+        return np.asarray(self.told & ~self.has_touches & (np.abs(self.angle_deg) <= FLAT_DEG))
 
 
 def _mean(logs: Array) -> Array:
@@ -271,7 +271,7 @@ def _reference_rows(angles: Array, free: Mask, row: int) -> list[int]:
 def _touches(labels: Sequence[FrameLabel], spec: InputSpec) -> Array:
     """Table (n, k, 3) of x [m], y [m] and force [N] of all touches, NaN where there is none.
 
-    Raises DataError for a touch beside the sensor.
+    Raises DataError for a touch next to the sensor.
     """
     rows = [label.touches or () for label in labels]
     table = np.full((len(rows), max(1, *map(len, rows)), 3), np.nan)
@@ -280,7 +280,7 @@ def _touches(labels: Sequence[FrameLabel], spec: InputSpec) -> Array:
             table[row, k] = touch.x, touch.y, math.nan if touch.force is None else touch.force
     if not isinstance(spec.design.outline, Surface):
         size = np.array(spec.outline)
-        beside = (table[..., :2] < -BESIDE) | (table[..., :2] > size + BESIDE)
+        beside = (table[..., :2] < -SIDE_MARGIN) | (table[..., :2] > size + SIDE_MARGIN)
         for x, y, _ in table[beside.any(axis=2)]:
             raise DataError(
                 f"expected touches on the sensor of {size[0]:g} x {size[1]:g} m, got one at "

@@ -87,9 +87,9 @@ def train_network(
     Args:
         network: trained in place.
         batch: inputs and targets of given indices.
-        loss: of outputs and targets.
+        loss: loss of outputs and targets.
         count: number of samples.
-        settings: of the training.
+        settings: settings of the training.
         seed: of the order of samples and of added noise.
         progress: called after every epoch with epochs done and total.
         validation: samples whose loss is recorded; the weights do not depend on them.
@@ -98,7 +98,7 @@ def train_network(
     """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    batch_size, epochs = settings.batch, settings.epochs_of(count)
+    batch_size, epochs = settings.batch, settings.count_epochs(count)
     steps = epochs * -(-count // batch_size)
     # Only where asked for: creating the schedule already lowers the learning rate.
     anneal = (

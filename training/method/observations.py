@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets import Dataset, State
+from eitskin.extras import old_names
 from eitskin.geometry import DataError
 from eitskin.training.method.stored_fields import StoredFields
 
@@ -37,9 +38,10 @@ def relative_difference(impedance: ArrayLike, reference: ArrayLike) -> NDArray[n
     return difference
 
 
+@old_names(of="from_dataset")
 @dataclass(frozen=True, slots=True, eq=False)
 class Observations(StoredFields):
-    """n frames of C measurements beside their references; NaN where a measurement is bad.
+    """n frames of C measurements next to their references; NaN where a measurement is bad.
 
     Attributes:
         static: dV from the flat, untouched sensor (n, C), dimensionless.
@@ -67,7 +69,7 @@ class Observations(StoredFields):
     dynamic_age: Array
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "Observations":
+    def from_dataset(cls, dataset: Dataset) -> "Observations":
         """All frames of a dataset, each independent of the others.
 
         The static reference replaces an unknown dynamic one. Static references of simulated
@@ -77,7 +79,9 @@ class Observations(StoredFields):
         bad = dataset.status != 0
         return cls(
             np.where(bad, np.nan, relative_difference(dataset.impedance, flat)),
-            np.where(bad, np.nan, relative_difference(dataset.impedance, dataset.untouched)),
+            np.where(
+                bad, np.nan, relative_difference(dataset.impedance, dataset.values_before_touch)
+            ),
             np.abs(flat).astype(float),
             np.ones(len(dataset)),
             np.full(len(dataset), np.inf if dataset.source == "simulated" else 1.0),
@@ -99,9 +103,9 @@ def least_spread(observations: Observations) -> float:
     """Least spread of the channels in a frame over the mean of their changes, of all frames."""
     spreads = [np.inf]
     for change in observations.static:
-        known = change[np.isfinite(change)]
-        if len(known) and (mean := abs(known.mean())) > 0.0:
-            spreads.append(float(known.std() / mean))
+        finite = change[np.isfinite(change)]
+        if len(finite) and (mean := abs(finite.mean())) > 0.0:
+            spreads.append(float(finite.std() / mean))
     return min(spreads)
 
 
@@ -141,8 +145,8 @@ def channel_noise(dataset: Dataset, observations: Observations) -> Array:
     """
     overall = frame_noise(dataset, observations)
     quiet = observations.dynamic[_quiet(dataset)]
-    known = np.isfinite(quiet)
-    total, count = np.sum(np.where(known, quiet, 0.0) ** 2, axis=0), known.sum(axis=0)
+    finite = np.isfinite(quiet)
+    total, count = np.sum(np.where(finite, quiet, 0.0) ** 2, axis=0), finite.sum(axis=0)
     usual = float(np.median((total / np.maximum(count, 1))[count > 0]))
     variance = (total + MEDIAN_FRAMES * usual) / (count + MEDIAN_FRAMES)
     noise: Array = np.sqrt(np.maximum(variance, (NOISE_FLOOR * overall) ** 2))
@@ -162,7 +166,7 @@ class MissingChannels(StoredFields):
     that have all changed look like a touch.
 
     Attributes:
-        covariance: of dV, with mean zero, (C, C), dimensionless.
+        covariance: covariance of dV, with mean zero, (C, C), dimensionless.
     """
 
     covariance: NDArray[np.float64]

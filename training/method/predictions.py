@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import require_axes
 from eitskin.datasets import UNKNOWN_STATE, State, touch_maps
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 from eitskin.simulator import Frame
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets, most_probable
@@ -70,6 +71,7 @@ class TouchEstimate(tuple[float, float, float]):
         )
 
 
+@old_names(of="from_arrays")
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundTouches:
     """The k touches of one frame, strongest first.
@@ -95,7 +97,7 @@ class FoundTouches:
     deviation: Array
 
     @classmethod
-    def of(
+    def from_arrays(
         cls,
         place: ArrayLike,
         strength: ArrayLike,
@@ -136,26 +138,27 @@ class FoundTouches:
         return tuple(self)
 
 
+@old_names(joined="concatenate", of="from_arrays", touched="is_touched")
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictions:
-    """Predictions of a method for n frames; `Method.targets` tells which it estimates.
+    """Predictions of a method for n frames; `Method.targets` shows which it estimates.
 
     Attributes:
-        probabilities: of the three states, in the order of `State` (n, 3); NaN for a state that is
-            not told apart.
+        probabilities: probabilities of the three states, in the order of `State` (n, 3); NaN for a
+            state that is not distinguished.
         bend_angle_deg: (n,) [deg]; NaN where the method does not estimate it.
         bend_deviation_deg: standard error of the angle (n,) [deg]; NaN where the method does not
             estimate it.
         touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched, NaN where the
             method does not estimate touches; no pixels for a method without a map.
-        touches: of each frame; none where the method does not estimate touches.
-        problems: of each frame, reasons to doubt its predictions, in words.
+        touches: touches of each frame; none where the method does not estimate touches.
+        problems: problems of each frame, reasons to doubt its predictions, in words.
 
     Example:
         >>> from eitskin import Pipeline
         >>> from eitskin.training import Predictions
         >>> layout = Pipeline.load("reference.eitmodel").layout
-        >>> Predictions.of(2, layout, bend_angle_deg=[0.0, 10.0]).bend_angle_deg
+        >>> Predictions.from_arrays(2, layout, bend_angle_deg=[0.0, 10.0]).bend_angle_deg
         array([ 0., 10.])
     """
 
@@ -167,7 +170,7 @@ class Predictions:
     problems: tuple[tuple[str, ...], ...]
 
     @classmethod
-    def of(
+    def from_arrays(
         cls,
         count: int,
         spec: InputSpec,
@@ -187,20 +190,20 @@ class Predictions:
         Args:
             count: number of frames n.
             spec: sensor, whose outline and pixels the map has.
-            probabilities: of the three states (n, 3).
+            probabilities: probabilities of the three states (n, 3).
             bend_angle_deg: (n,) [deg].
             places: x and y of up to N touches (n, N, 2) [m]; NaN where there are fewer.
             strength: 0 to 1, (n, N); 1 when omitted.
             force: (n, N) [N].
-            radius: of the discs in the map [m].
+            radius: radius of the discs in the map [m].
         """
         unknown = np.full(count, np.nan)
         state = np.full((count, len(State)), np.nan)
         if probabilities is not None:
             state = np.asarray(probabilities, dtype=float)
         angle = unknown if bend_angle_deg is None else np.asarray(bend_angle_deg, dtype=float)
-        none = FoundTouches.of((), ())
-        said = cls(
+        none = FoundTouches.from_arrays((), ())
+        predictions = cls(
             state,
             angle,
             unknown,
@@ -209,7 +212,7 @@ class Predictions:
             ((),) * count,
         )
         if places is None:
-            return said
+            return predictions
         xy = np.array(places, dtype=float)
         require_axes("places", xy, count, None, 2, more=False)
         if probabilities is not None:
@@ -222,16 +225,16 @@ class Predictions:
         discs = np.where(there, radius, np.nan)
         x, y = (np.where(there, xy[..., axis], np.nan) for axis in (0, 1))
         return replace(
-            said,
+            predictions,
             touch_map=touch_maps(x, y, discs, spec.outline, spec.pixels),
             touches=tuple(
-                FoundTouches.of(xy[row, mine], size[row, mine], newton[row, mine])
+                FoundTouches.from_arrays(xy[row, mine], size[row, mine], newton[row, mine])
                 for row, mine in enumerate(there)
             ),
         )
 
     @classmethod
-    def joined(cls, parts: "Sequence[Predictions]") -> "Predictions":
+    def concatenate(cls, parts: "Sequence[Predictions]") -> "Predictions":
         """Concatenate the frames of all parts, at least one, in their order."""
         if not parts:
             raise ConfigurationError("parts: expected at least one, got none")
@@ -247,7 +250,7 @@ class Predictions:
         """The most probable `State` of each frame (n,); `UNKNOWN_STATE` where none is estimated."""
         return most_probable(self.probabilities)
 
-    def touched(self, targets: Targets) -> bool:
+    def is_touched(self, targets: Targets) -> bool:
         """Whether the first frame is touched: by its state, or by its touches without states."""
         if targets.states or not targets.touches:
             return int(self.state[0]) == State.TOUCH
@@ -274,8 +277,8 @@ class Predictions:
         if not len(self.touches) == len(self.problems) == count:
             yield f"touches of {len(self.touches)} frames, expected those of {count}"
         told_apart = np.array([name in targets.states for name in STATE_NAMES])
-        known = np.isfinite(self.probabilities)
-        if not (known == told_apart).all():
+        finite = np.isfinite(self.probabilities)
+        if not (finite == told_apart).all():
             yield (
                 "probabilities that are not finite for the states that targets names "
                 f"({', '.join(targets.states) or 'none'}), and NaN for all others"
@@ -285,8 +288,8 @@ class Predictions:
             if p.min() < 0.0 or np.abs(p.sum(axis=1) - 1.0).max() > PROBABILITY_ERROR:
                 yield "probabilities that are negative or do not add up to 1"
         if not (np.isfinite(self.bend_angle_deg) == targets.angle).all():
-            wanted = "finite" if targets.angle else "NaN"
-            yield f"bend angles that are not {wanted}, as targets has them"
+            expected_text = "finite" if targets.angle else "NaN"
+            yield f"bend angles that are not {expected_text}, as targets has them"
         if not targets.touches and any(map(len, self.touches)):
             yield "touches, which targets does not have"
 
@@ -309,14 +312,15 @@ class Zero(StrEnum):
     MOUNTED = "as mounted"
 
 
+@old_names(of="from_predictions", of_unknown_start="for_unknown_start")
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """State, bend angle and touches of one frame; None where a pipeline does not estimate them.
 
     Attributes:
         state: idle, touch or bend; touch for a bent sensor that is touched.
-        probabilities: of the three states, in the order of `State`, (3,); NaN for a state that the
-            pipeline does not tell apart.
+        probabilities: probabilities of the three states, in the order of `State`, (3,); NaN for a
+            state that the pipeline does not show apart.
         bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
             the paper's method gives the angle just before the touch.
         bend_deviation_deg: standard error of the angle [deg]; None for a method without one.
@@ -348,7 +352,7 @@ class Estimate:
     zero: Zero = Zero.FIRST_FRAMES
 
     @classmethod
-    def of(
+    def from_predictions(
         cls,
         predictions: Predictions,
         targets: Targets,
@@ -361,8 +365,8 @@ class Estimate:
         return cls(
             None if state == UNKNOWN_STATE else State(state),
             predictions.probabilities[0],
-            _known(predictions.bend_angle_deg[0]),
-            _known(predictions.bend_deviation_deg[0]),
+            _number_or_none(predictions.bend_angle_deg[0]),
+            _number_or_none(predictions.bend_deviation_deg[0]),
             predictions.touch_map[0] if targets.touches and predictions.touch_map.size else None,
             tuple(predictions.touches[0]) if targets.touches else None,
             problems,
@@ -371,7 +375,7 @@ class Estimate:
             zero,
         )
 
-    def of_unknown_start(self) -> "Estimate":
+    def for_unknown_start(self) -> "Estimate":
         """The estimate where it is unknown whether the session began flat and untouched.
 
         A touch since then is known; idle, bend and the angle are not.
@@ -393,9 +397,9 @@ class Estimate:
             return None
         rows = [(t.strength, t.force, t.deviation) for t in self.touches]
         strength, force, deviation = np.reshape(rows, (-1, 3)).T
-        return FoundTouches.of([t[:2] for t in self.touches], strength, force, deviation)
+        return FoundTouches.from_arrays([t[:2] for t in self.touches], strength, force, deviation)
 
 
-def _known(value: float) -> float | None:
+def _number_or_none(value: float) -> float | None:
     """`value`, None where it is not a number."""
     return float(value) if math.isfinite(value) else None

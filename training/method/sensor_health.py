@@ -23,13 +23,14 @@ MARGIN = 0.1  # of the logarithm, beyond the range of healthy readings
 WIDER = 0.5  # of that range, which is added to the margin
 REACH = 1.5  # times the largest change by a touch, beyond the range of untouched readings
 WINDOW, MIN_READINGS = 15, 8  # latest readings, most of which show a fault that stays
-FIRST_READINGS, FIRST_SHARE = 40, 0.2  # of a recording, that tell its range where nothing else does
+FIRST_READINGS, FIRST_SHARE = 40, 0.2  # of a recording, that show its range where nothing else does
 GROWTH = 0.05  # share of a departure that a range takes in at a time, where it grows
 MIN_SHARE, RECOVERED = 0.5, 0.25  # of an electrode's channels out of their range
-MOST_TIED = 2  # electrodes that explain the same channels; what more share is no electrode's fault
-MOST_OUT = 0.5  # of all channels; beyond it the sensor is another, or in another state
-UNKNOWN = 1e3  # departure that no channel has
-MOST_NAMED = 4  # channels in a sentence
+# electrodes that explain the same channels; what more share is no electrode's fault
+MAX_TIED_ELECTRODES = 2
+MAX_OUTLIER_SHARE = 0.5  # of all channels; beyond it the sensor is another, or in another state
+UNKNOWN_DEPARTURE = 1e3  # departure that no channel has
+MAX_NAMED_CHANNELS = 4  # channels in a sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class ReadingRange(StoredFields):
     middle: Array | None = None
 
     @classmethod
-    def of(
+    def fit(
         cls, untouched: ArrayLike, touched: ArrayLike | None = None, reference: bool = False
     ) -> "ReadingRange":
         """Range of readings (n, C), NaN where bad.
@@ -68,20 +69,23 @@ class ReadingRange(StoredFields):
         reach = np.zeros(len(middle))
         if touched is not None and len(np.asarray(touched)):
             reach = np.nanmax(np.nan_to_num(np.abs(_log(touched))), axis=0)
-        low, high = np.where(known, low, -UNKNOWN), np.where(known, high, UNKNOWN)
+        low, high = (
+            np.where(known, low, -UNKNOWN_DEPARTURE),
+            np.where(known, high, UNKNOWN_DEPARTURE),
+        )
         return cls(low, high, reach, None if reference else middle)
 
-    def doubled(self) -> "ReadingRange":
-        """Range twice as wide, where few frames told it."""
+    def widen(self) -> "ReadingRange":
+        """Range twice as wide, where few frames showed it."""
         return replace(self, low=2.0 * self.low, high=2.0 * self.high)
 
     @classmethod
-    def of_recording(cls, data: Dataset) -> "ReadingRange":
+    def from_recording(cls, data: Dataset) -> "ReadingRange":
         """Range of the readings before the touches of a recording, and of the touches' changes."""
         before = data.has_touch_reference
         readings = _good(_magnitudes(data, before), data.status)
         ratio = np.abs(data.impedance[before] / data.touch_reference[before])
-        return cls.of(
+        return cls.fit(
             readings[np.isfinite(readings).any(axis=1)], _good(ratio, data.status[before])
         )
 
@@ -96,18 +100,18 @@ def _log(magnitudes: ArrayLike) -> Array:
 def _departure(logs: Array, middle: Array) -> Array:
     """Departures of logarithms (..., C) from their middle (C,), less what most channels share."""
     off = np.atleast_2d(logs - middle)
-    departure: Array = (off - np.array([[_shared(row)] for row in off])).reshape(logs.shape)
+    departure: Array = (off - np.array([[_shorth_median(row)] for row in off])).reshape(logs.shape)
     return departure
 
 
-def _shared(off: Array) -> float:
+def _shorth_median(off: Array) -> float:
     """Median of the half of the channels that are closest together; zero without any."""
-    known = np.sort(off[np.isfinite(off)])
-    if not len(known):
+    values = np.sort(off[np.isfinite(off)])
+    if not len(values):
         return 0.0
-    half = (len(known) + 1) // 2
-    first = int(np.argmin(known[half - 1 :] - known[: len(known) - half + 1]))
-    return float(np.median(known[first : first + half]))
+    half = (len(values) + 1) // 2
+    first = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
+    return float(np.median(values[first : first + half]))
 
 
 def _good(values: Array, status: NDArray[np.uint8]) -> Array:
@@ -127,8 +131,8 @@ class ElectrodeFault:
 
     Attributes:
         electrode: its number.
-        number: of the frame that it began with.
-        time: of that frame [s].
+        number: number of the frame that it began with.
+        time: time of that frame [s].
         lost: number of its channels that left their range.
         channels: numbers of all of its channels.
     """
@@ -157,15 +161,15 @@ def electrodes_out(wrong: Bools, members: Bools) -> list[int]:
         wrong: channels.
         members: channels of each electrode (E, C).
     """
-    left, found = members.copy(), list[int]()
+    unexplained, electrodes = members.copy(), list[int]()
     while True:
-        total = left.sum(axis=1)
-        share = np.where(total > 1, (left & wrong).sum(axis=1) / np.maximum(total, 1), 0.0)
+        total = unexplained.sum(axis=1)
+        share = np.where(total > 1, (unexplained & wrong).sum(axis=1) / np.maximum(total, 1), 0.0)
         worst = np.flatnonzero(share >= max(MIN_SHARE, float(share.max(initial=0.0))))
-        if not len(worst) or len(worst) > MOST_TIED:
-            return found
-        found += worst.tolist()
-        left &= ~members[worst].any(axis=0)
+        if not len(worst) or len(worst) > MAX_TIED_ELECTRODES:
+            return electrodes
+        electrodes += worst.tolist()
+        unexplained &= ~members[worst].any(axis=0)
 
 
 def electrode_members(protocol: Protocol | None, channels: int) -> Bools:
@@ -183,7 +187,7 @@ class SensorHealth:
 
     Attributes:
         usual: range of healthy readings; `middle` is that of the session.
-        protocol: of the channels; None where unknown, and only channels can be named.
+        protocol: protocol of the channels; None where unknown, and only channels can be named.
         grows: whether the range follows slow drift, as where it is still learned.
         faults: electrodes that have failed and not recovered.
     """
@@ -209,7 +213,10 @@ class SensorHealth:
     def begin(self, magnitudes: ArrayLike) -> None:
         """Take a session's first reading (C,) for the middle, where another day's is far off."""
         logs, middle = _log(magnitudes), self.usual.middle
-        if middle is None or self._outside(_departure(logs, middle), 0.0).mean() > MOST_OUT:
+        if (
+            middle is None
+            or self._outside(_departure(logs, middle), 0.0).mean() > MAX_OUTLIER_SHARE
+        ):
             self.usual = replace(self.usual, middle=logs)
 
     def _outside(self, off: Array, beyond: "Array | float") -> Bools:
@@ -222,7 +229,7 @@ class SensorHealth:
         """Channels (C,) to be left out of the frame of a reading, and from it on.
 
         Args:
-            magnitudes: of the reading (C,), NaN where bad.
+            magnitudes: magnitudes of the reading (C,), NaN where bad.
             number, time: of its frame.
             untouched: whether nothing touches the sensor; other readings may reach further, and
                 only what stays out of its range is left out.
@@ -237,7 +244,7 @@ class SensorHealth:
         rows = np.array([row for _, _, row in self._window])
         most = 2 * rows.sum(axis=0) > len(rows)
         self.out = np.asarray(most & (len(rows) >= MIN_READINGS))
-        if self.out.mean() > MOST_OUT:
+        if self.out.mean() > MAX_OUTLIER_SHARE:
             return np.zeros(len(now), bool)
         for e in electrodes_out(self.out, self._members):
             if e not in self.faults:
@@ -258,24 +265,25 @@ class SensorHealth:
                 * np.array([np.minimum(step - inner[0], 0.0), np.maximum(step - inner[1], 0.0)])
                 * (step != 0.0)
             )
-        return bad | now if untouched and now.mean() <= MOST_OUT else bad
+        return bad | now if untouched and now.mean() <= MAX_OUTLIER_SHARE else bad
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
         """Faults in words; `labels` are those of the channels."""
-        said = [str(fault) for fault in self.faults.values()]
-        if self.out.mean() > MOST_OUT:
-            said.append(
+        messages = [str(fault) for fault in self.faults.values()]
+        if self.out.mean() > MAX_OUTLIER_SHARE:
+            messages.append(
                 f"{self.out.sum()} of {len(self.out)} channels left the range of a healthy sensor: "
-                "it is another, or in another state; begin a new session, or train anew"
+                "it is another, or in another state; begin a new session, or train again"
             )
         elif (alone := self.out & ~self._members[list(self.faults)].any(axis=0)).any():
             names = [labels[i] for i in np.flatnonzero(alone)]
-            more = ", ..." if len(names) > MOST_NAMED else ""
-            said.append(
-                f"channel {', '.join(names[:MOST_NAMED])}{more} left the range of a healthy sensor "
+            more = ", ..." if len(names) > MAX_NAMED_CHANNELS else ""
+            messages.append(
+                f"channel {', '.join(names[:MAX_NAMED_CHANNELS])}{more} left the range of a "
+                f"healthy sensor "
                 "and is left out"
             )
-        return tuple(said)
+        return tuple(messages)
 
 
 def follow_recording(
@@ -303,21 +311,21 @@ def follow_recording(
         seen = rows[there[rows]]
         if len(seen) < MIN_READINGS:
             continue
-        known = usual
-        if known is None:
-            known = ReadingRange.of(
+        reading_range = usual
+        if reading_range is None:
+            reading_range = ReadingRange.fit(
                 readings[seen[: max(FIRST_READINGS, int(FIRST_SHARE * len(seen)))]]
             )
-        health = SensorHealth(known, data.protocol, grows and usual is None)
+        health = SensorHealth(reading_range, data.protocol, grows and usual is None)
         health.begin(np.abs(data.reference[specimen]) if own else readings[seen[0]])
-        told = set[ElectrodeFault]()
+        reported_faults = set[ElectrodeFault]()
         mask = np.zeros(readings.shape[1], bool)
         for row in rows.tolist():
             if there[row]:
                 mask = health.follow(readings[row], row, float(data.time[row]), not own)
-                told |= set(health.faults.values())
+                reported_faults |= set(health.faults.values())
             bad[row] = mask
-        faults += sorted(told, key=lambda fault: fault.number)
+        faults += sorted(reported_faults, key=lambda fault: fault.number)
     if not bad.any():
         return data, tuple(faults)
     status = np.where(bad, data.status | np.uint8(Status.OPEN), data.status)

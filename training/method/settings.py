@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.bounds import require_seed, require_within
+from eitskin.bounds import require_in_range, require_seed
 from eitskin.datasets import Dataset
+from eitskin.extras import old_names
 from eitskin.geometry import ConfigurationError
 
 HELD_OUT_SHARE = 0.2  # of the specimens, or of the frames of one
@@ -30,14 +31,14 @@ Progress = Callable[[str, int, int], None]
 
 
 def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Frames (n,) to train with, and frames of other specimens to judge by.
+    """Frames (n,) to train with, and frames of other specimens to test by.
 
     A fifth of the specimens, at least one, is drawn at random. For a single specimen the held-out
     part is the last fifth in time of the frames of each state: neighbours in time are too similar
-    to judge by.
+    to test by.
 
     Args:
-        dataset: at least two frames.
+        dataset: dataset at least two frames.
         seed: of the draw.
     """
     specimens = np.random.default_rng(seed).permutation(np.unique(dataset.specimen))
@@ -63,6 +64,7 @@ def silent(stage: str, done: int, total: int) -> None:
     """Progress callback that does nothing."""
 
 
+@old_names(epochs_of="count_epochs", shortened="shorten")
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
     """Hyper-parameters of one network, trained with Adam.
@@ -73,7 +75,8 @@ class NetworkSettings:
         batch: frames per step.
         one_cycle: warm up to the learning rate and anneal to zero.
         noise: rms noise added to dV in every step, relative to the noise of the frames.
-        fewest_steps: of the whole training; where frames are few, there are more epochs.
+        fewest_steps: fewest steps of the whole training; where frames are few, there are more
+            epochs.
 
     Example:
         >>> from eitskin.training import NetworkSettings
@@ -95,13 +98,13 @@ class NetworkSettings:
                 f"{self}"
             )
 
-    def epochs_of(self, count: int) -> int:
+    def count_epochs(self, count: int) -> int:
         """Number of epochs on `count` training frames."""
         return max(self.epochs, -(-self.fewest_steps // -(-count // self.batch)))
 
-    def shortened(self, share: float) -> "NetworkSettings":
+    def shorten(self, share: float) -> "NetworkSettings":
         """Settings with a share of the epochs and steps, at least one."""
-        require_within("share", share, 0.0, 1.0)
+        require_in_range("share", share, 0.0, 1.0)
         return replace(
             self,
             epochs=max(1, round(share * self.epochs)),
@@ -114,10 +117,10 @@ class JointSettings:
     """Settings of the joint method's training.
 
     Attributes:
-        response: of the network of the touch response.
-        proposals: of the network that proposes positions; an epoch is a hundred steps on synthetic
-            frames.
-        angles: of the networks of the bend angle.
+        response: response of the network of the touch response.
+        proposals: proposals of the network that proposes positions; an epoch is a hundred steps on
+            synthetic frames.
+        angles: angles of the networks of the bend angle.
         drift: standard deviation after four hours of the factor common to all measurements: the gel
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
@@ -133,6 +136,7 @@ class JointSettings:
             raise ConfigurationError(f"drift must be from 0 to 1 in four hours, got {self.drift}")
 
 
+@old_names(shortened="shorten")
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
     """Settings of a pipeline's training.
@@ -140,9 +144,9 @@ class TrainingSettings:
     Attributes:
         method: "joint", which fits a learned model of the sensor to each frame, "paper", the
             stages of the paper, one of `BASELINES`, or MODULE:CLASS, one of the user's own.
-        joint: of the joint method.
-        classifier: of the paper's classifier of states.
-        postprocessor: of the paper's touch map network.
+        joint: joint of the joint method.
+        classifier: classifier of the paper's classifier of states.
+        postprocessor: postprocessor of the paper's touch map network.
         bend_free_map: whether the classifier also sees a map that is insensitive to bending.
         compressed_maps: whether the classifier sees asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.
@@ -209,8 +213,8 @@ class TrainingSettings:
             return touches[:count], touches[:0], touches[count:]
         if not self.whole_specimens:
             return dataset.split(self.fractions, self.seed)
-        kept, held_out = hold_out(dataset, self.seed)
-        return kept, held_out, held_out
+        training_rows, held_out = hold_out(dataset, self.seed)
+        return training_rows, held_out, held_out
 
     @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
@@ -240,11 +244,9 @@ class TrainingSettings:
             lambda network: replace(network, epochs=epochs, fewest_steps=0), "response"
         )
 
-    def shortened(self, share: float) -> "TrainingSettings":
+    def shorten(self, share: float) -> "TrainingSettings":
         """Settings with a share of the epochs of all networks, at least one."""
-        return self._with_networks(
-            lambda network: network.shortened(share), "response", "proposals"
-        )
+        return self._with_networks(lambda network: network.shorten(share), "response", "proposals")
 
     def _with_networks(
         self, change: Callable[[NetworkSettings], NetworkSettings], *joint: str
@@ -261,6 +263,6 @@ class TrainingSettings:
 
 def single_touches(dataset: Dataset) -> NDArray[np.int64]:
     """Numbers of the frames with exactly one touch, in the order of time (n,)."""
-    one = np.flatnonzero(dataset.touch_count == 1)
-    order = np.lexsort((one, dataset.time[one], dataset.episode[one]))
-    return one[order]
+    single_rows = np.flatnonzero(dataset.touch_count == 1)
+    order = np.lexsort((single_rows, dataset.time[single_rows], dataset.episode[single_rows]))
+    return single_rows[order]

@@ -19,12 +19,12 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Stored:
-    """How a field is stored, as `Annotated[type, Stored(...)]`, where that is not by its name.
+class StoredField:
+    """How a field is stored, as `Annotated[type, StoredField(...)]`, where that is not by its name.
 
     Attributes:
-        name: of the array, or prefix of the arrays, in place of the field's. Numbers of several
-            fields that share one are one array, in their order.
+        name: name of the array, or prefix of the arrays, in place of the field's. Numbers of
+            several fields that share one are one array, in their order.
         single: whether the arrays are in single precision.
         stacked: whether a part, a dataclass of tuples of numbers, is one array, a row for each.
         given: whether the field is not stored, but given where the dataclass is restored.
@@ -36,7 +36,7 @@ class Stored:
     given: bool = False
 
 
-GIVEN = Stored(given=True)
+GIVEN_FIELD = StoredField(given=True)
 
 
 class StoredFields:
@@ -71,8 +71,8 @@ def restored_fields(kind: Any, arrays: Arrays, **given: Any) -> dict[str, Any]:
 
     Args:
         kind: the dataclass.
-        arrays: by name; others may be among them. A field without any has its default, or is None
-            where it may be.
+        arrays: arrays by name; others may be among them. A field without any has its default, or is
+            None where it may be.
         given: fields that are not stored and, by the name of a part, a mapping of its own.
 
     Raises KeyError where arrays are missing, and ValueError for another number of numbers.
@@ -80,8 +80,8 @@ def restored_fields(kind: Any, arrays: Arrays, **given: Any) -> dict[str, Any]:
     values = dict(given)
     for name, entries in _entries(kind).items():
         first = entries[0]
-        absent = name not in arrays and not arrays_under(name, arrays)
-        if absent and not first.numbered and (first.default or first.optional):
+        absent = name not in arrays and not arrays_with_prefix(name, arrays)
+        if absent and not first.is_numbered and (first.default or first.optional):
             values |= {} if first.default else {first.name: None}
         elif _is_number(first.kind):
             numbers = np.ravel(arrays[name]).tolist()
@@ -90,19 +90,19 @@ def restored_fields(kind: Any, arrays: Arrays, **given: Any) -> dict[str, Any]:
                 raise ValueError(f"expected {len(numbers)} numbers less in '{name}'")
         else:
             part = given.get(first.name, {})
-            values[first.name] = _restored(name, arrays, first.kind, first.how, part)
+            values[first.name] = _restore(name, arrays, first.kind, first.how, part)
     return values
 
 
-def arrays_under(name: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
+def arrays_with_prefix(name: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
     """Those of the arrays that are called NAME.REST, by the rest."""
     mine = (key for key in arrays if key.startswith(f"{name}."))
     return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
 
 
-def arrays_as(name: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
+def prefix_arrays(name: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
     """Arrays with names NAME.REST, from the rest."""
-    return {f"{name}.{rest}": array for rest, array in arrays.items()}
+    return {f"{name}.{suffix}": array for suffix, array in arrays.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +111,12 @@ class _Entry:
 
     name: str
     kind: Any
-    how: Stored
+    how: StoredField
     optional: bool
     default: bool
 
     @property
-    def numbered(self) -> bool:
+    def is_numbered(self) -> bool:
         """Whether it is a tuple of parts or arrays."""
         return get_origin(self.kind) is tuple and not _is_number(self.kind)
 
@@ -127,13 +127,13 @@ def _entries(kind: Any) -> dict[str, list[_Entry]]:
     hints = get_type_hints(kind, include_extras=True)
     entries: dict[str, list[_Entry]] = {}
     for field in fields(kind):
-        hint, how = hints[field.name], Stored()
+        hint, how = hints[field.name], StoredField()
         if get_origin(hint) is Annotated:
             hint, how = get_args(hint)
         if how.given or not field.init:
             continue
         kinds = get_args(hint) if get_origin(hint) is UnionType else (hint,)
-        own = _expand(next(each for each in kinds if each is not NoneType))
+        own = _expand(next(kind for kind in kinds if kind is not NoneType))
         default = field.default is not MISSING or field.default_factory is not MISSING
         entry = _Entry(field.name, own, how, NoneType in kinds, default)
         entries.setdefault(how.name or field.name, []).append(entry)
@@ -170,7 +170,7 @@ def _dtype(kind: Any) -> Any:
     return np.int64 if issubclass(element, int) and element is not bool else element
 
 
-def _arrays(name: str, value: Any, kind: Any, how: Stored) -> dict[str, NDArray[Any]]:
+def _arrays(name: str, value: Any, kind: Any, how: StoredField) -> dict[str, NDArray[Any]]:
     if get_origin(kind) is tuple and not _is_number(kind):
         numbered = [(f"{name}{i}", each) for i, each in enumerate(value)]
         parts = (_arrays(key, each, _element(kind), how) for key, each in numbered)
@@ -182,21 +182,23 @@ def _arrays(name: str, value: Any, kind: Any, how: Stored) -> dict[str, NDArray[
     arrays = value.arrays() if _is_part(kind) else value
     if _is_part(kind) and len(_entries(kind)) == 1:
         return dict.fromkeys([name], *arrays.values())
-    return arrays_as(name, arrays)
+    return prefix_arrays(name, arrays)
 
 
-def _restored(name: str, arrays: Arrays, kind: Any, how: Stored, given: Mapping[str, Any]) -> Any:
+def _restore(
+    name: str, arrays: Arrays, kind: Any, how: StoredField, given: Mapping[str, Any]
+) -> Any:
     if get_origin(kind) is tuple:
-        known = {key.partition(".")[0] for key in arrays}
-        numbered = takewhile(known.__contains__, (f"{name}{i}" for i in count()))
-        return tuple(_restored(key, arrays, _element(kind), how, given) for key in numbered)
+        stored_names = {key.partition(".")[0] for key in arrays}
+        numbered = takewhile(stored_names.__contains__, (f"{name}{i}" for i in count()))
+        return tuple(_restore(key, arrays, _element(kind), how, given) for key in numbered)
     if how.stacked:
         return kind(*map(tuple, arrays[name].astype(float).tolist()))
     if not _is_part(kind) and get_origin(kind) is not Mapping:
         return np.array(arrays[name], _dtype(kind))
     if _is_part(kind) and len(_entries(kind)) == 1:
         return kind.from_arrays(dict.fromkeys(_entries(kind), arrays[name]), **given)
-    own = arrays_under(name, arrays)
+    own = arrays_with_prefix(name, arrays)
     return kind.from_arrays(own, **given) if _is_part(kind) else own
 
 
@@ -207,4 +209,4 @@ def _take(kind: Any, numbers: list[Any]) -> Any:
     kinds = get_args(kind)
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(numbers)
-    return tuple(each(numbers.pop(0)) for each in kinds)
+    return tuple(kind(numbers.pop(0)) for kind in kinds)

@@ -8,25 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets import UNKNOWN_STATE, Dataset, State
+from eitskin.extras import old_names
 from eitskin.geometry import DataError, SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.known_frames import FLAT_DEG
 from eitskin.training.method.observations import Observations, frame_noise
 
-NOMINAL_RADIUS = 0.0075  # m, of indenters whose radius no frame tells; the paper's cylinder
+NOMINAL_RADIUS = 0.0075  # m, of indenters whose radius no frame shows; the paper's cylinder
 
 
 STATE_NAMES = tuple(state.name.lower() for state in State)
 
 
+@old_names(of="from_dataset", shared_with="intersection")
 @dataclass(frozen=True, slots=True)
 class Targets:
     """Quantities that frames have labels for, or that a method estimates.
 
     Attributes:
-        states: names of the states that are told apart, in the order of `State`; empty, or two and
-            more.
+        states: names of the states that are distinguished, in the order of `State`; empty, or two
+            and more.
         angle: whether the bend angle is one.
         touches: whether positions of touches are.
         force: whether forces of touches are.
@@ -43,7 +45,7 @@ class Targets:
     force: bool = True
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "Targets":
+    def from_dataset(cls, dataset: Dataset) -> "Targets":
         """Quantities that a dataset has labels for.
 
         A state needs a frame of its own and one of another state; the angle two different angles
@@ -69,16 +71,16 @@ class Targets:
     def missing(self) -> tuple[str, ...]:
         """Quantities that are no target, in words."""
         absent = [name for name in STATE_NAMES if name not in self.states]
-        found = {
+        missing_labels = {
             "the state": not self.states,
             f"the state {' or '.join(absent)}": bool(self.states and absent),
             "the bend angle": not self.angle,
             "positions of touches": not self.touches,
             "forces": self.touches and not self.force,
         }
-        return tuple(words for words, missing in found.items() if missing)
+        return tuple(words for words, missing in missing_labels.items() if missing)
 
-    def shared_with(self, other: "Targets") -> "Targets":
+    def intersection(self, other: "Targets") -> "Targets":
         """Targets that both have."""
         states = tuple(state for state in self.states if state in other.states)
         return Targets(
@@ -105,9 +107,9 @@ def most_probable(probabilities: NDArray[np.float64]) -> NDArray[np.int64]:
 
     `UNKNOWN_STATE` where no state has a probability.
     """
-    known = np.isfinite(probabilities)
-    best = np.where(known, probabilities, -1.0).argmax(axis=1)
-    state: NDArray[np.int64] = np.where(known.any(axis=1), best, UNKNOWN_STATE)
+    finite = np.isfinite(probabilities)
+    best = np.where(finite, probabilities, -1.0).argmax(axis=1)
+    state: NDArray[np.int64] = np.where(finite.any(axis=1), best, UNKNOWN_STATE)
     return state
 
 
@@ -123,8 +125,8 @@ def with_implied_labels(dataset: Dataset) -> Dataset:
     bent = np.abs(angle) > FLAT_DEG
     state[unknown & placed] = State.TOUCH
     if not np.any(state == State.TOUCH):
-        known = unknown & np.isfinite(angle)
-        state[known & bent], state[known & ~bent] = State.BEND, State.IDLE
+        implied = unknown & np.isfinite(angle)
+        state[implied & bent], state[implied & ~bent] = State.BEND, State.IDLE
     if not (bent.any() or np.any(state == State.BEND)):
         angle[:] = 0.0
     return dataclasses.replace(dataset, state=state, bend_angle_deg=angle)
@@ -132,7 +134,7 @@ def with_implied_labels(dataset: Dataset) -> Dataset:
 
 def require_targets(dataset: Dataset) -> Targets:
     """Quantities that a dataset has labels for; raises DataError where there are none."""
-    targets = Targets.of(dataset)
+    targets = Targets.from_dataset(dataset)
     if not (targets.states or targets.angle or targets.touches):
         counts = ", ".join(
             f"{int(np.sum(dataset.state == state))} {state.name.lower()}" for state in State
@@ -145,12 +147,13 @@ def require_targets(dataset: Dataset) -> Targets:
     return targets
 
 
+@old_names(of="from_dataset")
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingFrames:
     """Labelled frames that a method is fitted to.
 
     Attributes:
-        observations: of the n frames: input, as `Method.predict` gets it.
+        observations: observations of the n frames: input, as `Method.predict` gets it.
         dataset: the same n frames with their labels; unknown ones are `UNKNOWN_STATE` or NaN.
         spec: sensor, measurements and units.
         noise: rms relative difference of two frames of a still sensor, dimensionless.
@@ -169,12 +172,12 @@ class TrainingFrames:
     validation: Dataset | None = None
 
     @classmethod
-    def of(
+    def from_dataset(
         cls, dataset: Dataset, spec: InputSpec, validation: Dataset | None = None
     ) -> "TrainingFrames":
         """All frames of a dataset; raises DataError without labels or without idle frames."""
         require_targets(dataset)
-        observations = Observations.of(dataset)
+        observations = Observations.from_dataset(dataset)
         return cls(observations, dataset, spec, frame_noise(dataset, observations), validation)
 
     def __len__(self) -> int:
@@ -184,7 +187,7 @@ class TrainingFrames:
     @property
     def targets(self) -> Targets:
         """Quantities that the frames have labels for."""
-        return Targets.of(self.dataset)
+        return Targets.from_dataset(self.dataset)
 
 
 def learnable(dataset: Dataset) -> tuple[Dataset, SensorDesign, Protocol]:
@@ -201,15 +204,15 @@ def learnable(dataset: Dataset) -> tuple[Dataset, SensorDesign, Protocol]:
             "one without; learn touch positions from it, or save it with a design"
         )
     radius = dataset.touch_radius
-    known = radius[np.isfinite(radius)]
-    usual = float(np.median(known)) if known.size else NOMINAL_RADIUS
+    finite_radii = radius[np.isfinite(radius)]
+    usual = float(np.median(finite_radii)) if finite_radii.size else NOMINAL_RADIUS
     lacking = np.isfinite(dataset.touch_x) & ~np.isfinite(radius)
     complete = dataclasses.replace(
         with_implied_labels(dataset), touch_radius=np.where(lacking, usual, radius)
     )
     if require_targets(complete).positions_only:
         raise DataError(
-            "expected untouched frames beside the touched ones, got positions of touches alone;"
+            "expected untouched frames besides the touched ones, got positions of touches alone;"
             " learn these with TrainingSettings('touch position'), as eitskin train does"
         )
     return complete, dataset.design, dataset.protocol

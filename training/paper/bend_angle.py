@@ -23,7 +23,7 @@ class BendAngle(StoredFields):
     Attributes:
         features: indices of the k selected features (k,); those from the number of channels on
             are squares.
-        coefficients: of the features (k,) [deg].
+        coefficients: coefficients of the features (k,) [deg].
         intercept: [deg].
     """
 
@@ -65,8 +65,8 @@ class BendAngle(StoredFields):
             )
         features = _features(dV) if squares else dV
         error = np.mean([_errors(features, angle, out) for out in _folds(group, seed)], axis=0)
-        chosen = np.sort(_ranked(features, angle)[: np.argmin(error) + 1])
-        coefficients, intercept = _fitted(features[:, chosen], angle)
+        chosen = np.sort(_rank_features(features, angle)[: np.argmin(error) + 1])
+        coefficients, intercept = _fit_least_squares(features[:, chosen], angle)
         return cls(chosen, coefficients, intercept)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
@@ -106,7 +106,7 @@ def _folds(group: NDArray[np.generic], seed: int) -> list[NDArray[np.bool_]]:
     return [fold == k for k in range(FOLDS)]
 
 
-def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
+def _rank_features(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
     """Indices of the features by falling F-statistic, that is, squared correlation (features,)."""
     moved, turned = features - features.mean(axis=0), angle - angle.mean()
     variance = np.einsum("nk,nk->k", moved, moved)
@@ -114,7 +114,7 @@ def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArra
     return np.argsort(explained, kind="stable")[::-1].astype(np.int64)
 
 
-def _fitted(
+def _fit_least_squares(
     features: NDArray[np.float64], angle: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Coefficients (features,) and intercept of the least-squares fit of least norm."""
@@ -132,18 +132,18 @@ def _errors(
     one QR decomposition: with X = Q R, a fit to the first k features adds to that to k - 1 the
     k-th column of X R^-1 times the k-th entry of Q^T y.
     """
-    ranked = _ranked(features[~held_out], angle[~held_out])
+    ranked = _rank_features(features[~held_out], angle[~held_out])
     training, others = features[~held_out][:, ranked], features[held_out][:, ranked]
     middle, mean = training.mean(axis=0), angle[~held_out].mean()
-    others, wanted = others - middle, angle[held_out] - mean
+    others, targets = others - middle, angle[held_out] - mean
     Q, R = np.linalg.qr(training - middle)
     turned = Q.T @ (angle[~held_out] - mean)
     apart = np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(R, axis=0)[: len(R)]
     rank = len(R) if apart.all() else int(np.argmin(apart))
     directions = np.linalg.solve(R[:rank, :rank].T, others[:, :rank].T)
-    said = list(np.cumsum(directions * turned[:rank, None], axis=0))
+    predictions = list(np.cumsum(directions * turned[:rank, None], axis=0))
     # Dependent features, and more of them than frames, have fits of least norm.
     for k in range(rank + 1, len(ranked) + 1):
-        said.append(others[:, :k] @ np.linalg.lstsq(R[:, :k], turned, _CUT)[0])
-    errors: NDArray[np.float64] = np.mean((np.array(said) - wanted) ** 2, axis=1)
+        predictions.append(others[:, :k] @ np.linalg.lstsq(R[:, :k], turned, _CUT)[0])
+    errors: NDArray[np.float64] = np.mean((np.array(predictions) - targets) ** 2, axis=1)
     return errors

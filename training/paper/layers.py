@@ -28,7 +28,7 @@ class Layer:
         kind: "convolution" with zeros around the maps, "transposed", the adjoint of a convolution
             of stride 2 with one zero around the maps, or "dense", fully connected.
         inputs, outputs: number of channels, or of values.
-        size: of the weights, in pixels.
+        size: size of the weights, in pixels.
         stride: step between the outputs of a convolution, in pixels.
         dilation: step between the pixels of its weights; as many zeros are around the maps.
         bias: whether there is one.
@@ -104,8 +104,8 @@ class Network:
 
     Attributes:
         layers: table of the layers.
-        arrays: of each layer: weight, bias or zero and, where it is normed, weight, bias, mean and
-            variance of batch normalisation.
+        arrays: arrays of each layer: weight, bias or zero and, where it is normed, weight, bias,
+            mean and variance of batch normalisation.
     """
 
     layers: tuple[Layer, ...]
@@ -129,15 +129,15 @@ class Network:
                 )
             return np.asarray(array, dtype=np.float32)
 
-        found = []
+        layer_arrays = []
         for layer, (key, norm) in zip(layers, _names(layers), strict=True):
             bias = load(f"{key}.bias", layer.outputs) if layer.bias else np.float32(0.0)
             mine = [load(f"{key}.weight", *layer.shape), np.asarray(bias)]
             if layer.normed:
                 parts = ("weight", "bias", "running_mean", "running_var")
                 mine += [load(f"{norm}.{part}", layer.outputs) for part in parts]
-            found.append(tuple(mine))
-        return cls(tuple(layers), tuple(found))
+            layer_arrays.append(tuple(mine))
+        return cls(tuple(layers), tuple(layer_arrays))
 
     def logits(self, maps: ArrayLike) -> NDArray[np.float64]:
         """Output of the last layer for maps (n, channels, rows, columns), computed in batches."""

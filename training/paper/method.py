@@ -16,9 +16,9 @@ from eitskin.training.method.observations import MissingChannels, Observations, 
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.stored_fields import (
-    GIVEN,
+    GIVEN_FIELD,
     Arrays,
-    Stored,
+    StoredField,
     field_arrays,
     restored_fields,
 )
@@ -56,7 +56,7 @@ class PaperMethod(Method):
     - The network's activations (ReLU), the widths of its decoder (32, 16, 1) and of the first
       fully connected layer (64), and a last layer from 16 features to three states.
     - k of SelectKBest comes from cross-validation (`BendAngle`). Idle frames, at 0 degrees, are
-      regressed upon beside the bent ones. A touched frame has the angle that its dynamic reference
+      regressed upon next to the bent ones. A touched frame has the angle that its dynamic reference
       had, see `predict`.
     - The whole post-processor, its loss and its training. Touches are connected components of its
       map with weighted centroids; the paper takes one centroid of the image of a single touch.
@@ -64,11 +64,12 @@ class PaperMethod(Method):
 
     Attributes:
         reconstruction: one-step Gauss-Newton, for either reference.
-        classifier: of the state, from the static reference; None for frames of one state.
+        classifier: classifier of the state, from the static reference; None for frames of one
+            state.
         bend_angle: regression of the angle, from the static reference; None for frames without
             known angles.
-        postprocessor: from reconstruction to touch map, with the dynamic reference; None for frames
-            without touches of known position.
+        postprocessor: postprocessor from reconstruction to touch map, with the dynamic reference;
+            None for frames without touches of known position.
         missing_static, missing_dynamic: imputation of bad channels of dV from either reference.
         outline: length and width that the maps cover [m].
     """
@@ -80,9 +81,9 @@ class PaperMethod(Method):
     classifier: Classifier | None
     bend_angle: BendAngle | None
     postprocessor: PostProcessor | None
-    missing_static: Annotated[MissingChannels, Stored("missing_static.covariance")]
-    missing_dynamic: Annotated[MissingChannels, Stored("missing_dynamic.covariance")]
-    outline: Annotated[tuple[float, float], GIVEN]
+    missing_static: Annotated[MissingChannels, StoredField("missing_static.covariance")]
+    missing_dynamic: Annotated[MissingChannels, StoredField("missing_dynamic.covariance")]
+    outline: Annotated[tuple[float, float], GIVEN_FIELD]
 
     @classmethod
     def fit(
@@ -107,14 +108,14 @@ class PaperMethod(Method):
         reconstruction = Reconstruction.fit(model.relative, snr, spec.pixels, unit)
         unseen_states = unseen_touches = None
         if (unseen := frames.validation) is not None:
-            others = Observations.of(unseen)
+            others = Observations.from_dataset(unseen)
             unseen_states = _states(unseen, missing_static.fill(others.static))
             unseen_touches = _touches(unseen, missing_dynamic.fill(others.dynamic), spec)
         classifier = bend_angle = postprocessor = None
-        if frames.targets.states and (known := _states(data, static)):
+        if frames.targets.states and (known_states := _states(data, static)):
             maps = np.stack(_state_maps(reconstruction, data.state, static, settings))
             classifier = Classifier.fit(
-                *known,
+                *known_states,
                 maps,
                 reconstruction.shape,
                 settings.classifier,
@@ -181,13 +182,13 @@ class PaperMethod(Method):
             if touched.any():
                 pictures = self.reconstruction.apply(free[touched])
                 maps[touched] = self.postprocessor.apply(pictures)
-        found = (find_touches(touch_map, self.outline) for touch_map in maps)
+        touches = (find_touches(touch_map, self.outline) for touch_map in maps)
         return Predictions(
             probabilities,
             self.bend_angle.apply(untouched_dV) if self.bend_angle else unknown,
             unknown,
             maps,
-            tuple(FoundTouches.of(each[:, :2], each[:, 2]) for each in found),
+            tuple(FoundTouches.from_arrays(each[:, :2], each[:, 2]) for each in touches),
             ((),) * count,
         )
 
@@ -203,11 +204,11 @@ class PaperMethod(Method):
         The paper has no calibration; a factor is what a regression through zero can learn from a
         few angles. The stated errors are the root mean squares over the frames at known angles.
         """
-        bent = known[known.bent] if self.bend_angle is not None else known[:0]
+        bent = known[known.is_bent] if self.bend_angle is not None else known[:0]
         flat = int(known.flat.sum())
-        told = Adaptation(flat, len(bent), left_out=len(known) - flat - len(bent))
+        adaptation = Adaptation(flat, len(bent), left_out=len(known) - flat - len(bent))
         if self.bend_angle is None or not len(bent):
-            return self, told
+            return self, adaptation
         estimated = self.bend_angle.apply(self.missing_static.fill(bent.observations.static))
         factor = float(estimated @ bent.angle_deg) / float(estimated @ estimated)
         before, after = (
@@ -216,7 +217,7 @@ class PaperMethod(Method):
         errors = ((before,) * len(bent), (after,) * len(bent))
         calibration = Calibration(tuple(bent.angle_deg.tolist()), *errors, after)
         adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
-        return adapted, dataclasses.replace(told, calibration=calibration)
+        return adapted, dataclasses.replace(adaptation, calibration=calibration)
 
     def reconstructions(
         self, observations: Observations
@@ -227,7 +228,7 @@ class PaperMethod(Method):
         return static.astype(np.float32), dynamic.astype(np.float32)
 
     def outputs(self, observations: Observations) -> Arrays:
-        """Outputs of every stage for n frames, each stage by itself; see `Method.outputs`."""
+        """Outputs of every stage for n frames, each stage on its own; see `Method.outputs`."""
         static = self.missing_static.fill(observations.static)
         dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
         outputs: dict[str, NDArray[np.generic]] = {"picture": dynamic}
@@ -251,14 +252,14 @@ class PaperMethod(Method):
         settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "PaperMethod":
         shape = tuple(arrays["reconstruction.shape"].astype(int).tolist())
-        given = {"outline": spec.outline, "classifier": {"shape": shape}}
-        return cls(**restored_fields(cls, arrays, **given))
+        parameters = {"outline": spec.outline, "classifier": {"shape": shape}}
+        return cls(**restored_fields(cls, arrays, **parameters))
 
 
 def _states(data: Dataset, static: Array) -> tuple[Array, NDArray[np.uint8]] | None:
     """dV (n, C) and states of the frames of known state; None without any."""
-    known = data.state != UNKNOWN_STATE
-    return (static[known], data.state[known]) if known.any() else None
+    is_known = data.state != UNKNOWN_STATE
+    return (static[is_known], data.state[is_known]) if is_known.any() else None
 
 
 def _touches(

@@ -69,18 +69,18 @@ def train_layers(
     """Weights and batch statistics, by name, of a network that is fitted to maps, and its losses.
 
     Args:
-        layers: of the network.
+        layers: layers of the network.
         frames: dV (n, measurements) and targets (n, ...).
         embedding: linear, from dV to maps (maps, pixels, measurements).
         shape: rows and columns of a map.
-        loss: of logits and targets.
-        settings: of the training.
+        loss: loss of logits and targets.
+        settings: settings of the training.
         noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
         seed: of initial weights, order and added noise.
         progress: called after every epoch.
         validation: dV and targets of other frames, whose loss is recorded after every epoch.
         compress: whether asinh is taken of the maps.
-        placed: whether the coordinates of the pixels are channels beside the maps.
+        placed: whether the coordinates of the pixels are channels next to the maps.
         flips: mirror images of each frame, of which one is drawn whenever it is used: whether x
             and whether y is reversed.
     """
@@ -103,23 +103,23 @@ def train_layers(
             maps = torch.einsum("nm,kpm->nkp", rows, matrix).reshape(len(rows), -1, *shape)
             return torch.asinh(maps) if compress else maps, targets[chosen]
 
-        shown = mirrored(batch, flips)
+        shown = mirror_samples(batch, flips)
 
-        def located(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        def locate_samples(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
             maps, wanted = shown(chosen, generator)
             return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1), wanted
 
-        return Samples(located if placed else shown, len(targets))
+        return Samples(locate_samples if placed else shown, len(targets))
 
     network = seeded_network(lambda: layer_network(layers), seed)
     fitted = samples(*frames, settings.noise * np.asarray(noise), flips)
     unseen = None if validation is None else samples(*validation, 0.0)
     batch, count = fitted.batch, fitted.count
     history = train_network(network, batch, loss, count, settings, seed, progress, unseen)
-    return weights_of(network), history
+    return network_weights(network), history
 
 
-def mirrored(batch: Batch, flips: Flips) -> Batch:
+def mirror_samples(batch: Batch, flips: Flips) -> Batch:
     """Source of samples that shows each one as a mirror image drawn from `flips`.
 
     Args:
@@ -129,7 +129,7 @@ def mirrored(batch: Batch, flips: Flips) -> Batch:
     if len(flips) < 2:
         return batch
 
-    def drawn(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def draw_batch(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         pair = batch(chosen, generator)
         image = torch.randint(len(flips), (len(chosen),), generator=generator)
         for number, (x, y) in enumerate(flips):
@@ -138,9 +138,9 @@ def mirrored(batch: Batch, flips: Flips) -> Batch:
                 maps[image == number] = maps[image == number].flip(axes)
         return pair
 
-    return drawn
+    return draw_batch
 
 
-def weights_of(network: nn.Module) -> dict[str, NDArray[np.generic]]:
+def network_weights(network: nn.Module) -> dict[str, NDArray[np.generic]]:
     """All weights and batch statistics, by name."""
     return {name: tensor.numpy().copy() for name, tensor in network.state_dict().items()}

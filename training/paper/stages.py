@@ -14,7 +14,7 @@ from eitskin.extras import require
 from eitskin.geometry import ConfigurationError
 from eitskin.training.method.interface import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
-from eitskin.training.method.stored_fields import GIVEN, Arrays, Stored, StoredFields
+from eitskin.training.method.stored_fields import GIVEN_FIELD, Arrays, StoredField, StoredFields
 from eitskin.training.paper.layers import (
     Network,
     coordinates,
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1.05  # of the residual of bend frames, over the noise
 THRESHOLD = 0.4  # of the map, whose values are probabilities of being under an indenter
-SMALLEST = 4  # pixels; a smaller component is no indenter
+MIN_COMPONENT_PIXELS = 4  # pixels; a smaller component is no indenter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class Reconstruction(StoredFields):
 
     Attributes:
         matrix: reconstruction matrix (pixels, measurements), dimensionless.
-        shape: of an image, (rows along y, columns along x).
+        shape: shape of an image, (rows along y, columns along x).
         regularisation: lambda of the one-step Gauss-Newton method, dimensionless.
     """
 
@@ -56,12 +56,12 @@ class Reconstruction(StoredFields):
 
         The matrix of the paper is (J^T J + lambda^2 R)^-1 J^T with NOSER's R = diag(J^T J), with a
         floor (`noser_weights`). lambda is not tuned but that of the signal-to-noise ratio
-        (`RegularisedInverse.of_snr`).
+        (`RegularisedInverse.lambda_from_snr`).
 
         Args:
             jacobian: relative Jacobian (measurements, pixels), dimensionless.
             snr: signal-to-noise ratio of a touch, root mean squares; see `signal_to_noise`.
-            shape: of an image, (rows along y, columns along x).
+            shape: shape of an image, (rows along y, columns along x).
             noise: rms noise of each channel's dV (measurements,) in a common unit; channels count
                 by its inverse, equally for a single number.
 
@@ -78,7 +78,7 @@ class Reconstruction(StoredFields):
         rms = np.broadcast_to(np.asarray(noise, dtype=float), J.shape[:1])
         whitened = J / rms[:, None]
         family = gauss_newton(whitened, noser_weights(whitened))
-        regularisation = family.of_snr(snr)
+        regularisation = family.lambda_from_snr(snr)
         return cls(family.matrix(regularisation) / rms, shape, regularisation)
 
     def apply(self, difference: ArrayLike) -> Array:
@@ -129,17 +129,17 @@ class Classifier(StoredFields):
 
     Attributes:
         weights: trained weights and batch statistics of the network, by name.
-        network: with these weights.
+        network: network with these weights.
         embedding: linear map from dV to scaled maps, (maps, pixels, measurements).
         shape: rows and columns of a map.
         compress: whether asinh is taken of the maps.
         history: losses in training.
-        states: that were trained for; the others have no probability.
+        states: states that were trained for; the others have no probability.
     """
 
-    weights: Annotated[Arrays, Stored("layers")]
+    weights: Annotated[Arrays, StoredField("layers")]
     embedding: Array
-    shape: Annotated[tuple[int, int], GIVEN]
+    shape: Annotated[tuple[int, int], GIVEN_FIELD]
     compress: bool
     history: LearningCurve = field(default_factory=LearningCurve)
     states: tuple[State, ...] = tuple(State)
@@ -182,7 +182,7 @@ class Classifier(StoredFields):
         from eitskin.training.paper.networks import train_layers
 
         states = np.asarray(state, dtype=np.int64)
-        scaled = _scaled(
+        scaled = _scale_maps(
             np.asarray(embedding, dtype=float),
             np.asarray(difference),
             states == State.IDLE if compress else None,
@@ -213,8 +213,8 @@ class Classifier(StoredFields):
         if self.compress:
             maps = np.arcsinh(maps)
         logits = self.network.logits(maps.reshape(len(dV), -1, *self.shape))
-        known = logits[:, self.states]
-        odds = np.exp(known - known.max(axis=1, keepdims=True))
+        state_logits = logits[:, self.states]
+        odds = np.exp(state_logits - state_logits.max(axis=1, keepdims=True))
         probabilities = np.full(logits.shape, np.nan)
         probabilities[:, self.states] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities
@@ -226,13 +226,13 @@ class PostProcessor(StoredFields):
 
     Attributes:
         weights: trained weights and batch statistics of the network, by name.
-        network: with these weights.
+        network: network with these weights.
         scale: divisor of the reconstructions before the network, their standard deviation over
             the training frames.
         history: losses in training.
     """
 
-    weights: Annotated[Arrays, Stored("layers")]
+    weights: Annotated[Arrays, StoredField("layers")]
     scale: float
     history: LearningCurve = field(default_factory=LearningCurve)
     network: Network = field(init=False, repr=False)
@@ -302,7 +302,7 @@ class PostProcessor(StoredFields):
         return touch_map
 
 
-def _scaled(
+def _scale_maps(
     embedding: Array, difference: NDArray[np.floating], idle: NDArray[np.bool_] | None
 ) -> Array:
     """The embedding with each map divided by its standard deviation over the training frames.
@@ -322,7 +322,7 @@ def find_touches(
     touch_map: ArrayLike,
     outline: tuple[float, float],
     threshold: float = THRESHOLD,
-    smallest: int = SMALLEST,
+    smallest: int = MIN_COMPONENT_PIXELS,
 ) -> Array:
     """Touches (k, 3) of x [m], y [m] and strength in a touch map, strongest first.
 
@@ -333,7 +333,7 @@ def find_touches(
     Args:
         touch_map: probabilities (rows along y, columns along x).
         outline: length and width that the map covers [m].
-        threshold: of the probabilities.
+        threshold: threshold of the probabilities.
         smallest: least number of pixels of a touch.
     """
     values = np.asarray(touch_map, dtype=float)

@@ -1,4 +1,4 @@
-"""Distribution of flat, untouched sensors of one design, by which a session's start is judged."""
+"""Distribution of flat, untouched sensors of one design, by which a session's start is tested."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,21 +12,21 @@ from scipy.special import fdtrc
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.training.method.observations import relative_difference
-from eitskin.training.method.stored_fields import Stored, StoredFields
+from eitskin.training.method.stored_fields import StoredField, StoredFields
 
 Array = NDArray[np.float64]
 
-FEWEST_SPECIMENS = 8
-"""Fewer training specimens do not tell how flat sensors differ."""
+MIN_SPECIMENS = 8
+"""Fewer training specimens do not show how flat sensors differ."""
 FALSE_ALARM = 5e-4
 """Probability of each of the two tests to doubt a flat, untouched sensor."""
 BOARD_ERROR = 0.003
 """Least relative error of each path of a board: 0.4 % / sqrt 2."""
-LEAST_SHARE = 1e-4
+MIN_SHARE = 1e-4
 """Principal components with less than this share of the mean variance are not kept."""
 FOLDS = 10
 ANGLE_UNIT_DEG = 45.0
-FEWEST_BENT = 10
+MIN_BENT = 10
 """Fewer bent frames give no bend curve."""
 
 
@@ -91,14 +91,14 @@ class FlatSensors(StoredFields):
     """
 
     mean: Array
-    components: Annotated[Array, Stored(single=True)]
+    components: Annotated[Array, StoredField(single=True)]
     specimens: int
     bend: Array
-    bend_range: Annotated[tuple[float, float], Stored("scalars")] = (0.0, 0.0)
-    inflation: Annotated[float, Stored("scalars")] = 1.0
+    bend_range: Annotated[tuple[float, float], StoredField("scalars")] = (0.0, 0.0)
+    inflation: Annotated[float, StoredField("scalars")] = 1.0
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "FlatSensors | None":
+    def from_dataset(cls, dataset: Dataset) -> "FlatSensors | None":
         """Distribution of the specimens that occur in a dataset, with the bends of its frames."""
         rows = np.flatnonzero((dataset.state == State.BEND) & np.isfinite(dataset.bend_angle_deg))
         change = relative_difference(
@@ -119,20 +119,20 @@ class FlatSensors(StoredFields):
         Args:
             flat: impedances of S specimens (S, C) [ohm].
             angle_deg: bend angles of n untouched frames (n,) [deg].
-            change: of the logarithms in these frames from the flat sensor (n, C).
+            change: change of the logarithms in these frames from the flat sensor (n, C).
 
         Returns:
-            None for fewer than `FEWEST_SPECIMENS` good ones, or where all are the same.
+            None for fewer than `MIN_SPECIMENS` good ones, or where all are the same.
         """
         magnitudes = np.abs(np.asarray(flat)).astype(float)
         good = (np.isfinite(magnitudes) & (magnitudes > 0)).all(axis=1)
-        if good.sum() < FEWEST_SPECIMENS or magnitudes.shape[1] < 2:
+        if good.sum() < MIN_SPECIMENS or magnitudes.shape[1] < 2:
             return None
         logs = np.log(magnitudes[good])
         logs -= logs.mean(axis=1, keepdims=True)
         angles = np.asarray(angle_deg, dtype=float)
         curve, bend_range = np.zeros((2, logs.shape[1])), (0.0, 0.0)
-        if len(angles) >= FEWEST_BENT:
+        if len(angles) >= MIN_BENT:
             curve = np.linalg.lstsq(_powers(angles), np.asarray(change, dtype=float), rcond=None)[0]
             bend_range = (min(float(angles.min()), 0.0), max(float(angles.max()), 0.0))
         if not np.ptp(logs, axis=0).any():
@@ -140,7 +140,7 @@ class FlatSensors(StoredFields):
         fitted = cls(*_moments(logs), len(logs), curve, bend_range)
         return replace(fitted, inflation=_cross_validated(fitted, logs))
 
-    def of_sensor(self, flat: Array) -> "FlatSensors":
+    def for_sensor(self, flat: Array) -> "FlatSensors":
         """Distribution of one sensor's values from session to session.
 
         They are taken to scatter about those of a known session as those of different sensors do:
@@ -149,10 +149,10 @@ class FlatSensors(StoredFields):
         Args:
             flat: its magnitudes, flat and untouched (C,) [ohm]; NaN where unknown.
         """
-        known = np.isfinite(flat) & (flat > 0)
-        logs = np.log(np.where(known, flat, 1.0))
-        departure = logs - np.mean(logs[known] - self.mean[known])
-        return replace(self, mean=np.where(known, departure, self.mean))
+        valid = np.isfinite(flat) & (flat > 0)
+        logs = np.log(np.where(valid, flat, 1.0))
+        departure = logs - np.mean(logs[valid] - self.mean[valid])
+        return replace(self, mean=np.where(valid, departure, self.mean))
 
     @property
     def freedom(self) -> int:
@@ -178,31 +178,31 @@ class FlatSensors(StoredFields):
         return _blind_inverse(self.covariance)
 
     def judge(self, impedance: ArrayLike) -> Start:
-        """Judgement of a sensor that is said to be flat and untouched.
+        """Judgement of a sensor that is stated to be flat and untouched.
 
         Args:
             impedance: (C,) [ohm]; NaN where a channel is bad.
         """
         magnitudes = np.abs(np.asarray(impedance))
-        known = np.flatnonzero(np.isfinite(magnitudes) & (magnitudes > 0))
-        count = len(known) - 1  # the common factor is unknown
+        good_channels = np.flatnonzero(np.isfinite(magnitudes) & (magnitudes > 0))
+        count = len(good_channels) - 1  # the common factor is unknown
         if count < 2:
             return Start(0.0, 1.0)
-        whole = len(known) == len(self.mean)
-        part = np.ix_(known, known)
+        whole = len(good_channels) == len(self.mean)
+        part = np.ix_(good_channels, good_channels)
         precision = self._precision if whole else _blind_inverse(self.covariance[part])
-        departure = np.log(magnitudes[known]) - self.mean[known]
+        departure = np.log(magnitudes[good_channels]) - self.mean[good_channels]
         distance = float(departure @ precision @ departure)
         chance = float(fdtrc(count, self.freedom, distance / count))
         low, high = self.bend_range
         if low == high:
             return Start(distance, chance)
         angles = np.linspace(low, high, round(high - low) + 1)
-        rest = departure - _powers(angles) @ self.bend[:, known]
+        rest = departure - _powers(angles) @ self.bend[:, good_channels]
         left = np.sum((rest @ precision) * rest, axis=1)
         best = int(left.argmin())
         slopes = np.array([1.0, 2.0 * angles[best] / ANGLE_UNIT_DEG]) / ANGLE_UNIT_DEG
-        slope = slopes @ self.bend[:, known]
+        slope = slopes @ self.bend[:, good_channels]
         deviation = float(1.0 / np.sqrt(slope @ precision @ slope))
         freedom = self.freedom + count - 1
         gain = max(distance - float(left[best]), 0.0) * freedom / (self.freedom + left[best])
@@ -214,8 +214,8 @@ def _moments(logs: Array) -> tuple[Array, Array]:
     """Mean and principal components of logarithms (S, C), as the attributes."""
     mean = logs.mean(axis=0)
     _, lengths, directions = np.linalg.svd(logs - mean, full_matrices=False)
-    kept = lengths**2 > LEAST_SHARE * np.sum(lengths**2) / len(mean)
-    return mean, lengths[kept, None] * directions[kept]
+    significant = lengths**2 > MIN_SHARE * np.sum(lengths**2) / len(mean)
+    return mean, lengths[significant, None] * directions[significant]
 
 
 def _cross_validated(fitted: FlatSensors, logs: Array) -> float:
@@ -223,10 +223,10 @@ def _cross_validated(fitted: FlatSensors, logs: Array) -> float:
     folds = np.arange(len(logs)) % min(FOLDS, len(logs))
     ratios = []
     for fold in range(folds.max() + 1):
-        seen = logs[folds != fold]
-        mean, components = _moments(seen)
+        training_logs = logs[folds != fold]
+        mean, components = _moments(training_logs)
         without = replace(
-            fitted, mean=mean, components=components, specimens=len(seen), inflation=1.0
+            fitted, mean=mean, components=components, specimens=len(training_logs), inflation=1.0
         )
         for start in map(without.judge, np.exp(logs[folds == fold])):
             bend = (

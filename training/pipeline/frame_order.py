@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 from eitskin.frame import Frame
 
-LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
+MAX_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 NUMBERS = 2**32  # frame numbers on the wire are counted modulo this
 STEPS = 9  # latest steps of time whose median is the usual one
-FEWEST_STEPS = 3
+MIN_STEPS = 3
 JUMP = 20  # usual steps that make a jump
-LONGEST_ELAPSED = 1e7  # s; four months without a restart, after which all drift has happened
+MAX_ELAPSED_TIME = 1e7  # s; four months without a restart, after which all drift has happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Step:
 
     Attributes:
         new_session: whether the frame begins a new session.
-        gap: whether no frames came for more than `LONGEST_GAP`.
+        gap: whether no frames came for more than `MAX_GAP`.
         problems: faults of clock and counters, and a session's beginning, in words.
     """
 
@@ -31,7 +31,7 @@ class Step:
     problems: tuple[str, ...] = ()
 
 
-class _Seen(NamedTuple):
+class _FrameStamp(NamedTuple):
     """Frame's number and time [s], NaN where it had none, and the time elapsed until then [s]."""
 
     number: int
@@ -49,17 +49,18 @@ class SessionOrder:
 
     A frame of another session begins a new session, and so does one whose number and time both ran
     back; a number that wraps at 2^32 did not. A fault of one of the two, or of both in a single
-    frame, is told and changes nothing: a session that it began would take the sensor as it then is
+    frame, is reported and changes nothing: a session that it began would take the sensor as it then
+        is
     for its zero.
     """
 
     _session: int = 0
-    _last: _Seen | None = None
-    _before: _Seen | None = None  # the latest jump ahead, while the frames may yet come back
+    _last: _FrameStamp | None = None
+    _before: _FrameStamp | None = None  # the latest jump ahead, while the frames may yet come back
     _steps: deque[float] = field(default_factory=lambda: deque(maxlen=STEPS))
 
     @property
-    def elapsed(self) -> float:
+    def elapsed_time(self) -> float:
         """Time since the session's first frame [s], without steps backwards."""
         return 0.0 if self._last is None else self._last.elapsed
 
@@ -79,28 +80,34 @@ class SessionOrder:
         timed = math.isfinite(frame.time)
         if not timed or math.isnan(last.time):
             time = frame.time if timed else last.time
-            self._last = _Seen(frame.number, time, last.elapsed)
-            return Step(problems=_told(frame, "" if timed else f"its time is {frame.time}"))
+            self._last = _FrameStamp(frame.number, time, last.elapsed)
+            return Step(
+                problems=_describe_fault(frame, "" if timed else f"its time is {frame.time}")
+            )
         problem = self._clock_problem(step, max(advance, 1))
         if backwards:
             problem = f"its number follows {last.number}, but its time went on"
         if not problem:
             self._steps.append(step / max(advance, 1))
         self._before = last if problem and step >= 0 and not backwards else None
-        elapsed = min(last.elapsed + max(step, 0.0), LONGEST_ELAPSED)
-        self._last = _Seen(frame.number, frame.time, elapsed)
-        return Step(False, step > LONGEST_GAP, _told(frame, problem))
+        elapsed = min(last.elapsed + max(step, 0.0), MAX_ELAPSED_TIME)
+        self._last = _FrameStamp(frame.number, frame.time, elapsed)
+        return Step(False, step > MAX_GAP, _describe_fault(frame, problem))
 
     def _begin(self, frame: Frame, reason: str) -> Step:
         """A session's first step; `reason`: of a session after the first."""
         time = frame.time if math.isfinite(frame.time) else math.nan
-        self._session, self._last, self._before = frame.session, _Seen(frame.number, time), None
+        self._session, self._last, self._before = (
+            frame.session,
+            _FrameStamp(frame.number, time),
+            None,
+        )
         self._steps.clear()
         problems: tuple[str, ...] = (f"a new session begins: {reason}",) if reason else ()
-        problems += _told(frame, f"its time is {frame.time}") if math.isnan(time) else ()
+        problems += _describe_fault(frame, f"its time is {frame.time}") if math.isnan(time) else ()
         return Step(new_session=bool(reason), problems=problems)
 
-    def _returns(self, frame: Frame, before: _Seen, last: _Seen) -> bool:
+    def _returns(self, frame: Frame, before: _FrameStamp, last: _FrameStamp) -> bool:
         """Whether a frame goes on where the frames were `before` they jumped ahead to `last`."""
         ran_back = frame.time < last.time or last.advance(frame) >= NUMBERS // 2
         step, advance = frame.time - before.time, before.advance(frame)
@@ -111,18 +118,18 @@ class SessionOrder:
         """Fault of a step of time [s] between frames `advance` apart, in words; empty without."""
         if step < 0:
             return f"the clock ran back by {-step:.3g} s"
-        if len(self._steps) < FEWEST_STEPS:
+        if len(self._steps) < MIN_STEPS:
             return ""
         usual = median(self._steps)
         due = usual * advance
-        if step > max(LONGEST_GAP, JUMP * usual) + due:
+        if step > max(MAX_GAP, JUMP * usual) + due:
             return f"the clock jumped ahead by {step:.3g} s, {due:.3g} s are usual"
-        if due > max(LONGEST_GAP, JUMP * usual) + JUMP * step:
+        if due > max(MAX_GAP, JUMP * usual) + JUMP * step:
             return f"its number jumped ahead by {advance}, in {step:.3g} s"
         return ""
 
 
-def _told(frame: Frame, problem: str) -> tuple[str, ...]:
+def _describe_fault(frame: Frame, problem: str) -> tuple[str, ...]:
     """Fault of a frame's number or time, as a problem of its estimate; none where it is empty."""
-    told = f"frame {frame.number}: {problem}; the references stay as they were"
-    return (told,) if problem else ()
+    message = f"frame {frame.number}: {problem}; the references stay as they were"
+    return (message,) if problem else ()

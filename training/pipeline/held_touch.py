@@ -1,4 +1,4 @@
-"""The frames of a touch that stands still, told from one that moves by the session's own noise."""
+"""Frames of a touch that stands still, distinguished from a moving one by the session's noise."""
 
 import math
 from collections import deque
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import Voltages
 
-LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
-ONSET = 4.0  # standard deviations of the mean square that tell a change since earlier frames
+MAX_HELD_FRAMES = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
+ONSET = 4.0  # standard deviations of the mean square that show a change since earlier frames
 PHASES, LEAST_PHASE = 3.0, 1e-3  # times the rms change from frame to frame; [rad]
 SPEED, MOVING = 0.008, 0.3  # m a frame, of touches that move, and their share before they are seen
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
-FEWEST_SCATTERS = 2  # frames that the noise of training counts as
-LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames tell
+MIN_SCATTERS = 2  # frames that the noise of training counts as
+LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames show
 MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
-"""Of a frame, in frames with the noise of training; beyond the largest the model errs more."""
+"""Of a frame, in frames with the noise of training; beyond the largest the model's errors grow."""
 WEIGHTS = 4  # steps of weights in a factor of two, so that what follows from one stays known
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
-MOTION = 5.0  # standard deviations of the mean square that tell motion from noise
+MOTION = 5.0  # standard deviations of the mean square that distinguish motion from noise
 TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
 
 
@@ -36,7 +36,7 @@ class Phases:
     _last: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
 
-    def departed(self, V: Voltages, flat: Voltages) -> NDArray[np.float64] | None:
+    def phase_change(self, V: Voltages, flat: Voltages) -> NDArray[np.float64] | None:
         """Change of the phases (measurements,) [rad] but for a common one; None if by noise."""
         departure = np.full(len(V), np.nan)
         good = np.isfinite(V) & np.isfinite(flat) & (flat != 0.0)
@@ -49,7 +49,7 @@ class Phases:
             known = step[np.isfinite(step)]
             if len(known):
                 self._scatter.append(float(np.var(known)))
-        if len(self._scatter) <= FEWEST_SCATTERS:
+        if len(self._scatter) <= MIN_SCATTERS:
             return None
         limit = max(LEAST_PHASE, PHASES * math.sqrt(median(self._scatter)))
         return departure if math.sqrt(np.nanmean(departure**2)) > limit else None
@@ -68,23 +68,25 @@ class HeldTouch:
     eases is not dragged behind.
 
     Attributes:
-        noise: rms relative difference of two frames of a still sensor, until frames tell.
-        scale: of the noise that the method weighs frames by.
-        directions: of changes (d, measurements) by a motion of the touches found last.
-        variance: of a channel's relative change in one frame, the median over the latest.
+        noise: rms relative difference of two frames of a still sensor, until frames show.
+        scale: scale of the noise that the method weighs frames by.
+        directions: directions of changes (d, measurements) by a motion of the touches found last.
+        variance: variance of a channel's relative change in one frame, the median over the latest.
     """
 
     noise: float
     scale: float = 1.0
     directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     variance: float = field(init=False)
-    _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
-    _changes: deque[NDArray[np.float64]] = field(default_factory=lambda: deque(maxlen=LONGEST_HELD))
+    _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES))
+    _changes: deque[NDArray[np.float64]] = field(
+        default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES)
+    )
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
 
     def add(
-        self, V: Voltages, flat: Voltages, held: bool, most: int = LONGEST_HELD
+        self, V: Voltages, flat: Voltages, held: bool, most: int = MAX_HELD_FRAMES
     ) -> tuple[Voltages, int]:
         """Mean of the frames that show the touch of frame V, and their number.
 
@@ -97,21 +99,21 @@ class HeldTouch:
         change = relative_difference(V, flat)
         if len(self._changes) >= 2:  # neither offset nor slope is left in this difference
             bent = self._changes[-1] - 0.5 * (self._changes[-2] + change)
-            known = bent[np.isfinite(bent)]
-            scatter = float(known @ known) / (1.5 * max(len(known), 1))
+            finite_angles = bent[np.isfinite(bent)]
+            scatter = float(finite_angles @ finite_angles) / (1.5 * max(len(finite_angles), 1))
             if 0.0 < scatter < (JUMPS * self.noise) ** 2:
                 self._scatter.append(scatter)
-                expected = [0.5 * self.noise**2] * FEWEST_SCATTERS
+                expected = [0.5 * self.noise**2] * MIN_SCATTERS
                 self.variance = median([*self._scatter, *expected])
         self._changes.append(change)
         if not held:
-            self.since([])
+            self.set_frames([])
         self._frames.append(V)
         count = min(self._still(), most)
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
-    def since(self, frames: list[Voltages]) -> None:
+    def set_frames(self, frames: list[Voltages]) -> None:
         """Take these for the latest frames of the touch; none before a touch."""
         self._frames.clear()
         self._frames.extend(frames)
@@ -160,8 +162,8 @@ class HeldTouch:
     @property
     def still(self) -> float:
         """Rms relative difference of two frames of a still sensor in this session, at most."""
-        told = len(self._scatter) > FEWEST_SCATTERS
-        return math.sqrt(2.0 * self.variance) if told else LOUDEST * self.noise
+        has_scatter = len(self._scatter) > MIN_SCATTERS
+        return math.sqrt(2.0 * self.variance) if has_scatter else LOUDEST * self.noise
 
     def __post_init__(self) -> None:
         """No frame so far."""
@@ -199,6 +201,6 @@ class HeldTouch:
             if self._speed * weight > 2.0 or not self._speed:
                 count = n
         else:
-            if len(rows) == LONGEST_HELD:
+            if len(rows) == MAX_HELD_FRAMES:
                 self._speed = 0.0
         return count

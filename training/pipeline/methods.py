@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.files import quoted
+from eitskin.files import quote_value
 from eitskin.training.adaptation.touch_positions import TouchPositions
 from eitskin.training.baselines.greit_centroid import GreitMethod
 from eitskin.training.baselines.regressions import ExtraTreesMethod, MlpMethod, RidgeMethod
@@ -28,7 +28,7 @@ from eitskin.training.paper.method import PaperMethod
 GROUP = "eitskin.methods"
 """Group of the entry points by which installed packages offer methods."""
 
-SAME = 1e-4  # relative difference of outputs of a method and of its restored copy
+OUTPUT_TOLERANCE = 1e-4  # relative difference of outputs of a method and of its restored copy
 
 
 SHIPPED_METHODS: dict[str, type[Method]] = {
@@ -68,21 +68,22 @@ def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
         if own is None:
             return SHIPPED_METHODS[kind]
         raise MethodCodeError(
-            f"expected no code for the method '{kind}', which comes with eitskin, got {own.KIND}; "
+            f"expected no code for the method '{kind}', which ships with eitskin, got {own.KIND}; "
             "leave --method out"
         )
     module, colon, name = kind.rpartition(":")
     if not colon:
         raise DataError(
-            f"expected a method of {', '.join(SHIPPED_METHODS)}, got {quoted(kind)}; install a "
+            f"expected a method of {', '.join(SHIPPED_METHODS)}, got {quote_value(kind)}; "
+            f"install a "
             "newer eitskin"
         )
     if not (module and module.isprintable() and _CLASS.fullmatch(name)):
-        raise DataError(f"expected a method's name MODULE:CLASS, got {quoted(kind)}")
+        raise DataError(f"expected a method's name MODULE:CLASS, got {quote_value(kind)}")
     if own is None:
         raise MethodCodeError(
             f"this pipeline was trained by {kind}, which does not come with eitskin, and opening a "
-            "pipeline runs no code by itself: name its code with --method "
+            "pipeline runs no code on its own: name its code with --method "
             f"{shlex.quote(f'{module}.py:{name}')} (in Python: Pipeline.load(path, method={name}))"
         )
     if own.KIND.rpartition(":")[2] != name:
@@ -102,7 +103,7 @@ def named_method(name: str) -> type[Method]:
     Raises MethodCodeError for code that is not there, cannot be run, or is no method.
     """
     path, _, class_name = name.rpartition(":")
-    found = _in_file(Path(path), class_name) if path.endswith(".py") else _installed(name)
+    found = _in_file(Path(path), class_name) if path.endswith(".py") else _load_entry_point(name)
     if not (isinstance(found, type) and issubclass(found, Method)):
         raise MethodCodeError(
             f"expected {name} to be a class derived from eitskin.training.Method, got {found!r}"
@@ -124,7 +125,8 @@ def _in_file(path: Path, class_name: str) -> object:
     sys.path.insert(0, folder)
     try:
         with told_errors(str(path)):
-            # No import: that would keep byte code beside the file, and run it after a quick change.
+            # No import: that would keep byte code next to the file, and run it after a quick
+            # change.
             exec(compile(path.read_bytes(), path, "exec"), vars(module))  # noqa: S102
     finally:
         sys.path.remove(folder)
@@ -140,9 +142,9 @@ def _in_file(path: Path, class_name: str) -> object:
     return vars(module)[class_name]
 
 
-def _installed(name: str) -> object:
+def _load_entry_point(name: str) -> object:
     """The object of an installed entry point; only the one that is named is imported."""
-    offered = {each.name: each for each in importlib.metadata.entry_points(group=GROUP)}
+    offered = {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
     if name not in offered:
         raise MethodCodeError(
             f"expected FILE.py:CLASS or an installed method ({', '.join(sorted(offered)) or 'none'}"
@@ -182,14 +184,14 @@ def require_sound(
         method: fitted.
         examples: some frames.
         spec: sensor, measurements and units.
-        settings: of the training.
-        foreign: beginnings of the names that arrays of a pipeline have beside the method's.
+        settings: settings of the training.
+        foreign: beginnings of the names that arrays of a pipeline have next to the method's.
 
     Raises MethodCodeError for predictions that are not what `targets` says, for arrays that cannot
     be saved, or for a restored copy that predicts something else.
     """
-    said = method.predict(examples)
-    for wrong in said.faults(method.targets, len(examples), spec.pixels):
+    predictions = method.predict(examples)
+    for wrong in predictions.faults(method.targets, len(examples), spec.pixels):
         raise MethodCodeError(f"{method.KIND}: predict gives {wrong}")
     arrays = method.arrays()
     for name, array in arrays.items():
@@ -209,7 +211,7 @@ def require_sound(
     for name, value in method.outputs(examples).items():
         size = float(np.nanmax(np.abs(value), initial=0.0))
         if value.shape != again[name].shape or not np.allclose(
-            value, again[name], rtol=0.0, atol=SAME * size, equal_nan=True
+            value, again[name], rtol=0.0, atol=OUTPUT_TOLERANCE * size, equal_nan=True
         ):
             raise MethodCodeError(
                 f"{method.KIND}: expected from_arrays to restore what was fitted, got other values "

@@ -14,6 +14,7 @@ from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import State
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import old_names
 from eitskin.frame import Frame
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Adaptation, Calibration, Method
@@ -28,7 +29,7 @@ from eitskin.training.method.settings import (
     silent,
     single_touches,
 )
-from eitskin.training.method.stored_fields import arrays_as, arrays_under
+from eitskin.training.method.stored_fields import arrays_with_prefix, prefix_arrays
 from eitskin.training.method.targets import Targets, with_implied_labels
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import (
@@ -48,23 +49,24 @@ from eitskin.training.pipeline.session import COMMON, Session
 from eitskin.training.pipeline.trained_parts import FLAT_SENSORS, FOREIGN, USUAL, trained_parts
 
 
+@old_names(expected="expected_magnitudes", followed="mark_failures", stored="stored_reference")
 @dataclass(eq=False)
 class Pipeline:
     """A trained perception method and the references of the current session.
 
-    `process` takes the frames of a session in turn, `perceive` those of a dataset each by itself.
+    `process` takes the frames of a session in turn, `perceive` those of a dataset each on its own.
 
     Attributes:
         layout: sensor, measurements and frequency of the training frames.
         method: the trained method, which estimates frames one by one.
         noise: rms of the relative difference of two frames of a still sensor, dimensionless.
-        settings: of the training.
+        settings: settings of the training.
         trained_on: SHA-256, source, and numbers of frames and specimens of the training set; those
             of version 0.1 do not count specimens.
         examples: a few training frames, by which a saved pipeline is checked.
         metrics: results of evaluations, as whoever evaluates writes them here.
         adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
-        flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
+        flat_sensors: distribution of flat, untouched sensors, by which a session's start is tested;
             None where training had too few specimens.
         usual: range of the readings of a healthy sensor, by which failed electrodes are found; of a
             few frames where None is given.
@@ -92,7 +94,7 @@ class Pipeline:
     def __post_init__(self) -> None:
         """A session without references."""
         if self.usual is None and self.settings.method != POSITIONS:
-            self.usual = ReadingRange.of(1.0 + self.examples.static, reference=True).doubled()
+            self.usual = ReadingRange.fit(1.0 + self.examples.static, reference=True).widen()
         self.use(None)
 
     @classmethod
@@ -111,7 +113,7 @@ class Pipeline:
         Args:
             dataset: frames of two states and more or at several bend angles, of a known design and
                 protocol, with positions of touches where these are to be learned.
-            settings: of the training; the defaults when omitted.
+            settings: settings of the training; the defaults when omitted.
             progress: called with a stage, steps done and steps in all.
             method: one of your own, in place of the method that the settings name.
 
@@ -147,9 +149,9 @@ class Pipeline:
     ) -> Adaptation:
         """Adaptation to one sensor by frames of which it is known what they show.
 
-        Each label tells what is known of its frame: a bend angle, touches with or without forces.
-        The session begins anew. An adaptation replaces the one before: give all frames at once. The
-        flat frames are from now on what a sensor is to be like to be taken for this one.
+        Each label shows what is known of its frame: a bend angle, touches with or without forces.
+        The session begins again. An adaptation replaces the one before: give all frames at once.
+        The flat frames are from now on what a sensor is to be like to be taken for this one.
 
         Args:
             frames: n frames of one session, flat ones among them; or a dataset of one specimen.
@@ -162,15 +164,15 @@ class Pipeline:
         """
         self.method.require_adaptable()
         if isinstance(frames, Dataset):
-            frames = self.followed(frames)[0]
-        known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
-        adapted, said = self.method.adapt(known)
-        said.require_fit(known)
-        self.method, self.adaptation = adapted, said.as_dict()
-        self.layout = self.layout.of_sensor(flat := known.observations.flat[0])
-        self.flat_sensors = self.flat_sensors and self.flat_sensors.of_sensor(flat)
+            frames = self.mark_failures(frames)[0]
+        known_frames = replace(KnownFrames.from_frames(frames, labels, self.layout), twin=twin)
+        adapted, adaptation = self.method.adapt(known_frames)
+        adaptation.require_fit(known_frames)
+        self.method, self.adaptation = adapted, adaptation.as_dict()
+        self.layout = self.layout.for_sensor(flat := known_frames.observations.flat[0])
+        self.flat_sensors = self.flat_sensors and self.flat_sensors.for_sensor(flat)
         self.reset()
-        return said
+        return adaptation
 
     def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
         """Adaptation to one sensor by untouched frames at known bend angles.
@@ -210,10 +212,10 @@ class Pipeline:
             )
 
     @property
-    def expected(self) -> NDArray[np.float64] | None:
+    def expected_magnitudes(self) -> NDArray[np.float64] | None:
         """Magnitudes (measurements,) [ohm] of the sensor as its session begins; None if unknown."""
         usual = self.layout.reference
-        size = usual if self.stored is None else self.stored.magnitudes(usual)
+        size = usual if self.stored_reference is None else self.stored_reference.magnitudes(usual)
         return size if np.isfinite(size).all() else None
 
     @property
@@ -222,7 +224,7 @@ class Pipeline:
         return self._session
 
     @property
-    def stored(self) -> StoredReference | None:
+    def stored_reference(self) -> StoredReference | None:
         """Stored reference in use; None where a session's first frames are the zero."""
         return self._session.stored
 
@@ -236,7 +238,7 @@ class Pipeline:
             zero: `Zero.FLAT`, or `Zero.MOUNTED` for a sensor mounted on a curved body: its shape
                 there is then the zero of the bend angle.
             board: unique number of the board in hexadecimal digits, where known.
-            source: of the frames, where known.
+            source: source of the frames, where known.
 
         Raises:
             ConfigurationError: for no frames.
@@ -248,7 +250,7 @@ class Pipeline:
         voltages = [self.layout.voltages(frame)[0] for frame in frames]
         if not voltages:
             raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
-        reference = StoredReference.of(
+        reference = StoredReference.from_frames(
             voltages, frames[0].protocol, frames[0].frequency, zero, self.noise, board, source
         )
         self.layout.require_same_sensor(reference.impedance)
@@ -263,7 +265,7 @@ class Pipeline:
     def use(self, reference: StoredReference | None) -> None:
         """Use a stored reference as the zero of all estimates; None for a session's first frames.
 
-        The session begins anew. Raises FrameError for a reference of another sensor, table or
+        The session begins again. Raises FrameError for a reference of another sensor, table or
         frequency.
         """
         if reference is not None:
@@ -289,7 +291,7 @@ class Pipeline:
 
         Its first frame must be of the flat, untouched sensor unless a stored reference is in use.
         """
-        self.use(self.stored)
+        self.use(self.stored_reference)
 
     def process(self, frame: Frame) -> Estimate:
         """The estimate for the next frame of a session.
@@ -298,7 +300,7 @@ class Pipeline:
         the sensor must then be flat and untouched. Up to 32 further such frames are averaged into
         the references. Where the first frame is implausible for a flat, untouched sensor, angle,
         idle and bend are unknown throughout the session, and `problems` says so. New sessions
-        and faults of number and time are told; `SessionOrder` has the rules.
+        and faults of number and time are reported; `SessionOrder` has the rules.
 
         Raises:
             FrameError: for a frame of another sensor, table or frequency, with too few good
@@ -316,13 +318,13 @@ class Pipeline:
             voltages, stepped = session.without_gain_step(voltages)
             voltages = session.with_same_sign(voltages)
             voltages, failed = session.without_failed(frame, voltages)
-            perceived = self.method.predict(observed := session.observed(voltages))
+            perceived = self.method.predict(observed := session.to_observations(voltages))
         except Exception:
             if first:
                 session.begin()
             raise
         perceived = session.with_lag(perceived)
-        if (touched := perceived.touched(self.targets)) or not first:
+        if (touched := perceived.is_touched(self.targets)) or not first:
             along = self.method.motions(observed, perceived) if touched else None
             session.renew(voltages, touched, perceived.probabilities[0, State.TOUCH], along)
         problems += (
@@ -331,25 +333,25 @@ class Pipeline:
             *perceived.problems[0],
             *session.problems(frame.protocol.labels),
         )
-        estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
+        estimate = Estimate.from_predictions(perceived, self.targets, problems, frame, session.zero)
         if session.doubt:
-            return estimate.of_unknown_start()
+            return estimate.for_unknown_start()
         if session.zero is Zero.MOUNTED and not self.calibration:
             return replace(estimate, bend_deviation_deg=None)  # trained on bends of flat sensors
         return estimate
 
-    def followed(self, dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    def mark_failures(self, dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
         """Dataset with the channels of electrodes marked that failed in it, and these in words."""
         marked, faults = follow_recording(dataset, self.usual)
         return marked, tuple(map(str, faults))
 
     def perceive(self, dataset: Dataset) -> Predictions:
-        """Estimates for all frames of a dataset, each by itself, without electrodes that failed.
+        """Estimates for all frames of a dataset, each on its own, without electrodes that failed.
 
         The static reference of a frame is its specimen's flat reference, the dynamic one its own
         `touch_reference`. The session of `process` is unchanged.
         """
-        return self.method.predict(Observations.of(self.followed(dataset)[0]))
+        return self.method.predict(Observations.from_dataset(self.mark_failures(dataset)[0]))
 
     def save(self, path: str | Path) -> Path:
         """Write the folder NAME.eitmodel, replacing a pipeline there; returns its path.
@@ -358,14 +360,14 @@ class Pipeline:
         PartialError where the folder cannot be written.
         """
         outputs = self.method.outputs(self.examples)
-        golden = arrays_as("input", self.examples.arrays()) | arrays_as("output", outputs)
+        golden = prefix_arrays("input", self.examples.arrays()) | prefix_arrays("output", outputs)
         weights = dict(self.method.arrays())
         if np.isfinite(self.layout.reference).any():
             weights["layout.reference"] = self.layout.reference
         if self.flat_sensors is not None:
-            weights |= arrays_as(FLAT_SENSORS, self.flat_sensors.arrays())
+            weights |= prefix_arrays(FLAT_SENSORS, self.flat_sensors.arrays())
         if self.usual is not None:
-            weights |= arrays_as(USUAL, self.usual.arrays())
+            weights |= prefix_arrays(USUAL, self.usual.arrays())
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),
@@ -385,7 +387,7 @@ class Pipeline:
         "reference.eitmodel", unless a folder of that name exists, is that of the reference sensor.
 
         Args:
-            path: of the folder.
+            path: path of the folder.
             method: code of the method of your own that the pipeline was trained with; opening a
                 pipeline runs no other.
 
@@ -399,12 +401,12 @@ class Pipeline:
             document, weights = saved.document, saved.weights
             noise = require_possible(weights, saved.golden, document.get("noise"))
             settings = from_dict(TrainingSettings, document["settings"], "settings")
-            examples = Observations.from_arrays(arrays_under("input", saved.golden))
+            examples = Observations.from_arrays(arrays_with_prefix("input", saved.golden))
             positions = document["method"] == POSITIONS
             reference = examples.flat[0] if positions else weights["layout.reference"]
             layout = InputSpec.from_document(document["layout"], reference)
             arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}
-            flat, usual = (arrays_under(name, weights) for name in (FLAT_SENSORS, USUAL))
+            flat, usual = (arrays_with_prefix(name, weights) for name in (FLAT_SENSORS, USUAL))
             code = method_class(document["method"], method)
             with nullcontext() if method is None else told_errors(code.KIND):
                 restored = code.from_arrays(arrays, layout, settings)
@@ -430,7 +432,7 @@ class Pipeline:
 
 
 def open_pipeline(path: str | Path, method: type[Method] | None = None) -> Pipeline:
-    """`Pipeline.load`: a saved pipeline, whose `targets` tells what its estimates hold.
+    """`Pipeline.load`: a saved pipeline, whose `targets` shows what its estimates hold.
 
     Example:
         >>> from eitskin.training import open_pipeline

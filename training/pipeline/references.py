@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import LARGEST_READING, LEAST_READING, require_axes
 from eitskin.config import Location, build
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import old_names
 from eitskin.files import atomic_file, parse_json, read_bytes
 from eitskin.frame import Frame
 from eitskin.protocol import Protocol
@@ -22,11 +23,11 @@ from eitskin.training.method.predictions import Zero
 
 FORMAT = "eitskin-reference"
 FORMAT_VERSION = 1
-LARGEST_FILE = 10_000_000  # bytes; a thousand measurements need 50,000
+MAX_FILE = 10_000_000  # bytes; a thousand measurements need 50,000
 
 Voltages = NDArray[np.complex128]
 
-LONGEST_MEAN = 32  # frames; a longer mean would lag behind a drift too slow to count as motion
+MAX_MEAN_FRAMES = 32  # frames; a longer mean would lag behind a drift too slow to count as motion
 
 
 @dataclass
@@ -43,7 +44,7 @@ class RunningMean:
     noise: float
     mean: Voltages = field(default_factory=lambda: np.zeros(0, np.complex128))
     count: int = 0
-    longest: int = LONGEST_MEAN
+    longest: int = MAX_MEAN_FRAMES
 
     def restart(self, impedance: ArrayLike) -> None:
         """Begin a new mean with this frame (measurements,) [ohm]."""
@@ -60,24 +61,25 @@ class RunningMean:
         if not self.mean.size:
             self.restart(V)
             return False
-        known = np.isfinite(V) & np.isfinite(self.mean)
-        change = relative_difference(V[known], self.mean[known])
+        finite = np.isfinite(V) & np.isfinite(self.mean)
+        change = relative_difference(V[finite], self.mean[finite])
         departed = bool(change.size and np.sqrt(np.mean(change**2)) > 2 * self.noise)
         self.count = 1 if departed else min(self.count + 1, self.longest)
-        step = np.where(known, (V - self.mean) / self.count, 0)
+        step = np.where(finite, (V - self.mean) / self.count, 0)
         only_new = np.isfinite(V) & ~np.isfinite(self.mean)
         self.mean = np.where(only_new, V, self.mean + step)
         return departed
 
 
+@old_names(of="from_frames")
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredReference:
     """Mean of untouched frames of one sensor.
 
     Attributes:
         impedance: (measurements,) [ohm]; NaN where a channel was bad.
-        protocol: of the measurements.
-        frequency: of the excitation [Hz].
+        protocol: protocol of the measurements.
+        frequency: frequency of the excitation [Hz].
         zero: state of the sensor, `Zero.FLAT` or `Zero.MOUNTED`.
         frames: number of frames in the mean.
         noise: rms of the relative difference of two of the frames; None for a single one.
@@ -103,7 +105,7 @@ class StoredReference:
     source: str = ""
 
     @classmethod
-    def of(
+    def from_frames(
         cls,
         impedance: Sequence[NDArray[np.complex128]],
         protocol: Protocol,
@@ -146,15 +148,15 @@ class StoredReference:
         if count > 1:
             departures = relative_difference(values, average)
             noise = math.sqrt(2.0 * float(np.nanmean(departures**2)) * count / (count - 1))
-        taken = datetime.now(UTC).isoformat(timespec="seconds")
-        return cls(average, protocol, frequency, zero, count, noise, taken, board, source)
+        time_text = datetime.now(UTC).isoformat(timespec="seconds")
+        return cls(average, protocol, frequency, zero, count, noise, time_text, board, source)
 
     def magnitudes(self, usual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Magnitudes (measurements,) [ohm]; `usual` ones, scaled, where a channel was bad."""
         require_axes("usual", usual, len(self.protocol), more=False)
-        known = np.isfinite(self.impedance)
-        scale = np.median(np.abs(self.impedance[known]) / usual[known])
-        return np.where(known, np.abs(self.impedance), scale * usual)
+        finite = np.isfinite(self.impedance)
+        scale = np.median(np.abs(self.impedance[finite]) / usual[finite])
+        return np.where(finite, np.abs(self.impedance), scale * usual)
 
     def frame(self, time: float = 0.0) -> Frame:
         """The reference as a frame at a time [s]; bad channels are NaN."""
@@ -192,12 +194,12 @@ class StoredReference:
         """
         path = Path(path)
         try:
-            data = parse_json(read_bytes(path, LARGEST_FILE))
+            data = parse_json(read_bytes(path, MAX_FILE))
             if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
                 raise DataError(f"{path} is no reference; make one with eitskin tare")
-            if (found := data.pop("format_version", None)) != FORMAT_VERSION:
+            if (version := data.pop("format_version", None)) != FORMAT_VERSION:
                 raise DataError(
-                    f"{path} has format version {found}, this eitskin reads {FORMAT_VERSION}; "
+                    f"{path} has format version {version}, this eitskin reads {FORMAT_VERSION}; "
                     "install a newer eitskin, or make the reference again with eitskin tare"
                 )
             return build(_reference, data, Location(str(path)))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.extras import require
-from eitskin.files import atomic_folder, parse_json, quoted, read_bytes, read_text
+from eitskin.files import atomic_folder, parse_json, quote_value, read_bytes, read_text
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.adaptation.touch_positions import with_common_form
 from eitskin.training.method.settings import POSITIONS
@@ -31,8 +31,8 @@ FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 KIND = "perception"
 SUFFIX = ".eitmodel"
-SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
-MOST_BYTES = 1 << 32  # of one file
+SHIPPED_PATH = Path(__file__).parents[1] / f"reference{SUFFIX}"
+MAX_BYTES = 1 << 32  # of one file
 GOLDEN_TOLERANCE = 1e-3  # relative to the largest output; float32 sums depend on their order
 FIT_TOLERANCE = 0.05
 """The same of the outputs of a fit, as norms over a frame. A fit ends where a further step gains
@@ -50,7 +50,7 @@ DOCUMENT, WEIGHTS, GOLDEN, CARD, SUMS = (
     "SHA256SUMS",
 )
 
-MADE_WITH = ("numpy", "scikit-learn", "scipy", "torch")
+RECORDED_PACKAGES = ("numpy", "scikit-learn", "scipy", "torch")
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -117,10 +117,10 @@ class SavedPipeline:
 
     @property
     def adaptation(self) -> dict[str, Any]:
-        """Result of the adaptation to one sensor; version 0.1 tells of its calibration alone."""
+        """Result of the adaptation to one sensor; version 0.1 shows of its calibration alone."""
         calibration = self.document.get("calibration")
-        known = {"calibration": calibration} if calibration else {}
-        return dict(self.document.get("adaptation", known))
+        calibration_facts = {"calibration": calibration} if calibration else {}
+        return dict(self.document.get("adaptation", calibration_facts))
 
     def require_golden(self, outputs: Arrays, fitted: bool = False) -> None:
         """Check `outputs` against the golden ones of the same names; raises DataError.
@@ -136,10 +136,10 @@ class SavedPipeline:
                     f"expected a golden output '{name}' of shape {np.shape(value)}, got "
                     f"{expected if expected is None else expected.shape}; save the pipeline again"
                 )
-            known = np.isfinite(expected)
-            same = np.array_equal(np.isfinite(value), known)
+            finite = np.isfinite(expected)
+            same = np.array_equal(np.isfinite(value), finite)
             error, allowed = (_fit_error if fitted else _error)(
-                np.where(known, expected, 0.0), np.where(known, value, 0.0)
+                np.where(finite, expected, 0.0), np.where(finite, value, 0.0)
             )
             if not (same and error <= allowed):
                 raise DataError(
@@ -182,7 +182,7 @@ def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "kind": KIND,
-        "made_with": {name: version(name) for name in MADE_WITH},
+        "made_with": {name: version(name) for name in RECORDED_PACKAGES},
         **saved.document,
     }
     weights, golden = (
@@ -215,13 +215,15 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
     safetensors = require("safetensors.numpy", "live")
     damaged = require("safetensors", "live").SafetensorError
     path = Path(path)
-    if str(path) == SHIPPED.name and not path.exists():
-        path = SHIPPED
+    if str(path) == SHIPPED_PATH.name and not path.exists():
+        path = SHIPPED_PATH
     files = _checked_files(path)
     try:
         document = parse_json(files[DOCUMENT])
         if document["format"] != FORMAT:
-            raise DataError(f"{path}: expected format '{FORMAT}', got {quoted(document['format'])}")
+            raise DataError(
+                f"{path}: expected format '{FORMAT}', got {quote_value(document['format'])}"
+            )
         if document["format_version"] > FORMAT_VERSION:
             raise DataError(
                 f"{path} has format version {document['format_version']}, this eitskin reads up to "
@@ -233,7 +235,7 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
             return SavedPipeline(*with_common_form(document, *arrays))
         if kind != KIND:
             raise DataError(
-                f"expected a '{KIND}' pipeline, got a {quoted(kind)} one: {path}; name another"
+                f"expected a '{KIND}' pipeline, got a {quote_value(kind)} one: {path}; name another"
             )
         return SavedPipeline(document, *arrays)
     except DataError:
@@ -246,7 +248,7 @@ def require_writable(path: Path, replace: bool = True) -> None:
     """Check that a pipeline can be saved as `path`, before training; raises ConfigurationError.
 
     Args:
-        path: of the pipeline.
+        path: path of the pipeline.
         replace: whether it may take the place of another pipeline.
     """
     if path.suffix != SUFFIX:
@@ -257,7 +259,7 @@ def require_writable(path: Path, replace: bool = True) -> None:
         raise ConfigurationError(
             f"{path} exists and is not replaced; choose another name, or give --replace"
         )
-    folder = next(each for each in path.absolute().parents if each.exists())
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not (folder.is_dir() and os.access(folder, os.W_OK)):
         raise ConfigurationError(f"{path} cannot be made: {folder} may not be written to")
 
@@ -268,14 +270,14 @@ def _checked_files(path: Path) -> dict[str, bytes]:
         raise DataError(f"{path} is a file, a pipeline is a folder; unpack it if it was packed")
     if not path.is_dir():
         near = path.with_name(f"{path.name}{SUFFIX}")
-        meant = near.is_dir() or near.name == SHIPPED.name
+        meant = near.is_dir() or near.name == SHIPPED_PATH.name
         hint = f"did you mean {near}?" if meant else "make one with eitskin train"
         raise DataError(f"there is no pipeline {path}; {hint}")
     try:
         lines = read_text(path / SUMS, failure=DataError).splitlines()
         sums = {line[66:]: line[:64] for line in lines}
         files = {
-            name: read_bytes(path / name, MOST_BYTES, DataError)
+            name: read_bytes(path / name, MAX_BYTES, DataError)
             for name in (DOCUMENT, WEIGHTS, GOLDEN, CARD)
         }
     except DataError as error:
@@ -319,7 +321,7 @@ def require_possible(weights: Arrays, golden: Arrays, noise: Any) -> float:
                 "save the pipeline again"
             )
     if type(noise) not in (int, float) or not 0 <= noise <= _MAX_NOISE:
-        raise DataError(f"expected a noise from 0 to {_MAX_NOISE:g}, got {quoted(noise)}")
+        raise DataError(f"expected a noise from 0 to {_MAX_NOISE:g}, got {quote_value(noise)}")
     return float(noise)
 
 

@@ -14,26 +14,29 @@ from eitskin.training.method.input_spec import require_usable
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.method.predictions import Predictions, Zero
 from eitskin.training.method.sensor_health import ReadingRange, SensorHealth
-from eitskin.training.pipeline.frame_order import LONGEST_GAP, SessionOrder
-from eitskin.training.pipeline.held_touch import LONGEST_HELD, HeldTouch, Phases
+from eitskin.training.pipeline.frame_order import MAX_GAP, SessionOrder
+from eitskin.training.pipeline.held_touch import MAX_HELD_FRAMES, HeldTouch, Phases
 from eitskin.training.pipeline.references import (
-    LONGEST_MEAN,
+    MAX_MEAN_FRAMES,
     RunningMean,
     StoredReference,
     Voltages,
 )
 
-NEAR_ZERO = 0.1  # of the median magnitude; smaller values may change their sign by a touch
+# of the median magnitude; smaller values may change their sign by a touch
+SMALL_MAGNITUDE_SHARE = 0.1
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
 LINGERING, LEAST_LEFT, MOST_REST = 3.0, 0.3, 2.0
 """Standard errors, and share of its force, from which a touch that was there may be there yet, and
 the most that it may leave unexplained, in variances."""
-FEWEST_EARLIER = 2  # frames of the untouched sensor that an onset is told from
-SUSPECTED = 1e-3  # probability of a touch from which a frame does not renew the references
+MIN_EARLIER = 2  # frames of the untouched sensor that an onset is reported from
+# probability of a touch from which a frame does not renew the references
+SUSPICION_PROBABILITY = 1e-3
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
-    "angle, idle and bend are unknown; straighten and release it and begin anew, or use its stored "
+    "angle, idle and bend are unknown; straighten and release it and begin again, or use its "
+    "stored "
     "reference (eitskin tare, --reference)"
 )
 
@@ -86,14 +89,14 @@ class Session:
 
     def __post_init__(self) -> None:
         """A session that waits for its first frame."""
-        self._earlier = deque(maxlen=LONGEST_HELD)
+        self._earlier = deque(maxlen=MAX_HELD_FRAMES)
         self.begin()
 
     def begin(self) -> None:
         """Forget all but the stored reference and the frames' order."""
         self.static, self.dynamic = RunningMean(self.noise), RunningMean(self.noise)
         if self.stored is not None:
-            count = min(self.stored.frames, LONGEST_MEAN)
+            count = min(self.stored.frames, MAX_MEAN_FRAMES)
             self.static, self.dynamic = (
                 RunningMean(self.noise, self.stored.impedance, count) for _ in range(2)
             )
@@ -130,7 +133,7 @@ class Session:
         return Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
 
     def follow(self, frame: Frame) -> tuple[str, ...]:
-        """Take the next frame's session, number and time; begin anew where they say so.
+        """Take the next frame's session, number and time; begin again where they say so.
 
         Returns faults of number and time, and the beginning of a session, in words.
         """
@@ -156,24 +159,24 @@ class Session:
         their mean or more, touches by more: a step that all channels share is of the board's gain
         or phase, or of the gel's conductivity, and is taken back.
         """
-        said: tuple[str, ...] = ()
+        messages: tuple[str, ...] = ()
         V = voltages / self._gain
         last = self._latest if self._latest.size else np.full_like(V, np.nan)
-        known = np.isfinite(V) & np.isfinite(last) & (last != 0.0)
-        step = V[known] / last[known] - 1.0
+        comparable = np.isfinite(V) & np.isfinite(last) & (last != 0.0)
+        step = V[comparable] / last[comparable] - 1.0
         mean = complex(step.mean()) if len(step) > 3 else 0.0
         if MIN_GAIN_STEP < abs(mean) < MAX_GAIN_STEP and (
             np.sqrt(np.mean(np.abs(step - mean) ** 2)) < self.common * abs(mean)
         ):
             self._gain *= 1.0 + mean
             V = V / (1.0 + mean)
-            said = (
+            messages = (
                 f"all channels changed by {abs(1.0 + mean) - 1.0:+.2%} and "
                 f"{np.degrees(np.angle(1.0 + mean)):+.1f} deg of phase at once, as no touch and no "
                 "bend changes them: this is taken back; look at the board's supply and excitation",
             )
         self._latest = np.where(np.isfinite(V), V, last)
-        return V, said
+        return V, messages
 
     def with_same_sign(self, voltages: Voltages) -> Voltages:
         """Frame (measurements,) [ohm] with NaN for values that changed their sign in the session.
@@ -184,13 +187,13 @@ class Session:
         """
         reference = self.bend
         change = relative_difference(voltages, reference)
-        known = np.isfinite(change)
+        finite = np.isfinite(change)
         size = np.abs(reference)
-        large = size > NEAR_ZERO * np.median(size[known]) if known.any() else known
+        large = size > SMALL_MAGNITUDE_SHARE * np.median(size[finite]) if finite.any() else finite
         reversed_ = (change < -1.0) & large
-        if 2 * reversed_.sum() > known.sum():
+        if 2 * reversed_.sum() > finite.sum():
             raise UnusableFrameError(
-                f"{reversed_.sum()} of {known.sum()} values changed their sign since the "
+                f"{reversed_.sum()} of {finite.sum()} values changed their sign since the "
                 "reference: the board has failed or its wires were swapped; mend them and begin a "
                 "new session"
             )
@@ -208,26 +211,26 @@ class Session:
             self._health = SensorHealth(self.usual, frame.protocol)
             self._health.begin(np.abs(self.bend))
         bad = self._health.follow(np.abs(voltages), frame.number, frame.time)
-        said = self._health.problems(frame.protocol.labels)
-        left = np.where(bad, np.nan, voltages)
-        require_usable(np.isfinite(left), *said)
-        return left, said
+        messages = self._health.problems(frame.protocol.labels)
+        good_voltages = np.where(bad, np.nan, voltages)
+        require_usable(np.isfinite(good_voltages), *messages)
+        return good_voltages, messages
 
-    def observed(self, voltages: Voltages) -> Observations:
+    def to_observations(self, voltages: Voltages) -> Observations:
         """Relative differences of a frame (measurements,) [ohm] to both references.
 
         Instead of a frame of a touch that stands still the mean of such frames is taken; frames of
         an untouched sensor stay as they are, or the angle would lag behind a slow bend.
         """
-        elapsed, most = self._order.elapsed, LONGEST_HELD
-        self._turned = self._phases.departed(voltages, self.bend)
+        elapsed, most = self._order.elapsed_time, MAX_HELD_FRAMES
+        self._turned = self._phases.phase_change(voltages, self.bend)
         static, dynamic = self.static, self.dynamic
         if not self.touched and self.averages:
             self._onset = self._frames_since_onset(voltages)
             if not self._suspected and self._onset > 1:
                 since = list(self._earlier)[1 - self._onset :]
                 _, static, dynamic = since[0]
-                self._held.since([each.voltages for each in since])
+                self._held.set_frames([each.voltages for each in since])
             most = self._onset
         going_on = self.touched or self._suspected or most > 1
         held, count = self._held.add(voltages, self.bend, self.averages and going_on, most)
@@ -265,19 +268,21 @@ class Session:
         """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else.
 
         Args:
-            voltages: of the frame.
+            voltages: voltages of the frame.
             touched: whether it is.
             chance: probability that it is; where it may be, references wait, and the next frame is
                 weighed together with it.
-            directions: of changes by a motion of its touches along x, along y, and by all of their
-                forces (3 touches, measurements).
+            directions: directions of changes by a motion of its touches along x, along y, and by
+                all of their forces (3 touches, measurements).
         """
         if directions is not None:
             self._forces = directions[-(len(directions) // 3) :]
         elif not touched:
             self._lingers = self._may_linger(voltages)
         started, self.touched = not self._suspected and self._onset > 1, touched
-        self._suspected = touched or (self.averages and (chance > SUSPECTED or self._lingers))
+        self._suspected = touched or (
+            self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
+        )
         self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if self._suspected and started:
             _, self.static, self.dynamic = list(self._earlier)[1 - self._onset]
@@ -287,7 +292,7 @@ class Session:
             self._opening, self._lingers = False, False
         elif not self._suspected:
             self.average(voltages)
-            self._outdated, self._renewed = False, self._order.elapsed
+            self._outdated, self._renewed = False, self._order.elapsed_time
 
     def _frames_since_onset(self, voltages: Voltages) -> int:
         """Number of the latest frames, V among them, that differ most from those before."""
@@ -298,10 +303,10 @@ class Session:
             latest = [*(each.voltages for each in self._earlier), voltages]
             earlier = [*(each.dynamic for each in self._earlier), self.dynamic]
         best, count, total = 0.0 if self._suspected else 1.0, 1, np.zeros_like(voltages)
-        for n in range(1, min(len(latest), LONGEST_HELD) + 1):
+        for n in range(1, min(len(latest), MAX_HELD_FRAMES) + 1):
             total = total + latest[-n]
             before = earlier[-n]
-            if before.count < FEWEST_EARLIER:
+            if before.count < MIN_EARLIER:
                 break
             shown = self._held.shows(total / n, n, before.mean, before.count)
             if shown > best:
@@ -309,7 +314,7 @@ class Session:
         return count
 
     def _may_linger(self, voltages: Voltages) -> bool:
-        """Whether what was touched last may touch yet, as far as noise tells."""
+        """Whether what was touched last may touch yet, as far as noise shows."""
         change = relative_difference(voltages, self.touch)
         good = np.isfinite(change)
         for along in self._forces[:, good] if len(self._forces) else ():
@@ -346,7 +351,7 @@ class Session:
             problems.append("what touched before may touch yet, too faintly to tell where")
         if self._outdated and self.touched and self.bends:
             problems.append(
-                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
+                f"no frames came for more than {MAX_GAP:g} s before this touch: its position "
                 "is wrong if the sensor has been bent since"
             )
         return tuple(problems)

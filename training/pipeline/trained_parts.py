@@ -1,4 +1,4 @@
-"""Training of a pipeline: its method, and what a session of it is judged by."""
+"""Training of a pipeline: its method, and what a session of it is tested by."""
 
 import math
 from dataclasses import replace
@@ -37,8 +37,8 @@ def trained_parts(
     dataset, design, protocol = learnable(dataset)
     seen, unseen, _ = settings.split(dataset)
     train, validation = dataset.select(seen), dataset.select(unseen)
-    layout = InputSpec.of(train, design, protocol)
-    frames = TrainingFrames.of(train, layout, validation)
+    layout = InputSpec.from_dataset(train, design, protocol)
+    frames = TrainingFrames.from_dataset(train, layout, validation)
     chosen = np.concatenate(
         [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
     )
@@ -58,8 +58,8 @@ def trained_parts(
             "source": dataset.source,
         },
         "examples": examples,
-        "flat_sensors": FlatSensors.of(train),
-        "usual": ReadingRange.of(1.0 + frames.observations.static, reference=True),
+        "flat_sensors": FlatSensors.from_dataset(train),
+        "usual": ReadingRange.fit(1.0 + frames.observations.static, reference=True),
     }
 
 
@@ -76,7 +76,7 @@ def _positions_parts(
         np.full(dataset.impedance.shape[1], np.nan),
         extent=np.array([places.min(axis=0), places.max(axis=0)]) if len(places) else None,
     )
-    frames = TrainingFrames(Observations.of(train), train, layout, math.nan)
+    frames = TrainingFrames(Observations.from_dataset(train), train, layout, math.nan)
     method = TouchPositions.fit(frames, settings, progress)
     trained_on = {
         "sha256": fingerprint(dataset),
@@ -84,7 +84,7 @@ def _positions_parts(
         "source": dataset.source,
         **method.learned,
     }
-    usual = ReadingRange.of_recording(train) if train.has_touch_reference.any() else None
+    usual = ReadingRange.from_recording(train) if train.has_touch_reference.any() else None
     examples = method.examples(train)
     return {
         "layout": layout,

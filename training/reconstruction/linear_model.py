@@ -22,7 +22,7 @@ class LinearModel:
     """Measurements of the flat, untouched sensor to first order in the conductivity of pixels.
 
     Attributes:
-        impedance: at the nominal conductivity (measurements,) [ohm].
+        impedance: impedance at the nominal conductivity (measurements,) [ohm].
         sensitivity: derivative by the logarithm of each pixel's conductivity, (measurements,
             pixels) [ohm]; all pixels of the bounding box, row by row.
     """
@@ -53,14 +53,14 @@ def linear_model(
         design: the sensor, or a model of it, whose resolution then counts.
         protocol: the measurements.
         pixels: number of rows along y and of columns along x.
-        resolution: of the forward model.
+        resolution: resolution of the forward model.
     """
     # A trained pipeline runs without: this takes longer to import than all the rest of it.
     from eitskin.simulator.electrical.sensor_impedances import model_family
 
     def conductivity(x: Array) -> Array:
         own = design if isinstance(design, SensorDesign) else design.design
-        return np.asarray(own.conductivity_at(x))[..., None, None] * np.eye(3)
+        return np.asarray(own.evaluate_conductivity(x))[..., None, None] * np.eye(3)
 
     if isinstance(design, SensorDesign):
         model, sigma = model_family(design, resolution).base, conductivity

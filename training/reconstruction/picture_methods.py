@@ -17,8 +17,9 @@ from eitskin.training.reconstruction.regularised_inverse import (
 Array = NDArray[np.float64]
 Prior = Literal["tikhonov", "noser", "laplace"]
 
-MOST_STEPS = 60
-SETTLED = 5e-4  # relative change of a picture that ends the iteration of total variation
+MAX_STEPS = 60
+# relative change of a picture that ends the iteration of total variation
+CONVERGENCE_TOLERANCE = 5e-4
 SMOOTHING = 1e-3  # gradient below which edges count as slopes, relative to the largest gradient
 TARGET_SHARE = 0.25  # radius of a training target, relative to that of its desired image
 EDGE = 0.25  # width of the soft edge of a desired image, relative to its radius
@@ -27,7 +28,7 @@ EDGE = 0.25  # width of the soft edge of a desired image, relative to its radius
 def prior_matrix(name: Prior, grid: PixelGrid, jacobian: Array) -> Array | csc_array:
     """Precision matrix R of a prior: a diagonal (P,), or a sparse matrix (P, P).
 
-    tikhonov: the identity; every pixel varies by itself and alike.
+    tikhonov: the identity; every pixel varies on its own and alike.
     noser: diag(J^T J), see `noser_weights`; every pixel's signal varies alike.
     laplace: the discrete Laplacian, whose quadratic form is the sum of the squared differences of
         neighbours: smooth pictures.
@@ -71,34 +72,34 @@ def least_variation(
         misfit: Euclidean norm; zero where that of the data is no larger.
         history: receives the total variation after each step.
     """
-    J, y, misfit = _compressed(jacobian, data, misfit)
+    J, y, misfit = _compress(jacobian, data, misfit)
     weights, picture, beta = np.ones(len(grid)), np.zeros(len(grid)), 0.0
     if np.linalg.norm(y) <= misfit or not y.any():
         return picture
-    for step in range(MOST_STEPS):
+    for step in range(MAX_STEPS):
         family = gauss_newton(J, weighted_laplacian(grid, weights))
         before = picture
-        picture = family.picture(family.of_misfit(misfit, y), y)
+        picture = family.picture(family.lambda_from_misfit(misfit, y), y)
         slopes = np.hypot(*(grid.differences @ picture).reshape(2, -1))
         if step == 0:
             beta = SMOOTHING * float(slopes.max())
         size = np.sqrt(slopes**2 + beta**2)
         if history is not None:
             history.append(float(size.sum()))
-        if np.linalg.norm(picture - before) < SETTLED * np.linalg.norm(picture):
+        if np.linalg.norm(picture - before) < CONVERGENCE_TOLERANCE * np.linalg.norm(picture):
             break
         weights = beta / size
     return picture
 
 
-def _compressed(jacobian: Array, data: Array, misfit: float) -> tuple[Array, Array, float]:
+def _compress(jacobian: Array, data: Array, misfit: float) -> tuple[Array, Array, float]:
     """Jacobian, data and misfit in the range of the Jacobian, without dependent measurements.
 
     The part of the data that no picture explains counts towards the misfit.
     """
     vectors, sizes, _ = np.linalg.svd(jacobian, full_matrices=False)
-    kept = sizes > 1e-9 * sizes[0]
-    basis = vectors[:, kept]
+    independent = sizes > 1e-9 * sizes[0]
+    basis = vectors[:, independent]
     inner = basis.T @ data
     unexplained = float(data @ data - inner @ inner)
     return basis.T @ jacobian, inner, float(np.sqrt(max(misfit**2 - unexplained, 0.0)))
@@ -124,7 +125,7 @@ def greit(grid: PixelGrid, jacobian: Array, radius: float) -> RegularisedInverse
     Args:
         grid: pixels inside the outline, P.
         jacobian: J (measurements, P).
-        radius: of desired images [m]; see `desired_radius`.
+        radius: radius of desired images [m]; see `desired_radius`.
     """
     targets = grid.discs(grid.centres, max(TARGET_SHARE * radius, 0.5 * math.sqrt(grid.area)))
     desired = desired_images(grid, radius)

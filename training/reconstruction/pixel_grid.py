@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from eitskin.bounds import LEAST, MOST, require_axes
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import old_names
 from eitskin.geometry.design.outline import Outline, PlaneOutline
 from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.mesh_body import MeshOutline
@@ -18,10 +19,11 @@ from eitskin.geometry.meshing.mesh_body import MeshOutline
 Array = NDArray[np.float64]
 
 PIXELS = 2250  # squares of 2 mm on the reference sensor
-MOST_PIXELS = 40_000
+MAX_PIXELS = 40_000
 AMPLITUDE_SHARE = 0.25  # of the largest value, from which on pixels belong to the found blob
 
 
+@old_names(gathered="sum_pixels", of="from_outline")
 @dataclass(frozen=True, eq=False)
 class PixelGrid:
     """Pixels of a picture, rows along y and columns along x, over the bounding box of an outline.
@@ -29,13 +31,13 @@ class PixelGrid:
     A pixel is inside where its centre is. P counts the pixels inside, in the order of the rows.
 
     Attributes:
-        outline: of the sensor.
+        outline: outline of the sensor.
         shape: number of rows and of columns.
 
     Example:
         >>> from eitskin.geometry import Rectangle
         >>> from eitskin.training import PixelGrid
-        >>> PixelGrid.of(Rectangle(0.150, 0.060), 400).shape
+        >>> PixelGrid.from_outline(Rectangle(0.150, 0.060), 400).shape
         (13, 32)
     """
 
@@ -43,7 +45,7 @@ class PixelGrid:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, outline: Outline | MeshOutline, pixels: int = PIXELS) -> "PixelGrid":
+    def from_outline(cls, outline: Outline | MeshOutline, pixels: int = PIXELS) -> "PixelGrid":
         """Grid of about `pixels` squares on the bounding box.
 
         Raises ConfigurationError for a surface, which has no picture in the plane, and for a number
@@ -54,8 +56,8 @@ class PixelGrid:
                 "expected a plane outline (rectangle, disc or polygon) for a picture, got a "
                 "surface; its sensitivity by cells is that of ForwardModel.sensitivity"
             )
-        if not 4 <= pixels <= MOST_PIXELS:
-            raise ConfigurationError(f"pixels must be from 4 to {MOST_PIXELS}, got {pixels}")
+        if not 4 <= pixels <= MAX_PIXELS:
+            raise ConfigurationError(f"pixels must be from 4 to {MAX_PIXELS}, got {pixels}")
         side = math.sqrt(outline.length * outline.width / pixels)
         rows, columns = (max(1, round(extent / side)) for extent in (outline.width, outline.length))
         return cls(outline, (rows, columns))
@@ -117,7 +119,7 @@ class PixelGrid:
         picture[..., self.inside] = inner
         return picture
 
-    def gathered(self, columns: NDArray[np.floating]) -> Array:
+    def sum_pixels(self, columns: NDArray[np.floating]) -> Array:
         """Sums (..., P) of values (..., rows * columns) of all pixels, such as a Jacobian's.
 
         A pixel that the rim cuts and whose centre is outside adds to the nearest pixel inside.
@@ -141,10 +143,10 @@ class PixelGrid:
         neighbours = ((number[:, :-1], number[:, 1:]), (number[:-1], number[1:]))
         parts = []
         for own, other in neighbours:
-            both = (own >= 0) & (other >= 0)
-            ends = np.concatenate([own[both], other[both]])
-            signs = np.repeat([-1.0, 1.0], both.sum())
-            entries = (signs, (np.tile(own[both], 2), ends))
+            both_inside = (own >= 0) & (other >= 0)
+            ends = np.concatenate([own[both_inside], other[both_inside]])
+            signs = np.repeat([-1.0, 1.0], both_inside.sum())
+            entries = (signs, (np.tile(own[both_inside], 2), ends))
             parts.append(csr_array(entries, shape=(len(self), len(self))))
         return csr_array(vstack(parts))
 
@@ -174,7 +176,7 @@ class FiguresOfMerit:
     Attributes:
         amplitude: integral of the picture over that of the target; ideally the same for every
             position.
-        shift: from the target's centre to the blob's centroid, along x and y [m].
+        shift: shift from the target's centre to the blob's centroid, along x and y [m].
         resolution: square root of the blob's area over the sensor's; small is sharp.
         shape_deformation: share of the blob outside the circle, 0 to 1.
         ringing: values of the wrong sign outside the circle, relative to the sum within.
@@ -203,10 +205,10 @@ def figures_of_merit(
     """Figures of merit of a picture of one target.
 
     Args:
-        values: of the pixels inside the outline (P,).
+        values: values of the pixels inside the outline (P,).
         grid: the pixels.
-        centre: of the target [m].
-        integral: of the target's change over its area, signed [m2].
+        centre: centre of the target [m].
+        integral: integral of the target's change over its area, signed [m2].
 
     Raises:
         DataError: for a picture without values of the target's sign, and for numbers that are not
@@ -216,17 +218,17 @@ def figures_of_merit(
         >>> import numpy as np
         >>> from eitskin.geometry import Disc
         >>> from eitskin.training import PixelGrid, figures_of_merit
-        >>> grid = PixelGrid.of(Disc(0.050), 900)
+        >>> grid = PixelGrid.from_outline(Disc(0.050), 900)
         >>> values = np.zeros(716)
         >>> values[350:353] = 1.0
         >>> figures_of_merit(values, grid, (0.050, 0.050), 0.005).amplitude > 0
         True
     """
-    given = np.array([*np.ravel(values), *centre], dtype=float)
-    if not (np.all(np.abs(given) <= MOST) and LEAST <= abs(integral) <= MOST):
+    numbers = np.array([*np.ravel(values), *centre], dtype=float)
+    if not (np.all(np.abs(numbers) <= MOST) and LEAST <= abs(integral) <= MOST):
         raise DataError(
             f"expected a picture and a centre up to {MOST:g}, and an integral from {LEAST:g}, got "
-            f"{np.abs(given).max(initial=0.0):g} and {integral:g}"
+            f"{np.abs(numbers).max(initial=0.0):g} and {integral:g}"
         )
     picture = np.asarray(values, dtype=float)
     require_axes("values", picture, len(grid), more=False)

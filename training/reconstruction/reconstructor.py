@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError, FrameError
+from eitskin.extras import old_names
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -35,13 +36,15 @@ Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-varia
 Difference = Literal["relative", "absolute"]
 
 CLEAR = 0.02  # of channels' root mean square, above which relative differences are the default
-MIRRORED = 0.995  # correlation of the readings of two changes that count as the same
+MIRROR_CORRELATION = 0.995  # correlation of the readings of two changes that count as the same
 VISIBLE = 3.0  # standard deviations of noise, above which a value of a picture says something
-FEWEST_STILL = 5  # frames of one state, from which noise is read
+MIN_STILL_FRAMES = 5  # frames of one state, from which noise is read
 MEDIAN_SHARE = 0.6745  # median of the sizes of a normal deviate, in standard deviations
-SMALLEST = 1e-3  # resistance of a channel, relative to the mean, that relative differences allow
+# resistance of a channel, relative to the mean, that relative differences allow
+MIN_RELATIVE_RESISTANCE = 1e-3
 
 
+@old_names(lambda_of="choose_lambda", mirrored="ambiguous_share")
 class Reconstructor:
     """Pictures of the relative change of conductivity between two frames, without training.
 
@@ -55,11 +58,11 @@ class Reconstructor:
 
     Attributes:
         design: the nominal sensor; of a model, its body.
-        protocol: of the frames.
+        protocol: protocol of the frames.
         method: name of the method.
         regularisation: rule for lambda; back-projection has none.
         difference: "relative" or "absolute".
-        resolution: of the forward model.
+        resolution: resolution of the forward model.
         grid: pixels of the pictures.
 
     Example:
@@ -85,14 +88,14 @@ class Reconstructor:
         Args:
             design: the nominal sensor, with a plane outline, or a model of any body, such as of a
                 mesh (`ForwardModel.from_mesh`), which is pictured from above.
-            protocol: of the frames; every pair of electrodes when omitted.
+            protocol: protocol of the frames; every pair of electrodes when omitted.
             method: its name.
             regularisation: rule for lambda; a noise figure of 1 when omitted.
             pixels: about how many, in the outline's bounding box.
             difference: "relative": of each channel, whose gain cancels; "absolute": of all channels
                 on one scale, for protocols with channels near zero. When omitted, relative where no
                 channel of the model is below a fiftieth of their root mean square.
-            resolution: of the forward model.
+            resolution: resolution of the forward model.
 
         Raises:
             ConfigurationError: for a protocol of other electrodes, an unknown method or difference,
@@ -120,7 +123,7 @@ class Reconstructor:
                     f"expected a {name} of {', '.join(get_args(kind))}, got {value!r}"
                 )
         self.resolution: Resolution | Discretisation = resolution
-        self.grid = PixelGrid.of(own.outline, pixels)
+        self.grid = PixelGrid.from_outline(own.outline, pixels)
 
     @cached_property
     def model(self) -> LinearModel:
@@ -134,28 +137,28 @@ class Reconstructor:
         """Difference that is pictured: relative, or absolute."""
         if self._difference or all(row[:2] == row[2:] for row in self.protocol.table):
             return self._difference or "relative"
-        R = np.abs(np.real(self.model.impedance))[~self._shared]
+        R = np.abs(np.real(self.model.impedance))[~self._uses_driven_electrode]
         return "relative" if R.min() > CLEAR * np.sqrt(np.mean(R**2)) else "absolute"
 
     @cached_property
-    def _shared(self) -> NDArray[np.bool_]:
-        """Measurements with a driven electrode, whose contact says most, beside those without."""
+    def _uses_driven_electrode(self) -> NDArray[np.bool_]:
+        """Measurements with a driven electrode, whose contact says most, next to those without."""
         shared = np.array(self.protocol.shares)
         return shared & ~shared.all()
 
     @cached_property
-    def mirrored(self) -> float:
-        """Share of the pixels whose change cannot be told from that of one far away, 0 to 1.
+    def ambiguous_share(self) -> float:
+        """Share of the pixels whose change looks like that of one far away, 0 to 1.
 
         So it is where protocol and sensor look the same from both: where opposite electrodes drive
         and opposite ones sense, a change at r reads as one at -r.
         """
-        J, centres = self.jacobian[~self._shared], self.grid.centres
+        J, centres = self.jacobian[~self._uses_driven_electrode], self.grid.centres
         some = np.unique(np.linspace(0, len(self.grid) - 1, 600).astype(int))
         columns = J[:, some] / np.maximum(np.linalg.norm(J[:, some], axis=0), 1e-300)
         all_columns = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
         far = np.linalg.norm(centres[some, None] - centres, axis=2) > 0.25 * np.ptp(centres[:, 0])
-        return float(((columns.T @ all_columns > MIRRORED) & far).any(axis=1).mean())
+        return float(((columns.T @ all_columns > MIRROR_CORRELATION) & far).any(axis=1).mean())
 
     @cached_property
     def jacobian(self) -> Array:
@@ -164,17 +167,17 @@ class Reconstructor:
         Raises ConfigurationError for relative differences of channels near zero.
         """
         R = np.real(self.model.impedance)
-        scale = float(np.sqrt(np.mean(R[~self._shared] ** 2)))
+        scale = float(np.sqrt(np.mean(R[~self._uses_driven_electrode] ** 2)))
         if self.difference == "absolute":
-            return self.grid.gathered(np.real(self.model.sensitivity)) / scale
-        small = (np.abs(R) < SMALLEST * scale) & ~self._shared
+            return self.grid.sum_pixels(np.real(self.model.sensitivity)) / scale
+        small = (np.abs(R) < MIN_RELATIVE_RESISTANCE * scale) & ~self._uses_driven_electrode
         if small.any():
             labels = [self.protocol.labels[k] for k in np.flatnonzero(small)[:3]]
             raise ConfigurationError(
                 f"expected channels away from zero for relative differences, got {small.sum()} "
                 f"near it, such as {', '.join(labels)}; take absolute differences"
             )
-        return self.grid.gathered(self.model.relative)
+        return self.grid.sum_pixels(self.model.relative)
 
     def data(self, impedance: ArrayLike, reference: ArrayLike) -> Array:
         """Data y (..., measurements) of frames against a reference, dimensionless; NaN where bad.
@@ -184,8 +187,8 @@ class Reconstructor:
         are never negative, have the signs of the model's resistances.
 
         Args:
-            impedance: of the frames (..., measurements), in any unit.
-            reference: of the same sensor before the change (..., measurements), in the same unit.
+            impedance: impedance of the frames (..., measurements), in any unit.
+            reference: the same sensor before the change (..., measurements), in the same unit.
 
         Raises:
             FrameError: for another number of measurements.
@@ -193,7 +196,7 @@ class Reconstructor:
         V, before = np.asarray(impedance), np.asarray(reference)
         for values in (V, before):
             self._require_measurements(values)
-        before = np.where(self._shared, np.nan, before)
+        before = np.where(self._uses_driven_electrode, np.nan, before)
         if self.difference == "relative":
             with np.errstate(divide="ignore"):
                 change = relative_difference(V, before)
@@ -201,12 +204,12 @@ class Reconstructor:
         R = np.real(self.model.impedance)
         if not any(np.imag(values).any() or (np.real(values) < 0).any() for values in (V, before)):
             V, before = V * np.sign(R), before * np.sign(R)
-        known = np.isfinite(before)
-        gain = np.sum(np.where(known, np.conj(before), 0) * R, axis=-1, keepdims=True)
-        gain = gain / np.sum(np.where(known, R**2, 0.0), axis=-1, keepdims=True)
+        finite = np.isfinite(before)
+        gain = np.sum(np.where(finite, np.conj(before), 0) * R, axis=-1, keepdims=True)
+        gain = gain / np.sum(np.where(finite, R**2, 0.0), axis=-1, keepdims=True)
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.real((V - before) / np.conj(gain))
-        scale = float(np.sqrt(np.mean(R[~self._shared] ** 2)))
+        scale = float(np.sqrt(np.mean(R[~self._uses_driven_electrode] ** 2)))
         return np.where(np.isfinite(change), change, np.nan) / scale
 
     def image(self, frame: Frame, reference: Frame) -> Array:
@@ -270,12 +273,12 @@ class Reconstructor:
         missing = np.isnan(frames).all(axis=0)
         steps = np.diff(frames[:, ~missing], axis=0)
         steps = steps[np.isfinite(steps).all(axis=1)]
-        if len(steps) < FEWEST_STILL - 1 or self.regularisation.rule == "gcv":
+        if len(steps) < MIN_STILL_FRAMES - 1 or self.regularisation.rule == "gcv":
             return self.grid.image(np.full(len(self.grid), np.nan))
         changes = self._linear_values(steps, missing)
         return self.grid.image(np.median(np.abs(changes), axis=0) / MEDIAN_SHARE)
 
-    def lambda_of(self, data: ArrayLike | None = None) -> float:
+    def choose_lambda(self, data: ArrayLike | None = None) -> float:
         """Regularisation parameter lambda of the rule; data (n, measurements) are for gcv.
 
         Raises ConfigurationError for a noise figure that no lambda has, and for back-projection.
@@ -306,7 +309,7 @@ class Reconstructor:
     @cached_property
     def _lambda(self) -> float:
         """Regularisation parameter lambda of rules that need no frames."""
-        return self.lambda_of()
+        return self.choose_lambda()
 
     def _values(self, frames: Array, missing: NDArray[np.bool_]) -> Array:
         """Values (n, P) of frames (n, good measurements) that all lack the `missing` channels."""
@@ -322,9 +325,9 @@ class Reconstructor:
         """Values as `_values` gives them; of total variation those that it begins with."""
         if self.method == "back-projection":
             return frames @ back_projection(self.jacobian[~missing]).T
-        family = self.family.without(missing) if missing.any() else self.family
+        family = self.family.drop_channels(missing) if missing.any() else self.family
         if self.regularisation.rule == "gcv":
-            matrix = family.matrix(family.of_gcv(frames))
+            matrix = family.matrix(family.lambda_from_gcv(frames))
         else:
             matrix = family.matrix(self._lambda) if missing.any() else self._whole_matrix
         values: Array = frames @ matrix.T

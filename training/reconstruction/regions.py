@@ -9,9 +9,9 @@ from scipy import ndimage
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
 
 Array = NDArray[np.float64]
-LEAST_SHARE = 0.3  # of the picture's largest change, below which the other sign is none
+MIN_SHARE = 0.3  # of the picture's largest change, below which the other sign is none
 EDGE_SHARE = 0.6  # of a region's largest change, at its edge, since images are wider than changes
-LEAST_AREA = 0.003  # of the sensor, below which a region is none
+MIN_AREA = 0.003  # of the sensor, below which a region is none
 
 
 class PictureRegion(NamedTuple):
@@ -34,31 +34,31 @@ def segment(values: Array, grid: PixelGrid) -> NDArray[np.int8]:
     """Classes -1, 0 and +1 of a picture (rows, columns), 0 outside the outline, too.
 
     Regions reach to `EDGE_SHARE` of their own largest change; small ones are left out. A sign whose
-    changes are small beside the other's is none.
+    changes are small next to the other's is none.
     """
     inside = np.nan_to_num(values)
     classes = np.zeros(values.shape, dtype=np.int8)
     for sign in (-1, 1):
         part = np.maximum(sign * inside, 0.0)
-        if part.max() <= LEAST_SHARE * np.abs(inside).max():
+        if part.max() <= MIN_SHARE * np.abs(inside).max():
             continue
-        labels, count = ndimage.label(part > LEAST_SHARE * part.max())
+        labels, count = ndimage.label(part > MIN_SHARE * part.max())
         for label in range(1, count + 1):
             own = np.where(labels == label, part, 0.0)
             region = own > EDGE_SHARE * own.max()
-            if region.sum() >= LEAST_AREA * len(grid):
+            if region.sum() >= MIN_AREA * len(grid):
                 classes[region] = sign
     return classes
 
 
 def picture_regions(values: Array, grid: PixelGrid) -> list[PictureRegion]:
     """Regions of a picture (rows, columns), the largest first."""
-    classes, found = segment(values, grid), []
+    classes, regions = segment(values, grid), []
     for sign in (-1, 1):
         labels, count = ndimage.label(classes == sign)
         for label in range(1, count + 1):
             mine = (labels == label)[grid.inside]
             x, y = grid.centres[mine].mean(axis=0).tolist()
             change = float(values[grid.inside][mine].mean())
-            found.append(PictureRegion(sign, float(mine.sum() * grid.area), (x, y), change))
-    return sorted(found, key=lambda region: -region.area)
+            regions.append(PictureRegion(sign, float(mine.sum() * grid.area), (x, y), change))
+    return sorted(regions, key=lambda region: -region.area)

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import splu
 
 from eitskin.bounds import LEAST, MOST
 from eitskin.errors import ConfigurationError
+from eitskin.extras import old_names
 
 Array = NDArray[np.float64]
 RuleName = Literal["noise-figure", "snr", "gcv", "lambda"]
@@ -52,12 +53,12 @@ class RegularisedInverse:
         system: Array = self.gram + regularisation**2 * np.eye(len(self.gram))
         return system
 
-    def without(self, channels: NDArray[np.bool_]) -> "RegularisedInverse":
+    def drop_channels(self, channels: NDArray[np.bool_]) -> "RegularisedInverse":
         """The family for frames without some channels, a mask (measurements,)."""
         kept = ~channels
         return RegularisedInverse(self.back[:, kept], self.gram[np.ix_(kept, kept)])
 
-    def of_snr(self, snr: float) -> float:
+    def lambda_from_snr(self, snr: float) -> float:
         """Regularisation parameter lambda of a signal-to-noise ratio, root mean squares.
 
         The picture is the MAP estimate for a prior of covariance s^2 R^-1 and noise of covariance
@@ -71,11 +72,11 @@ class RegularisedInverse:
             )
         return self._scale / min(snr, MAX_SNR)
 
-    def of_noise_figure(self, noise_figure: float, response: Array) -> float:
+    def lambda_from_noise_figure(self, noise_figure: float, response: Array) -> float:
         """Regularisation parameter lambda at which pictures have this noise figure.
 
         Args:
-            noise_figure: of `noise_figure` [-]; 0.5 in GREIT (Adler et al. 2009).
+            noise_figure: figure of `noise_figure` [-]; 0.5 in GREIT (Adler et al. 2009).
             response: noise-free data of a small target in the middle (measurements,).
 
         Raises ConfigurationError, with the range of noise figures, for one that no lambda has.
@@ -87,10 +88,10 @@ class RegularisedInverse:
 
         # Noise figures fall as lambda grows, except for tiny ones: the last crossing counts.
         grid = np.arange(*_RANGE, 0.5)
-        left = np.array([excess(each) for each in grid])
-        crossings = np.flatnonzero((left[:-1] > 0.0) & (left[1:] <= 0.0))
+        excesses = np.array([excess(each) for each in grid])
+        crossings = np.flatnonzero((excesses[:-1] > 0.0) & (excesses[1:] <= 0.0))
         if not crossings.size:
-            least, most = noise_figure * np.exp([left.min(), left.max()])
+            least, most = noise_figure * np.exp([excesses.min(), excesses.max()])
             raise ConfigurationError(
                 f"expected a noise figure between {least:.3g} and {most:.3g} for this sensor and "
                 f"method, got {noise_figure:g}; choose one in between"
@@ -111,7 +112,7 @@ class RegularisedInverse:
         variance = np.sum((spread * damped) ** 2) / len(spread)
         return float(np.mean(np.abs(response)) * np.sqrt(variance) / np.mean(np.abs(picture)))
 
-    def of_gcv(self, data: ArrayLike) -> float:
+    def lambda_from_gcv(self, data: ArrayLike) -> float:
         """Regularisation parameter lambda of least generalised cross-validation.
 
         The score (Golub, Heath and Wahba 1979) is |(I - A) y|^2 / trace(I - A)^2, summed over
@@ -121,8 +122,8 @@ class RegularisedInverse:
         energy = np.sum((np.atleast_2d(np.asarray(data, dtype=float)) @ vectors) ** 2, axis=0)
 
         def score(exponent: float) -> float:
-            left = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
-            return float(np.log(np.sum(left**2 * energy) / np.sum(left) ** 2))
+            filter_residual = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
+            return float(np.log(np.sum(filter_residual**2 * energy) / np.sum(filter_residual) ** 2))
 
         # The score may have several minima: the lowest of a coarse search is refined.
         grid = np.arange(-6.0, 3.0, 0.25)
@@ -130,7 +131,7 @@ class RegularisedInverse:
         refined = minimize_scalar(score, bounds=(lowest - 0.25, lowest + 0.25), method="bounded")
         return float(10.0**refined.x) * self._scale
 
-    def of_misfit(self, misfit: float, data: Array) -> float:
+    def lambda_from_misfit(self, misfit: float, data: Array) -> float:
         """Regularisation parameter lambda whose picture of `data` (measurements,) has this misfit.
 
         The misfit |y - J x| of a Gauss-Newton picture rises with lambda from zero to |y|.
@@ -139,8 +140,8 @@ class RegularisedInverse:
         energy = (vectors.T @ data) ** 2
 
         def excess(exponent: float) -> float:
-            left = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
-            return float(np.sqrt(np.sum(left**2 * energy)) - misfit)
+            filter_residual = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
+            return float(np.sqrt(np.sum(filter_residual**2 * energy)) - misfit)
 
         low, high = _RANGE
         if excess(low) >= 0.0:
@@ -189,6 +190,7 @@ def gauss_newton(jacobian: ArrayLike, prior: Array | csc_array) -> RegularisedIn
     return RegularisedInverse(weighted, J @ weighted)
 
 
+@old_names(named="from_text")
 @dataclass(frozen=True, slots=True)
 class Regularisation:
     """Rule for lambda, with its number.
@@ -205,7 +207,7 @@ class Regularisation:
 
     Example:
         >>> from eitskin.training import Regularisation
-        >>> Regularisation.named("snr:100").value
+        >>> Regularisation.from_text("snr:100").value
         100.0
     """
 
@@ -220,7 +222,7 @@ class Regularisation:
             )
 
     @classmethod
-    def named(cls, text: str) -> "Regularisation":
+    def from_text(cls, text: str) -> "Regularisation":
         """Rule of a text: `noise-figure:1`, `snr:100`, `gcv`, or `lambda:0.01`."""
         name, colon, number = text.partition(":")
         try:
@@ -239,10 +241,10 @@ class Regularisation:
         Args:
             family: the reconstructions.
             response: noise-free data of a small target in the middle (measurements,).
-            data: of the frames, without missing channels (n, measurements).
+            data: data of the frames, without missing channels (n, measurements).
         """
         if self.rule == "noise-figure":
-            return family.of_noise_figure(self.value, response)
+            return family.lambda_from_noise_figure(self.value, response)
         if self.rule == "snr":
-            return family.of_snr(self.value)
-        return family.of_gcv(data) if self.rule == "gcv" else self.value
+            return family.lambda_from_snr(self.value)
+        return family.lambda_from_gcv(data) if self.rule == "gcv" else self.value

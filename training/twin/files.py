@@ -97,8 +97,8 @@ def recipe(twin: Twin) -> Recipe:
 
 def spread(twin: Twin) -> Specimens:
     """Posterior standard deviations as those of specimens, at most what recipes allow."""
-    found: dict[str, Any] = {"count": _SPECIMENS}
-    kinds = [each.name for each in twin.parameters]
+    spread_table: dict[str, Any] = {"count": _SPECIMENS}
+    kinds = [parameter.name for parameter in twin.parameters]
     kinds = kinds[: kinds.index("gain")]  # the meter has an offset, too
     for name, kind in _SPREADS.items():
         own = [k for k, each in enumerate(kinds) if each == kind]
@@ -106,41 +106,41 @@ def spread(twin: Twin) -> Specimens:
             continue
         errors = twin.standard_errors[own]
         relative = errors if name in _LENGTHS else errors / np.abs(twin.values[own])
-        found[name] = min(float(np.sqrt(np.mean(relative**2))), RANGES[name][0])
-    if "hinge_span" in found:
+        spread_table[name] = min(float(np.sqrt(np.mean(relative**2))), RANGES[name][0])
+    if "hinge_span" in spread_table:
         span = float(twin.values[kinds.index("span")])
-        found["hinge_span"] = min(found["hinge_span"], 0.99 * span / MAX_DEVIATIONS)
-    if "electrode_place" in found:
+        spread_table["hinge_span"] = min(spread_table["hinge_span"], 0.99 * span / MAX_DEVIATIONS)
+    if "electrode_place" in spread_table:
         room = max(clearance(twin.specimen.design)[0], 0.0) / MAX_DEVIATIONS
-        found["electrode_place"] = min(found["electrode_place"], room)
-    return Specimens(**found)
+        spread_table["electrode_place"] = min(spread_table["electrode_place"], room)
+    return Specimens(**spread_table)
 
 
 def as_plain(twin: Twin) -> dict[str, Any]:
     """Every number of a twin for JSON: SI units, percentages of the flat frame's mean square."""
     frames = twin.frames
     level = float(np.sqrt(np.mean(frames.values[0] ** 2)))
-    lost = {names[0] for names in twin.undetermined if len(names) == 1}
+    lost = {names[0] for names in twin.undetermined_combinations if len(names) == 1}
     return {
         "frames": frames.frames,
         "left_out": frames.left_out,
         "scenes": {kind: int(np.sum(frames.kind == k)) for k, kind in enumerate(KINDS)},
         "parameters": [
             {
-                "name": str(each),
-                "unit": each.unit,
+                "name": str(parameter),
+                "unit": parameter.unit,
                 "value": float(value),
                 "standard_error": float(error),
-                "prior": each.number(0.0),
-                "prior_standard_error": abs(each.slope(0.0)),
+                "prior": parameter.number(0.0),
+                "prior_standard_error": abs(parameter.slope(0.0)),
                 "narrowing": float(narrow),
-                "determined": str(each) not in lost,
+                "determined": str(parameter) not in lost,
             }
-            for each, value, error, narrow in zip(
+            for parameter, value, error, narrow in zip(
                 twin.parameters, twin.values, twin.standard_errors, twin.narrowing, strict=True
             )
         ],
-        "not_identifiable": [list(names) for names in twin.undetermined],
+        "not_identifiable": [list(names) for names in twin.undetermined_combinations],
         "agreement": {kind: asdict(each) for kind, each in twin.agreements.items()},
         "left_percent": {
             kind: 100.0 * float(error) / level
@@ -162,7 +162,7 @@ def channel_residuals(twin: Twin) -> list[tuple[str, float, float, dict[str, flo
     flat, left = frames.values[0], twin.posterior.predicted - frames.values
     sizes = {
         kind: 100.0 * np.sqrt(np.mean(left[own] ** 2, axis=0)) / np.maximum(np.abs(flat), 1e-300)
-        for kind, own in frames.by_kind.items()
+        for kind, own in frames.kind_masks.items()
     }
     predicted = twin.posterior.predicted[0].tolist()
     rows = zip(frames.protocol.labels, flat.tolist(), predicted, strict=True)
@@ -177,6 +177,6 @@ def _write_residuals(twin: Twin, path: Path) -> None:
         writer = csv.writer(file)
         header = ["channel", "flat", "flat of the twin", *(f"{kind} residual, %" for kind in kinds)]
         writer.writerow(header)
-        for name, measured, predicted, left in channel_residuals(twin):
-            cells = [f"{left[kind]:.4g}" for kind in kinds]
+        for name, measured, predicted, residual in channel_residuals(twin):
+            cells = [f"{residual[kind]:.4g}" for kind in kinds]
             writer.writerow([name, f"{measured:.6g}", f"{predicted:.6g}", *cells])

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.geometry import ConfigurationError, EitskinError
 from eitskin.simulator import FourTerminalMeter, Scene, Simulator
 from eitskin.simulator.electrical.resolution import Resolution
-from eitskin.simulator.instrument.fit_parameters import Parameter, meter_with
+from eitskin.simulator.instrument.fit_parameters import Parameter, meter_from_coordinates
 from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
 from eitskin.training.twin.parameters import MECHANICAL, with_numbers
 
@@ -25,14 +25,14 @@ Array = NDArray[np.float64]
 STEP = 0.05
 """Step of central differences, in standard deviations of the prior."""
 _METER_STEP = 1e-3
-_KEPT = 4
-MOST_STEPS = 25
-_LONGEST = 1.5  # step of one coordinate, in standard deviations of the prior
-_SAME_SLOPES = 0.3  # change of every coordinate within which derivatives are taken again
+_CACHE_SIZE = 4
+MAX_STEPS = 25
+_MAX_STEP = 1.5  # step of one coordinate, in standard deviations of the prior
+_SLOPE_VALIDITY = 0.3  # change of every coordinate within which derivatives are taken again
 _HALVINGS = 8
-_DONE = 0.05  # length of the last step, in standard deviations of the posterior
+_STEP_TOLERANCE = 0.05  # length of the last step, in standard deviations of the posterior
 _FIRST_ERROR = 0.1  # first guess of the unexplained part, over the values
-_LEAST_FREEDOM = 0.1  # share of the values that counts as free whatever is fitted
+_MIN_FREEDOM = 0.1  # share of the values that counts as free whatever is fitted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,10 +41,12 @@ class Laplace:
 
     Attributes:
         x: coordinates of the maximum, (parameters,).
-        covariance: of the coordinates, (parameters, parameters); the identity is the prior.
+        covariance: covariance of the coordinates, (parameters, parameters); the identity is the
+            prior.
         predicted: rows at the maximum, (n, C).
         error: standard deviation of the rows of each kind that is left, (kinds,).
-        objectives: of each accepted step, before and after; the errors change between steps.
+        objectives: objectives of each accepted step, before and after; the errors change between
+            steps.
         log_evidence: logarithm of the marginal likelihood, by Laplace's formula.
     """
 
@@ -61,10 +63,11 @@ class TwinProblem:
 
     Attributes:
         nominal: sensor whose mesh and factors all others share.
-        parameters: that the coordinates belong to: of the sensor, its gain, terms of the meter.
+        parameters: parameters that the coordinates belong to: of the sensor, its gain, terms of the
+            meter.
         terms: numbers of the terms of the meter among the parameters.
         frames: measured rows, and the scenes that they show.
-        resolution: of the simulator.
+        resolution: resolution of the simulator.
     """
 
     def __init__(
@@ -77,11 +80,11 @@ class TwinProblem:
         """Keep the problem; nothing is solved yet."""
         self.nominal, self.parameters = nominal, tuple(parameters)
         self.frames, self.resolution = frames, resolution
-        gain = [each.name for each in parameters].index("gain")
+        gain = [parameter.name for parameter in parameters].index("gain")
         self._sensor, self.terms = np.arange(gain), np.arange(gain + 1, len(parameters))
         self._solved: dict[tuple[bytes, Scene], Array] = {}
 
-    def of_frames(self, frames: LabelledFrames) -> "TwinProblem":
+    def for_frames(self, frames: LabelledFrames) -> "TwinProblem":
         """The same for other frames, with the solutions so far."""
         other = TwinProblem(self.nominal, self.parameters, frames, self.resolution)
         other._solved = self._solved
@@ -101,7 +104,7 @@ class TwinProblem:
     def meter(self, x: Array) -> FourTerminalMeter:
         """Meter at coordinates (parameters,)."""
         gain = len(self._sensor)
-        start = meter_with(
+        start = meter_from_coordinates(
             FourTerminalMeter(reads=self.frames.reads),
             self.parameters[gain + 1 :],
             x[self.terms],
@@ -121,7 +124,7 @@ class TwinProblem:
         """Electrode impedance matrices [ohm], (scenes, electrodes, electrodes); kept."""
         scenes, key = self.frames.scenes, np.asarray(x)[self._sensor].tobytes()
         absent = [scene for scene in scenes if (key, scene) not in self._solved]
-        if absent and len(self._solved) > _KEPT * max(len(scenes), 64):
+        if absent and len(self._solved) > _CACHE_SIZE * max(len(scenes), 64):
             self._solved.clear()
             absent = list(scenes)
         if absent:
@@ -132,17 +135,17 @@ class TwinProblem:
     def jacobian(self, x: Array) -> Array:
         """Derivatives of the readings by the coordinates, (scenes, measurements, parameters)."""
         Z, slopes = self.impedances(x), self._impedance_slopes(x)
-        found = np.empty((len(Z), len(self.frames.protocol), len(self.parameters)))
-        for k, each in enumerate(self.parameters):
+        jacobian = np.empty((len(Z), len(self.frames.protocol), len(self.parameters)))
+        for k, parameter in enumerate(self.parameters):
             if k in slopes:
                 moved = [self._read(Z + h * slopes[k], x) for h in (_METER_STEP, -_METER_STEP)]
                 width = 2.0 * _METER_STEP
             else:
-                ends = np.clip([x[k] + _METER_STEP, x[k] - _METER_STEP], *each.bounds)
-                moved = [self._read(Z, _with(x, k, end)) for end in ends]
+                ends = np.clip([x[k] + _METER_STEP, x[k] - _METER_STEP], *parameter.bounds)
+                moved = [self._read(Z, _replace_entry(x, k, end)) for end in ends]
                 width = ends[0] - ends[1]
-            found[..., k] = (moved[0] - moved[1]) / width
-        return found
+            jacobian[..., k] = (moved[0] - moved[1]) / width
+        return jacobian
 
     def _impedance_slopes(self, x: Array) -> dict[int, Array]:
         """Derivatives of the impedances [ohm] by each coordinate of sensor and fixture.
@@ -152,31 +155,33 @@ class TwinProblem:
         """
         contacts = self._simulator(x).contact_sensitivities(self.frames.scenes)
         by_log_contact = contacts * np.real(self.specimen(x).design.contact_impedance)
-        found = {}
+        slopes = {}
         for k in self._sensor.tolist():
             each = self.parameters[k]
             if each.name == "contact_impedance":
-                found[k] = by_log_contact[..., each.electrode] * np.log(each.spread)
+                slopes[k] = by_log_contact[..., each.electrode] * np.log(each.spread)
             elif each.name == "conductivity":
                 # Z (c sigma, z) = Z (sigma, c z) / c.
                 slope = by_log_contact.sum(axis=-1) - self.impedances(x)
-                found[k] = slope * np.log(each.spread)
+                slopes[k] = slope * np.log(each.spread)
             else:
-                found[k] = self._difference(x, k)
-        return found
+                slopes[k] = self._difference(x, k)
+        return slopes
 
     def _difference(self, x: Array, k: int) -> Array:
         """Central difference of the impedances by coordinate k, zero where they do not depend."""
         scenes, n = self.frames.scenes, self.frames.protocol.n_electrodes
-        found = np.zeros((len(scenes), n, n))
+        differences = np.zeros((len(scenes), n, n))
         moved = [i for i, scene in enumerate(scenes) if _depends(self.parameters[k], scene)]
         if not moved:
-            return found
+            return differences
         asked = [scenes[i] for i in moved]
         ends = np.clip([x[k] + STEP, x[k] - STEP], *self.parameters[k].bounds)
-        one, other = (np.real(self._simulator(_with(x, k, end)).impedances(asked)) for end in ends)
-        found[moved] = (one - other) / (ends[0] - ends[1])
-        return found
+        one, other = (
+            np.real(self._simulator(_replace_entry(x, k, end)).impedances(asked)) for end in ends
+        )
+        differences[moved] = (one - other) / (ends[0] - ends[1])
+        return differences
 
     def _read(self, Z: Array, x: Array) -> Array:
         meter = self.meter(x)
@@ -187,7 +192,7 @@ class TwinProblem:
         design, protocol = self.nominal.design, self.frames.protocol
         return self.specimen(x).simulator(design, self.resolution, protocol)
 
-    def predicted(self, x: Array) -> Array:
+    def predict(self, x: Array) -> Array:
         """Rows at coordinates (parameters,), (rows, channels)."""
         return self.frames.changes(self.readings(x))
 
@@ -205,15 +210,15 @@ class TwinProblem:
             deviation: standard deviation of each row's values, (rows,).
         """
         try:
-            left = (self.frames.values - self.predicted(x)) / deviation[:, None]
+            residuals = (self.frames.values - self.predict(x)) / deviation[:, None]
         except EitskinError:
             return np.inf
-        return 0.5 * float((left**2).sum() + x @ x)
+        return 0.5 * float((residuals**2).sum() + x @ x)
 
     def estimate(
         self,
         start: Array,
-        steps: int = MOST_STEPS,
+        steps: int = MAX_STEPS,
         progress: Callable[[int], None] = lambda _: None,
     ) -> Laplace:
         """MAP estimate from a starting point, after a number of steps at most.
@@ -224,43 +229,43 @@ class TwinProblem:
 
         Raises ConfigurationError where the starting point itself cannot be.
         """
-        x, taken = np.array(start, dtype=float), []
+        x, accepted_steps = np.array(start, dtype=float), []
         error = self._first_error()
-        low, high = np.array([each.bounds for each in self.parameters]).T.astype(float)
+        low, high = np.array([parameter.bounds for parameter in self.parameters]).T.astype(float)
         x = np.clip(x, low, high)
         if not np.isfinite(self.objective(x, self._deviation(error))):
             raise ConfigurationError("the design's own numbers cannot be simulated")
         J = at = None
         for step_number in range(steps):
             progress(step_number)
-            left = self.frames.values - self.predicted(x)
-            if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
+            residuals = self.frames.values - self.predict(x)
+            if J is None or at is None or np.abs(x - at).max() > _SLOPE_VALIDITY:
                 J, at = self.slopes(x), x.copy()
-            before, error = error, self._error(left, J, error)
+            before, error = error, self._error(residuals, J, error)
             deviation = self._deviation(error)
-            step, A = _step(left, J, deviation, x, low, high)
+            step, A = _step(residuals, J, deviation, x, low, high)
             length = math.sqrt(max(float(step @ A @ step), 0.0))
             settled = np.allclose(np.log(before), np.log(error), atol=0.05)
-            if length < _DONE * np.sqrt(len(x)) and settled:
+            if length < _STEP_TOLERANCE * np.sqrt(len(x)) and settled:
                 break
-            moved, both = self._searched(x, step, deviation, low, high)
-            if both is not None:
-                taken.append(both)
+            moved, objectives = self._line_search(x, step, deviation, low, high)
+            if objectives is not None:
+                accepted_steps.append(objectives)
             elif not np.array_equal(at, x):
                 J = None  # the derivatives may be too old for this step
             elif settled:
                 break
             x = moved
-        if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
+        if J is None or at is None or np.abs(x - at).max() > _SLOPE_VALIDITY:
             J = self.slopes(x)
-        return self._laplace(x, J, error, tuple(taken))
+        return self._laplace(x, J, error, tuple(accepted_steps))
 
-    def _searched(
+    def _line_search(
         self, x: Array, step: Array, deviation: Array, low: Array, high: Array
     ) -> tuple[Array, tuple[float, float] | None]:
         """Point along the step where the objective is lower, with both; `x` where none is."""
         start = self.objective(x, deviation)
-        share = min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        share = min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-300))
         for _ in range(_HALVINGS):
             trial = np.clip(x + share * step, low, high)
             value = self.objective(trial, deviation)
@@ -272,7 +277,7 @@ class TwinProblem:
     def _laplace(
         self, x: Array, J: Array, error: Array, taken: tuple[tuple[float, float], ...]
     ) -> Laplace:
-        predicted = self.predicted(x)
+        predicted = self.predict(x)
         left = self.frames.values - predicted
         error = self._error(left, J, error)
         deviation = self._deviation(error)
@@ -301,13 +306,13 @@ class TwinProblem:
         covariance = np.linalg.inv(_information(J, deviation))
         scaled = J / deviation[:, None, None]
         leverage = np.einsum("rcp,pq,rcq->r", scaled, covariance, scaled, optimize=True)
-        found = error.copy()
+        error_estimate = error.copy()
         for k in np.unique(self.frames.kind):
             own = self.frames.kind == k
             size = left[own].size
-            freedom = max(size - leverage[own].sum(), _LEAST_FREEDOM * size)
-            found[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
-        return found
+            freedom = max(size - leverage[own].sum(), _MIN_FREEDOM * size)
+            error_estimate[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
+        return error_estimate
 
 
 def _depends(parameter: Parameter, scene: Scene) -> bool:
@@ -318,7 +323,7 @@ def _depends(parameter: Parameter, scene: Scene) -> bool:
     return bent or (parameter.name.endswith("modulus") and bool(scene.touches))
 
 
-def _with(x: Array, k: int, value: float) -> Array:
+def _replace_entry(x: Array, k: int, value: float) -> Array:
     changed = np.array(x, dtype=float)
     changed[k] = value
     return changed

@@ -20,7 +20,7 @@ Frames = defaultdict[Scene, list[Array]]
 
 KINDS = ("flat", "bend", "touch")
 FLAT = Scene()
-MOST_SCENES = 40
+MAX_SCENES = 40
 """Different bends, and different touches, that are fitted; of more, evenly spaced ones."""
 
 
@@ -29,7 +29,7 @@ class LabelledFrames:
     """Means of the frames of known scenes, as changes from untouched ones; n rows, C channels.
 
     Attributes:
-        protocol: of the frames.
+        protocol: protocol of the frames.
         reads: what the readings are.
         scenes: all scenes of the rows, the flat sensor first.
         shown: number of the scene that each row shows, (n,).
@@ -37,8 +37,8 @@ class LabelledFrames:
             own row, the first, which is absolute.
         kind: of each row, a number in `KINDS`, (n,).
         values: readings or their changes, (n, C).
-        variance: of each row's values over that of one reading, (n,).
-        noise: standard deviation of one reading; 0 where there are too few frames to tell.
+        variance: variance of each row's values over that of one reading, (n,).
+        noise: standard deviation of one reading; 0 where there are too few frames to show.
         frames: number of frames used.
         left_out: number of frames without the labels that a fit needs.
     """
@@ -56,21 +56,21 @@ class LabelledFrames:
     left_out: int
 
     @property
-    def by_kind(self) -> dict[str, NDArray[np.bool_]]:
+    def kind_masks(self) -> dict[str, NDArray[np.bool_]]:
         """Masks of the rows (n,) of each kind that occurs, by its name, in the order of `KINDS`."""
         return {name: self.kind == k for k, name in enumerate(KINDS) if (self.kind == k).any()}
 
     def only_flat(self) -> "LabelledFrames":
         """The flat sensor's row alone."""
-        one = slice(0, 1)
+        first_row = slice(0, 1)
         return dataclasses.replace(
             self,
-            scenes=self.scenes[one],
-            shown=self.shown[one],
-            base=self.base[one],
-            kind=self.kind[one],
-            values=self.values[one],
-            variance=self.variance[one],
+            scenes=self.scenes[first_row],
+            shown=self.shown[first_row],
+            base=self.base[first_row],
+            kind=self.kind[first_row],
+            values=self.values[first_row],
+            variance=self.variance[first_row],
         )
 
     def changes(self, readings: Array) -> Array:
@@ -79,15 +79,15 @@ class LabelledFrames:
         return np.asarray(readings[self.shown] - from_base)
 
 
-def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
+def labelled_frames(data: Dataset, most: int = MAX_SCENES) -> LabelledFrames:
     """Labelled frames of one sensor.
 
     Frames before touches (`touch_reference`) count as untouched frames of their own; a touch is
     then the change from the frame before it, which slow drifts leave alone. A touch whose bend is
-    nowhere told is one of the flat sensor. Where nothing is labelled all frames are flat.
+    nowhere reported is one of the flat sensor. Where nothing is labelled all frames are flat.
 
     Args:
-        data: of one specimen.
+        data: data of one specimen.
         most: number of different bends, and of different touches, beyond which evenly spaced ones
             are taken.
 
@@ -106,17 +106,17 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
         )
     reads = _quantity(data)
     frames, before = _real(data.impedance, reads), _real(data.touch_reference, reads)
-    known = [(row, scene) for row, scene in _scenes(data) if scene is not None]
+    scene_rows = [(row, scene) for row, scene in _scenes(data) if scene is not None]
     has_own = data.has_touch_reference
     untouched: Frames = defaultdict(list)
     touched: Frames = defaultdict(list)
-    for row, scene in known:
+    for row, scene in scene_rows:
         if has_own[row]:
             untouched[_bare(scene)].append(before[row])
         if not scene.touches:
             untouched[scene].append(frames[row])
     alone = 0
-    for row, scene in known:
+    for row, scene in scene_rows:
         if scene.touches and _bare(scene) in untouched:
             own = before[row] if has_own[row] else np.mean(untouched[_bare(scene)], axis=0)
             touched[scene].append(frames[row] - own)
@@ -128,8 +128,8 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
             "the untouched sensor, or name the values before touches with --values"
         )
     flat = np.array(untouched[FLAT])
-    bends = _spaced((scene for scene in untouched if scene != FLAT), most)
-    touches = _spaced(touched, most)
+    bends = _thin((scene for scene in untouched if scene != FLAT), most)
+    touches = _thin(touched, most)
     scenes = tuple(dict.fromkeys([FLAT, *bends, *map(_bare, touches), *touches]))
     number = {scene: k for k, scene in enumerate(scenes)}
     level = flat.mean(axis=0)
@@ -151,8 +151,8 @@ def labelled_frames(data: Dataset, most: int = MOST_SCENES) -> LabelledFrames:
         values=np.array(values),
         variance=np.array(variance),
         noise=white_noise(flat),
-        frames=len(known) - alone,
-        left_out=len(data) - len(known) + alone,
+        frames=len(scene_rows) - alone,
+        left_out=len(data) - len(scene_rows) + alone,
     )
 
 
@@ -176,7 +176,7 @@ def _scenes(data: Dataset) -> Iterator[tuple[int, Scene | None]]:
 
 def _touches(data: Dataset, row: int) -> tuple[Touch, ...] | None:
     """Touches of a frame; None where a force or depth is missing."""
-    found = []
+    touches = []
     for k in np.flatnonzero(np.isfinite(data.touch_x[row])):
         x, y, force, depth, radius = (
             float(str(getattr(data, f"touch_{name}")[row, k]))  # 0.0075, not its nearest binary
@@ -185,12 +185,12 @@ def _touches(data: Dataset, row: int) -> tuple[Touch, ...] | None:
         tip = Cylinder(radius) if np.isfinite(radius) else Cylinder()
         if np.isfinite(force):
             if force > 0.0:
-                found.append(Touch(x, y, force, tip))
+                touches.append(Touch(x, y, force, tip))
         elif np.isfinite(depth) and depth > 0.0:
-            found.append(Touch(x, y, indenter=tip, depth=depth))
+            touches.append(Touch(x, y, indenter=tip, depth=depth))
         else:
             return None
-    return tuple(found)
+    return tuple(touches)
 
 
 def _bare(scene: Scene) -> Scene:
@@ -198,12 +198,12 @@ def _bare(scene: Scene) -> Scene:
     return Scene(bend=scene.bend)
 
 
-def _spaced(scenes: Iterable[Scene], most: int) -> list[Scene]:
+def _thin(scenes: Iterable[Scene], most: int) -> list[Scene]:
     """At most so many of the scenes, evenly spaced."""
-    found = list(scenes)
-    if len(found) <= most:
-        return found
-    return [found[k] for k in np.linspace(0, len(found) - 1, most).round().astype(int)]
+    selected = list(scenes)
+    if len(selected) <= most:
+        return selected
+    return [selected[k] for k in np.linspace(0, len(selected) - 1, most).round().astype(int)]
 
 
 def _quantity(data: Dataset) -> Quantity:

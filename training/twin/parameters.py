@@ -21,9 +21,9 @@ from eitskin.simulator import SensorGrid
 from eitskin.simulator.instrument.fit_parameters import Parameter, meter_parameters
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
-_TRIAL = 1e-4  # shift of an electrode that tells whether it can be moved on the mesh [m]
-_WIDEST = 1e6  # spread of a prior
-_FARTHEST = 5.0  # prior standard deviations to which a fit may go
+_TRIAL = 1e-4  # shift of an electrode that shows whether it can be moved on the mesh [m]
+_MAX_SPREAD = 1e6  # spread of a prior
+_MAX_DEVIATIONS = 5.0  # prior standard deviations to which a fit may go
 _UNITS = {
     "conductivity": "S/m",
     "thickness": "m",
@@ -80,12 +80,12 @@ class TwinPrior:
 
     def __post_init__(self) -> None:
         """Check that factors are above 1 and lengths above 0."""
-        for each in fields(self):
-            value = getattr(self, each.name)
-            least = 0.0 if each.name in _LINEAR else 1.0
-            if not least < value <= _WIDEST:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            least = 0.0 if field.name in _LINEAR else 1.0
+            if not least < value <= _MAX_SPREAD:
                 raise ConfigurationError(
-                    f"prior: {each.name} must be above {least:g} and at most {_WIDEST:g}, got "
+                    f"prior: {field.name} must be above {least:g} and at most {_MAX_SPREAD:g}, got "
                     f"{value}; a factor of 1.1 is 10 % either way"
                 )
 
@@ -101,7 +101,7 @@ def twin_parameter(
     electrode: int | None = None,
 ) -> Parameter:
     """Number of a twin about a centre, with the spread of its prior: a factor, or in its unit."""
-    bounds = (-_FARTHEST, _FARTHEST)
+    bounds = (-_MAX_DEVIATIONS, _MAX_DEVIATIONS)
     return Parameter(name, centre, spread, transform, _UNITS.get(name, ""), bounds, electrode)
 
 
@@ -112,24 +112,24 @@ def sensor_parameters(nominal: Specimen, prior: TwinPrior) -> tuple[Parameter, .
     electrodes as high as the layer and off the corners.
     """
     design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
-    found = [
+    parameters = [
         twin_parameter("conductivity", conductivity(design), prior.conductivity),
         twin_parameter("thickness", design.thickness, prior.thickness),
     ]
     for k, electrode in enumerate(design.electrodes):
         z, spread = electrode.contact_impedance.real, prior.contact_impedance
-        found.append(twin_parameter("contact_impedance", z, spread, electrode=k))
+        parameters.append(twin_parameter("contact_impedance", z, spread, electrode=k))
     if _movable(design):
         numbers, spread = range(len(design.electrodes)), prior.electrode_place
-        found += [twin_parameter("electrode_place", 0.0, spread, "linear", k) for k in numbers]
+        parameters += [twin_parameter("electrode_place", 0.0, spread, "linear", k) for k in numbers]
     if isinstance(design.outline, Rectangle) or not isinstance(fixture, Clamp):
-        found.append(twin_parameter("span", free_length(fixture), prior.span))
+        parameters.append(twin_parameter("span", free_length(fixture), prior.span))
         if not isinstance(fixture, FreeArc):
-            found.append(twin_parameter("offset", fixture.offset, prior.offset, "linear"))
+            parameters.append(twin_parameter("offset", fixture.offset, prior.offset, "linear"))
     for name in ("gel", "encapsulation"):
         kind, modulus = f"{name}_modulus", getattr(mechanics, name).shear_modulus
-        found.append(twin_parameter(kind, modulus, getattr(prior, kind)))
-    return tuple(found)
+        parameters.append(twin_parameter(kind, modulus, getattr(prior, kind)))
+    return tuple(parameters)
 
 
 def instrument_parameters(
@@ -140,11 +140,11 @@ def instrument_parameters(
     Args:
         terms: names of terms.
         n_electrodes: number of electrodes.
-        prior: of loads and common mode.
+        prior: prior of loads and common mode.
         typical: impedance of the sensor that loads are relative to [ohm].
     """
-    found = meter_parameters(terms, n_electrodes, typical, complex_terms=False)
-    return tuple(p.with_prior(prior.load if p.is_share else prior.common_mode) for p in found)
+    parameters = meter_parameters(terms, n_electrodes, typical, complex_terms=False)
+    return tuple(p.with_prior(prior.load if p.is_share else prior.common_mode) for p in parameters)
 
 
 def conductivity(design: SensorDesign) -> float:
@@ -154,20 +154,20 @@ def conductivity(design: SensorDesign) -> float:
 
 def _movable(design: SensorDesign) -> bool:
     """Whether every electrode can be moved along the rim on the design's own mesh."""
-    moved = [moved_along_rim(each, _TRIAL, design) for each in design.electrodes]
-    if any(one == other for one, other in zip(moved, design.electrodes, strict=True)):
+    moved = [moved_along_rim(electrode, _TRIAL, design) for electrode in design.electrodes]
+    if any(electrode == other for electrode, other in zip(moved, design.electrodes, strict=True)):
         return False
     trial = dataclasses.replace(design, electrodes=tuple(moved))
     return electrode_shift(design, trial) is not None
 
 
-def centred(nominal: Specimen) -> Specimen:
+def interpolation_centre(nominal: Specimen) -> Specimen:
     """The same sensor, about whose numbers bends and presses are interpolated.
 
     Raises ConfigurationError for sensors whose specimens cannot share a mesh.
     """
     design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
-    if any(complex(each.contact_impedance).imag for each in design.electrodes):
+    if any(complex(electrode.contact_impedance).imag for electrode in design.electrodes):
         raise ConfigurationError(
             "a twin needs real contact impedances, got complex ones; give their real parts"
         )
@@ -180,7 +180,7 @@ def centred(nominal: Specimen) -> Specimen:
             "the bend of a kinematic fixture without transition jumps where it ends, and every "
             "span needs another mesh; give a clamp, or a transition"
         )
-    grid = SensorGrid.about(design, fixture, mechanics).replaced_by(nominal.grid)
+    grid = SensorGrid.from_nominal(design, fixture, mechanics).override(nominal.grid)
     return Specimen(design, fixture, mechanics, grid)
 
 
@@ -192,10 +192,10 @@ def with_numbers(nominal: Specimen, numbers: Numbers) -> Specimen:
     design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
     electrodes = tuple(
         dataclasses.replace(
-            moved_along_rim(each, numbers.get(("electrode_place", k), 0.0), design),
+            moved_along_rim(electrode, numbers.get(("electrode_place", k), 0.0), design),
             contact_impedance=numbers["contact_impedance", k],
         )
-        for k, each in enumerate(design.electrodes)
+        for k, electrode in enumerate(design.electrodes)
     )
     wider = numbers.get(("span", None), free_length(fixture)) - free_length(fixture)
     made = dataclasses.replace(
@@ -209,11 +209,11 @@ def with_numbers(nominal: Specimen, numbers: Numbers) -> Specimen:
     deeper = numbers.get(("offset", None), offset) - offset
     materials = dataclasses.replace(
         mechanics,
-        gel=_of_modulus(mechanics.gel, numbers["gel_modulus", None]),
-        encapsulation=_of_modulus(mechanics.encapsulation, numbers["encapsulation_modulus", None]),
+        gel=_set_modulus(mechanics.gel, numbers["gel_modulus", None]),
+        encapsulation=_set_modulus(mechanics.encapsulation, numbers["encapsulation_modulus", None]),
     )
     return Specimen(made, moved_fixture(fixture, wider, deeper), materials, nominal.grid)
 
 
-def _of_modulus(law: NeoHookean | Ogden, modulus: float) -> NeoHookean | Ogden:
+def _set_modulus(law: NeoHookean | Ogden, modulus: float) -> NeoHookean | Ogden:
     return scaled_modulus(law, modulus / law.shear_modulus)

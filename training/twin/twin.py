@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset
 from eitskin.datasets.recipe.specimen import Specimen
+from eitskin.extras import old_names
 from eitskin.geometry import Bend, Clamp, ConfigurationError, SensorDesign, Surface
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.simulator import (
@@ -29,8 +30,8 @@ from eitskin.training.twin.fit import Laplace, TwinProblem
 from eitskin.training.twin.labelled_frames import LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
     TwinPrior,
-    centred,
     instrument_parameters,
+    interpolation_centre,
     sensor_parameters,
     twin_parameter,
 )
@@ -38,11 +39,13 @@ from eitskin.training.twin.parameters import (
 Array = NDArray[np.float64]
 
 _UNIT_GAIN = 1e3  # factor of the gain's prior where readings are in no known unit
-_SHOWN = 0.9  # standard deviation, over the prior's, from which frames do not show a number
-_INVOLVED = 0.3  # least component of a parameter in a combination for it to be named
+# standard deviation, over the prior's, from which frames do not show a number
+_UNDETERMINED_RATIO = 0.9
+_MIN_COMPONENT = 0.3  # least component of a parameter in a combination for it to be named
 _METER_STARTS, _DRAWN, _FIRST_STEPS = 4, 2, 3
 
 
+@old_names(judged="evaluate", predicted="predict", undetermined="undetermined_combinations")
 @dataclass(frozen=True, slots=True, eq=False)
 class Twin:
     """Physical numbers behind one sensor, with standard errors.
@@ -52,7 +55,7 @@ class Twin:
         specimen: fitted sensor, fixture and materials.
         meter: fitted circuit and reading of the board.
         parameters: the fitted numbers.
-        posterior: of their coordinates.
+        posterior: posterior of their coordinates.
         frames: labelled frames that were fitted.
         agreements: r and relative residual by kind of frame; kinds without frames are left out.
 
@@ -93,10 +96,10 @@ class Twin:
             data: labelled frames of one specimen, in ohms or in any unit proportional to them.
             fixture: nominal fixture; the default clamp when omitted.
             mechanics: nominal materials; the reference sensor's when omitted.
-            terms: of the meter to fit, as for `fit_meter`; an ideal one but for its gain when
+            terms: terms of the meter to fit, as for `fit_meter`; an ideal one but for its gain when
                 omitted.
             prior: standard deviations; as wide as what people build when omitted.
-            resolution: of the simulator.
+            resolution: resolution of the simulator.
             seed: of the starting points of the meter.
             progress: called with the number of each Gauss-Newton step.
 
@@ -105,7 +108,9 @@ class Twin:
                 terms, or frames of another number of electrodes.
             DataError: without frames of the flat, untouched sensor.
         """
-        nominal = centred(Specimen(design, fixture or Clamp(), mechanics or Mechanics()))
+        nominal = interpolation_centre(
+            Specimen(design, fixture or Clamp(), mechanics or Mechanics())
+        )
         frames = labelled_frames(data)
         if frames.protocol.n_electrodes != len(design.electrodes):
             raise ConfigurationError(
@@ -129,14 +134,14 @@ class Twin:
     @property
     def values(self) -> Array:
         """Fitted numbers in their units, (parameters,)."""
-        both = zip(self.parameters, self.posterior.x, strict=True)
-        return np.array([each.number(float(x)) for each, x in both])
+        pairs = zip(self.parameters, self.posterior.x, strict=True)
+        return np.array([each.number(float(x)) for each, x in pairs])
 
     @property
     def standard_errors(self) -> Array:
         """Standard errors of the numbers, linearised, (parameters,)."""
-        both = zip(self.parameters, self.posterior.x, strict=True)
-        slopes = np.array([each.slope(float(x)) for each, x in both])
+        pairs = zip(self.parameters, self.posterior.x, strict=True)
+        slopes = np.array([each.slope(float(x)) for each, x in pairs])
         return np.asarray(slopes * self.narrowing)
 
     @property
@@ -145,32 +150,33 @@ class Twin:
         return np.sqrt(np.diag(self.posterior.covariance))
 
     @property
-    def undetermined(self) -> tuple[tuple[str, ...], ...]:
+    def undetermined_combinations(self) -> tuple[tuple[str, ...], ...]:
         """Numbers, and combinations of them, that the frames do not show.
 
         Along them the posterior is as wide as the prior.
         """
-        lost = self.narrowing > _SHOWN
+        lost = self.narrowing > _UNDETERMINED_RATIO
         single = [(str(self.parameters[k]),) for k in np.flatnonzero(lost)]
         rest = np.flatnonzero(~lost)
         widths, directions = np.linalg.eigh(self.posterior.covariance[np.ix_(rest, rest)])
         tied = [
-            tuple(str(self.parameters[rest[k]]) for k in np.flatnonzero(np.abs(v) > _INVOLVED))
-            for v in directions[:, widths > _SHOWN**2].T
+            tuple(str(self.parameters[rest[k]]) for k in np.flatnonzero(np.abs(v) > _MIN_COMPONENT))
+            for v in directions[:, widths > _UNDETERMINED_RATIO**2].T
         ]
         return (*single, *(names for names in tied if names))
 
-    def predicted(self, frames: LabelledFrames) -> Array:
+    def predict(self, frames: LabelledFrames) -> Array:
         """Rows of other labelled frames as this twin has them, (rows, channels)."""
         other = TwinProblem(self.nominal, self.parameters, frames, self.resolution)
-        return other.predicted(self.posterior.x)
+        return other.predict(self.posterior.x)
 
-    def judged(self, data: Dataset) -> dict[str, Agreement]:
+    def evaluate(self, data: Dataset) -> dict[str, Agreement]:
         """Agreement with frames that were not fitted, by kind."""
         frames = labelled_frames(data)
-        return agreements(self.predicted(frames), frames)
+        return agreements(self.predict(frames), frames)
 
 
+@old_names(of="from_twin")
 @dataclass(frozen=True, slots=True, eq=False)
 class PressedTwin:
     """Twin of one sensor whose presses are simulated, for `Pipeline.adapt`.
@@ -178,8 +184,8 @@ class PressedTwin:
     Attributes:
         specimen: fitted sensor, fixture and materials.
         meter: fitted circuit and reading of the board.
-        protocol: of the measurements.
-        resolution: of the simulator.
+        protocol: protocol of the measurements.
+        resolution: resolution of the simulator.
         nominal: sensor whose mesh and factors are shared, which halves the time; None for its own.
 
     Example:
@@ -194,7 +200,7 @@ class PressedTwin:
     nominal: SensorDesign | None = None
 
     @classmethod
-    def of(cls, twin: Twin) -> "PressedTwin":
+    def from_twin(cls, twin: Twin) -> "PressedTwin":
         """Presses on a twin that was just fitted."""
         nominal = twin.nominal.design
         return cls(twin.specimen, twin.meter, twin.frames.protocol, twin.resolution, nominal)
@@ -247,7 +253,7 @@ def agreements(predicted: Array, frames: LabelledFrames) -> dict[str, Agreement]
     """Agreement of predicted rows (n, C) with measured ones, by kind."""
     return {
         kind: agreement(predicted[own].ravel(), frames.values[own].ravel())
-        for kind, own in frames.by_kind.items()
+        for kind, own in frames.kind_masks.items()
     }
 
 
@@ -281,7 +287,7 @@ def _start(problem: TwinProblem, terms: Sequence[str], seed: int) -> Array:
     It starts from the prior's middle and, where terms of the meter are fitted, also from the meter
     that suits the nominal sensor, and from meters of chance.
     """
-    flat = problem.of_frames(problem.frames.only_flat())
+    flat = problem.for_frames(problem.frames.only_flat())
     x, meter, frames = np.zeros(len(problem.parameters)), problem.terms, flat.frames
     starts = [x]
     if len(meter) and len(meter) + 2 < len(frames.protocol):

@@ -93,8 +93,8 @@ def command(
         # Asked last, when all are closed: most sessions are ended by Ctrl-C.
         stack.push(partial(_tell_losses, recordings))
         stack.enter_context(options.ended_by_signals())
-        for each in _recordings(record, mcap):
-            recordings.append(stack.enter_context(closing(each)))
+        for recording in _recordings(record, mcap):
+            recordings.append(stack.enter_context(closing(recording)))
         opened = stack.enter_context(options.opened_board(board, seed))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         if reference is not None:
@@ -107,11 +107,13 @@ def command(
         if page.page:
             from eitskin.cli.commands.live.tasks import SessionTasks
             from eitskin.cli.page.live_page import LivePage
-            from eitskin.cli.page.plan import sheet_of
+            from eitskin.cli.page.plan import sensor_or_region
 
             tasks = stack.enter_context(SessionTasks(session, page_folder, model, own))
             session.page = stack.enter_context(
-                LivePage(session.connection, sheet_of(pipeline), page.page_port, access, tasks)
+                LivePage(
+                    session.connection, sensor_or_region(pipeline), page.page_port, access, tasks
+                )
             )
             tell_invitations(session.page.invitations, output)
         if ros2:
@@ -126,18 +128,18 @@ def command(
             for address in publisher.addresses:
                 output.note(f"readings: {address}")
         newest = not (every_frame or recordings)
-        followed = session if picture is None else _pictured(session, opened, picture)
+        followed = session if picture is None else _picture_pipeline(session, opened, picture)
         session.follow(hardware.run_live(session.connection, followed, newest=newest), frames)
 
 
-def _pictured(
+def _picture_pipeline(
     session: LiveSession, board: "hardware.Board", method: "Method"
 ) -> "hardware.FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures
-    from eitskin.cli.page.plan import Region, sheet_of
+    from eitskin.cli.page.plan import Region, sensor_or_region
 
-    sheet = sheet_of(session.pipeline)
+    sheet = sensor_or_region(session.pipeline)
     if isinstance(sheet, Region):
         raise ConfigurationError(
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
@@ -155,7 +157,7 @@ def tell_missing(pipeline: "training.Pipeline", output: options.Output) -> None:
 
 def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:
     """Raise PartialError for what could not be written, unless another error ended the session."""
-    lost = [each.loss for each in recordings if each.loss]
+    lost = [recording.loss for recording in recordings if recording.loss]
     if lost and (ended is None or isinstance(ended, KeyboardInterrupt)):
         raise PartialError("; ".join(lost))
 

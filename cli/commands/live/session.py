@@ -41,7 +41,7 @@ class Recording:
     """Recording of a session's readings, as a dataset that can be replayed or as MCAP messages.
 
     Attributes:
-        folder: of the dataset, or the MCAP file.
+        folder: folder of the dataset, or the MCAP file.
         given: number of readings so far.
         problem: reason why nothing more is written; empty while everything is.
     """
@@ -96,8 +96,8 @@ class Recording:
 
 
 REFRESH = 10  # per second
-CHECKED = 16  # frames of a session's beginning that say how the sensor is
-SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
+CHECK_FRAMES = 16  # frames of a session's beginning that say how the sensor is
+MIN_SILENCE = 1.0  # s, before what is shown is called old
 
 
 @dataclass
@@ -105,7 +105,7 @@ class LiveSession:
     """Live session: shows, records and summarises readings.
 
     Attributes:
-        pipeline: of the next frame; may be exchanged for another between two frames.
+        pipeline: pipeline of the next frame; may be exchanged for another between two frames.
         checks: whether the sensor is checked where a session begins.
     """
 
@@ -130,9 +130,11 @@ class LiveSession:
     _asked: queue.SimpleQueue[Callable[[], None]] = field(default_factory=queue.SimpleQueue)
 
     @property
-    def stored(self) -> "training.StoredReference | None":
-        """Reference of the sensor, beside which a session need not begin flat."""
-        reference: training.StoredReference | None = getattr(self.pipeline, "stored", None)
+    def stored_reference(self) -> "training.StoredReference | None":
+        """Reference of the sensor, next to which a session need not begin flat."""
+        reference: training.StoredReference | None = getattr(
+            self.pipeline, "stored_reference", None
+        )
         return reference
 
     def process(self, frame: "simulator.Frame") -> "hardware.Estimate":
@@ -159,7 +161,7 @@ class LiveSession:
                     if self.processed == frames:
                         break
         finally:
-            self.sum_up()
+            self.note_totals()
 
     def take(self, reading: "hardware.Reading") -> None:
         """Keep, show, record and print one reading."""
@@ -184,9 +186,9 @@ class LiveSession:
         """Write the reading; a recording that fails is noted and ended."""
         with self._recording:
             for recording in self.recordings:
-                known = recording.problem
+                known_problem = recording.problem
                 recording.append(reading)
-                if recording.problem != known:
+                if recording.problem != known_problem:
                     self.say(f"recording stopped: {recording.problem}")
 
     def begin(self, recording: Recording) -> None:
@@ -200,7 +202,7 @@ class LiveSession:
             self.recordings.remove(recording)
             recording.close()
 
-    def between_frames(self, function: Callable[[], str]) -> "Future[str]":
+    def call_between_frames(self, function: Callable[[], str]) -> "Future[str]":
         """Have a function called by the live loop, after the next reading; from any thread."""
         future: Future[str] = Future()
 
@@ -217,7 +219,7 @@ class LiveSession:
     def tare(self, frames: Sequence["simulator.Frame"]) -> str:
         """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
         zero, board = (
-            training.Zero.FLAT if self.stored is None else self.stored.zero,
+            training.Zero.FLAT if self.stored_reference is None else self.stored_reference.zero,
             self.connection.board,
         )
         self.pipeline.tare(frames, zero, board_number(board.info), board.uri)
@@ -235,20 +237,20 @@ class LiveSession:
             self.say(problem)
         if step.new_session:
             zero = "the sensor must be flat and untouched now"
-            if self.stored is not None:
+            if self.stored_reference is not None:
                 zero = "the stored reference stays in use"
-            self.say(f"session {frame.session} begins: the board has started anew, and {zero}")
+            self.say(f"session {frame.session} begins: the board has restarted, and {zero}")
             self.beginning = []
-        expected = getattr(self.pipeline, "expected", None) if self.checks else None
-        if expected is None or len(self.beginning) >= CHECKED:
+        expected = getattr(self.pipeline, "expected_magnitudes", None) if self.checks else None
+        if expected is None or len(self.beginning) >= CHECK_FRAMES:
             return
         self.beginning.append(frame)
-        if len(self.beginning) == CHECKED:
+        if len(self.beginning) == CHECK_FRAMES:
             for finding in hardware.check_sensor(self.beginning, expected).findings:
                 self.say(f"sensor check: {finding.message}")
 
     def say(self, text: str) -> None:
-        """Show a note beside the live view, or on stderr where there is no view."""
+        """Show a note next to the live view, or on stderr where there is no view."""
         if self.output.console.is_terminal and not (self.output.as_json or self.output.quiet):
             self.notes.append(text)
         else:
@@ -261,7 +263,7 @@ class LiveSession:
         period = self.connection.board.info.period
         age = self.clock() - self.newest_at
         # A machine that is busy for a moment is no silence.
-        if age < longest_silence(period, SHORTEST_SILENCE):
+        if age < longest_silence(period, MIN_SILENCE):
             return ""
         problem = self.connection.problem
         return f"nothing for {age:.0f} s{f'; {problem}' if problem else ''}"
@@ -274,7 +276,7 @@ class LiveSession:
             return Group(*notes, Text(waiting))
         return Group(*notes, draw(self.newest, self.connection.board.counts, self.silence()))
 
-    def sum_up(self) -> None:
+    def note_totals(self) -> None:
         """Note totals of the session: frames, losses, latency."""
         import numpy as np
 
@@ -290,7 +292,7 @@ class LiveSession:
 
 
 NOT_ESTIMATED = "not estimated"
-SHOWN = 0.3  # least value of the touch map that is drawn
+MIN_DRAWN_VALUE = 0.3  # least value of the touch map that is drawn
 
 
 def draw(
@@ -356,8 +358,8 @@ def touch_picture(touch_map: "NDArray[np.floating]") -> Text:
         if row:
             picture.append("\n")
         for high, low in zip(upper, lower, strict=True):
-            block = " ▄▀█"[2 * int(high > SHOWN) + int(low > SHOWN)]
-            strong = max(high, low) > 2 * SHOWN
+            block = " ▄▀█"[2 * int(high > MIN_DRAWN_VALUE) + int(low > MIN_DRAWN_VALUE)]
+            strong = max(high, low) > 2 * MIN_DRAWN_VALUE
             picture.append(block, style="" if block == " " else "red" if strong else "yellow")
     return picture
 

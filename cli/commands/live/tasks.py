@@ -14,10 +14,10 @@ from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.check import FRAMES, sensor_findings
 from eitskin.cli.commands.live.session import Recording
 from eitskin.cli.commands.own_sensor.adapt import in_words, open_start
-from eitskin.cli.commands.own_sensor.poses import Dialogue, asked, staged
+from eitskin.cli.commands.own_sensor.poses import Dialogue, ask_for_poses, stage_poses
 from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupOptions
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
-from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, commands_of
+from eitskin.cli.page.commands import Commands, ConflictError, SessionCommands, make_commands
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError, EitskinError, FrameError
 from eitskin.latest import Latest
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 15.0  # s without a frame, after which a task fails; slow boards take seconds for one
 _POLL = 0.1  # s between two looks whether a task was cancelled
-MOST_LINES = 12
+MAX_LINES = 12
 
 
 class Progress(StrEnum):
@@ -46,10 +46,10 @@ class TaskState:
     """State of a task, for those who watch it.
 
     Attributes:
-        name: of the task.
+        name: name of the task.
         progress: whether it works, asks or is over, and how.
         text: what is being done or asked, or what came of it.
-        lines: what was said so far, newest last.
+        lines: what was reported so far, newest last.
         choices: words of the possible answers, by answer.
         place: position on the sensor that the question is about, (x, y) [m].
     """
@@ -62,7 +62,7 @@ class TaskState:
     place: tuple[float, float] | None = None
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether nothing more will happen."""
         return self.progress not in (Progress.WORKING, Progress.ASKING)
 
@@ -89,7 +89,7 @@ class Task(Dialogue):
         """Prepare a task.
 
         Args:
-            name: of the task.
+            name: name of the task.
             readings: newest reading of the session.
             changed: called after every change of the state.
             patience: time without a frame, after which the task fails [s].
@@ -105,22 +105,22 @@ class Task(Dialogue):
     def run(self, work: "Callable[[Task], str]") -> None:
         """Do the work; its result, or its error, is the last state."""
         try:
-            self._become(Progress.DONE, work(self))
+            self._set_progress(Progress.DONE, work(self))
         except CancelledError:
-            self._become(Progress.CANCELLED, "cancelled")
+            self._set_progress(Progress.CANCELLED, "cancelled")
         except EitskinError as error:
-            self._become(Progress.FAILED, str(error))
+            self._set_progress(Progress.FAILED, str(error))
         except Exception as error:
-            self._become(Progress.FAILED, f"failed: {type(error).__name__}: {error}")
+            self._set_progress(Progress.FAILED, f"failed: {type(error).__name__}: {error}")
             raise
 
     def show(self, text: str) -> None:
         """Show what is being done."""
-        self._become(Progress.WORKING, text)
+        self._set_progress(Progress.WORKING, text)
 
     def note(self, text: str) -> None:
-        """Add a line to what was said."""
-        lines = (*self.state.lines, text)[-MOST_LINES:]
+        """Add a line to what was reported."""
+        lines = (*self.state.lines, text)[-MAX_LINES:]
         self.state = replace(self.state, lines=lines)
         self._changed()
 
@@ -135,8 +135,8 @@ class Task(Dialogue):
         number = self._readings.number
         since = self._clock()
         while True:
-            newest = self._readings.after(number, _POLL)
-            if self._cancelled.is_set() or self._readings.closed:
+            newest = self._readings.wait_after(number, _POLL)
+            if self._cancelled.is_set() or self._readings.is_closed:
                 raise CancelledError
             if newest is not None:
                 number, since = newest[0], self._clock()
@@ -149,15 +149,15 @@ class Task(Dialogue):
 
     def take(self, count: int, what: str) -> "list[hardware.Reading]":
         """So many readings, all of one session of the board; their number is shown."""
-        taken: list[hardware.Reading] = []
+        readings: list[hardware.Reading] = []
         for reading in self.readings():
-            if taken and taken[0].frame.session != reading.frame.session:
-                taken = []  # the board has started anew
-            taken.append(reading)
-            self.show(f"{what}: {len(taken)} of {count} frames")
-            if len(taken) == count:
+            if readings and readings[0].frame.session != reading.frame.session:
+                readings = []  # the board has started again
+            readings.append(reading)
+            self.show(f"{what}: {len(readings)} of {count} frames")
+            if len(readings) == count:
                 break
-        return taken
+        return readings
 
     def frames(self) -> "Iterator[simulator.Frame]":
         """Frames of `readings`."""
@@ -171,7 +171,7 @@ class Task(Dialogue):
         with self._answered:
             self._answer = None
         self.state = replace(self.state, place=place)
-        self._become(Progress.ASKING, text, tuple(choices.items()))
+        self._set_progress(Progress.ASKING, text, tuple(choices.items()))
         with self._answered:
             self._answered.wait_for(lambda: self._cancelled.is_set() or self._answer is not None)
             if self._answer is None:
@@ -185,7 +185,7 @@ class Task(Dialogue):
             if not asked or text not in dict(self.state.choices):
                 return False
             self._answer = text
-            self._become(Progress.WORKING, self.state.text)  # from here on nothing is asked
+            self._set_progress(Progress.WORKING, self.state.text)  # from here on nothing is asked
             self._answered.notify_all()
         return True
 
@@ -195,7 +195,7 @@ class Task(Dialogue):
             self._cancelled.set()
             self._answered.notify_all()
 
-    def _become(
+    def _set_progress(
         self, progress: Progress, text: str, choices: tuple[tuple[str, str], ...] = ()
     ) -> None:
         place = self.state.place if progress in (Progress.ASKING, Progress.WORKING) else None
@@ -204,7 +204,7 @@ class Task(Dialogue):
 
 
 class SessionBoard(Closeable):
-    """The board of a live session, for one who reads frames beside the live loop.
+    """The board of a live session, for one who reads frames next to the live loop.
 
     It stays open, and is connected to again, by the session.
     """
@@ -224,9 +224,9 @@ class SessionBoard(Closeable):
         """Do nothing: the session needs its board."""
 
 
-MOST = 1000
+MAX_FRAMES = 1000
 USE = "use the new pipeline in this session? Lay the sensor flat, untouched, first"
-ENDS_WITHIN = 5.0  # s, after which a task is left alone: its files are whole or absent
+END_TIMEOUT = 5.0  # s, after which a task is left alone: its files are whole or absent
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +259,7 @@ class SessionTasks(Closeable, SessionCommands):
     """Tasks that a page may ask of a live session, one at a time, and its recordings.
 
     Attributes:
-        folder: of the files that are made.
+        folder: folder of the files that are made.
     """
 
     def __init__(
@@ -273,8 +273,8 @@ class SessionTasks(Closeable, SessionCommands):
 
         Args:
             session: live session.
-            folder: of files that are made, itself made when it is needed.
-            model: that the pipeline was opened from, for a set-up to begin with.
+            folder: folder of files that are made, itself made when it is needed.
+            model: model that the pipeline was opened from, for a set-up to begin with.
             method: class of the user's own method; None for one of eitskin's.
         """
         self.folder = folder
@@ -293,7 +293,7 @@ class SessionTasks(Closeable, SessionCommands):
             "/tare": (Plain, lambda _: self._start("zero", self._tare)),
             "/check": (Plain, lambda _: self._start("check", self._check)),
             "/record": (RecordCommand, lambda command: self._record(command.record)),
-            "/setup": (SetupOptions, self._set_up),
+            "/setup": (SetupOptions, self._setup_task),
             "/answer": (AnswerCommand, lambda command: self._give(command.answer)),
             "/cancel": (Plain, lambda _: self._cancel()),
         }
@@ -304,12 +304,12 @@ class SessionTasks(Closeable, SessionCommands):
             self._tell()
 
         replay = {"/replay": (ReplayCommand, lambda command: self._replay(command.name))}
-        return {**commands_of(acts, take), **commands_of(replay, lambda act, it: act(it))}
+        return {**make_commands(acts, take), **make_commands(replay, lambda act, it: act(it))}
 
     def state(self) -> Mapping[str, Any]:
         recording, task = self._recording, self._task
         return {
-            "task": None if task is None else asdict(task.state) | {"over": task.state.over},
+            "task": None if task is None else asdict(task.state) | {"over": task.state.is_over},
             "recording": recording
             and {
                 "folder": str(recording.folder),
@@ -327,14 +327,14 @@ class SessionTasks(Closeable, SessionCommands):
             with contextlib.suppress(ConfigurationError):
                 self._record(False)
         if self._thread is not None:
-            self._thread.join(ENDS_WITHIN)
+            self._thread.join(END_TIMEOUT)
 
     def _tell(self) -> None:
         if self._session.page is not None:
             self._session.page.tell()
 
     def _start(self, name: str, work: Callable[[Task], str]) -> None:
-        if self._task is not None and not self._task.state.over:
+        if self._task is not None and not self._task.state.is_over:
             raise ConflictError(
                 f"{self._task.state.name} is not finished; wait for its end, or cancel it"
             )
@@ -347,36 +347,37 @@ class SessionTasks(Closeable, SessionCommands):
             raise ConflictError(f"nothing is asked that {answer!r} would answer")
 
     def _cancel(self) -> None:
-        if self._task is None or self._task.state.over:
+        if self._task is None or self._task.state.is_over:
             raise ConflictError("nothing is being done that could be cancelled")
         self._task.cancel()
 
     def _tare(self, task: Task) -> str:
-        taken = task.take(TARE_FRAMES, "hold the sensor still and untouched")
-        frames = [reading.frame for reading in taken]
+        readings = task.take(TARE_FRAMES, "hold the sensor still and untouched")
+        frames = [reading.frame for reading in readings]
         return self._in_loop(task, lambda: self._session.tare(frames))
 
     def _in_loop(self, task: Task, function: Callable[[], str]) -> str:
         """Result of a function that the live loop calls between two frames."""
-        asked = self._session.between_frames(function)
+        asked = self._session.call_between_frames(function)
         for _ in task.readings():
             if asked.done():
                 break
         return asked.result()
 
     def _check(self, task: Task) -> str:
-        taken = task.take(FRAMES, "keep the sensor flat and untouched")
-        frames = [reading.frame for reading in taken]
-        found = sensor_findings(self._session.pipeline, frames, lambda: _estimate(taken[-1]))
-        for sentence in found.sentences:
+        readings = task.take(FRAMES, "keep the sensor flat and untouched")
+        frames = [reading.frame for reading in readings]
+        findings = sensor_findings(self._session.pipeline, frames, lambda: _estimate(readings[-1]))
+        for sentence in findings.sentences:
             task.note(sentence)
-        healthy = f"healthy: nothing was found in {len(taken)} frames"
-        return "\n".join(each.message for each in found.findings) or healthy
+        healthy = f"healthy: nothing was found in {len(readings)} frames"
+        return "\n".join(finding.message for finding in findings.findings) or healthy
 
-    def _set_up(self, options: SetupOptions) -> None:
-        if max(options.presses, options.frames) > MOST:
+    def _setup_task(self, options: SetupOptions) -> None:
+        if max(options.presses, options.frames) > MAX_FRAMES:
             raise ConfigurationError(
-                f"expected at most {MOST} presses, and frames in each pose, got {options.presses} "
+                f"expected at most {MAX_FRAMES} presses, and frames in each pose, got "
+                f"{options.presses} "
                 f"and {options.frames}"
             )
         out = self._fresh("setup", ".eitmodel")
@@ -384,7 +385,7 @@ class SessionTasks(Closeable, SessionCommands):
 
         def work(task: Task) -> str:
             task.show(f"opening {self._model}")
-            hand = asked(task) if board.stage is None else staged(FORCE)
+            hand = ask_for_poses(task) if board.stage is None else stage_poses(FORCE)
             start = open_start(self._model, self._method)
             opened: Any = partial(SessionBoard, board, task)
             done = Setup(self._model, start, out, options, task, hand)
@@ -394,7 +395,7 @@ class SessionTasks(Closeable, SessionCommands):
                 if board.stage is not None:  # which the set-up itself has moved
                     board.stage.set(Scene())
                 if done.taken:
-                    task.note(done.kept)
+                    task.note(done.kept_files_note)
             text = f"{done.out}: {in_words(adapted)}\nfor later: {done.live_command(board.uri)}"
             task.note(text)
             if task.ask(USE, {"": "use it now", "n": "not now"}):
@@ -441,7 +442,7 @@ class SessionTasks(Closeable, SessionCommands):
         """Readings of a recording by a new pipeline of the session's model, as JSON."""
         import msgspec
 
-        from eitskin.cli.page.plan import sheet_of
+        from eitskin.cli.page.plan import sensor_or_region
         from eitskin.cli.page.state import recorded_moments
 
         if name not in self._recordings:
@@ -450,7 +451,7 @@ class SessionTasks(Closeable, SessionCommands):
         with hardware.ReplayBoard(str(self._recordings[name])) as board:
             own = self._session.connection.board.protocol
             own.require_same(board.protocol, "the board has", name, "choose another recording")
-            moments = recorded_moments(board, pipeline, sheet_of(pipeline))
+            moments = recorded_moments(board, pipeline, sensor_or_region(pipeline))
         return msgspec.json.encode({"readings": moments})
 
     def _fresh(self, name: str, ending: str = "") -> Path:

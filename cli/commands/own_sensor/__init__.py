@@ -1,1 +1,1 @@
-"""Commands that fit a pipeline to the sensor at hand: adapt, calibrate and set up."""
+"""Commands that fit a pipeline to the sensor available: adapt, calibrate and set up."""

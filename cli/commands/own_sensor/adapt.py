@@ -13,15 +13,15 @@ from eitskin.cli import options
 from eitskin.cli.commands.own_sensor.poses import (
     Pose,
     TerminalDialogue,
-    asked,
-    bent,
+    ask_for_poses,
+    bent_pose,
     frames_in_poses,
     left_alone,
-    staged,
+    stage_poses,
 )
-from eitskin.cli.commands.recorded_frames import Recorded, Values, of_one_sensor, read_recorded
+from eitskin.cli.commands.recorded_frames import Recorded, Values, read_recorded, select_one_sensor
 from eitskin.cli.commands.tare import ReferenceFile, use_reference
-from eitskin.cli.terminal import table_of
+from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require_all
 
@@ -75,16 +75,16 @@ def command(
     require_all(training=options.TRAINING)
     require_writable(out, replace)
     before = open_start(model, options.own_method(method))
-    data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
+    data = select_one_sensor(read_recorded(recording, values, protocol), specimen)
     if before is not None and data.protocol is not None:
         before.layout.require_same_measurements(data.protocol, data.frequency)
-    curve = () if no_table else curve_of(before, data, output)
+    curve = () if no_table else adaptation_curve(before, data, output)
     if curve:
         output.show(curve_table(curve))
     adapted = adapt(before, data, twin)
     saved = adapted.save(out)
-    told = said(adapted)
-    result = {"out": str(saved), "errors": [asdict(point) for point in curve], **told}
+    facts = adaptation_facts(adapted)
+    result = {"out": str(saved), "errors": [asdict(point) for point in curve], **facts}
     output.result(result, f"{saved}: {in_words(adapted)}")
     output.note("use it with this sensor only")
 
@@ -101,8 +101,8 @@ def adapt(
 ) -> "training.Pipeline":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
-    Raises the errors of `Pipeline.adapt`, `InputSpec.described`, `Pipeline.fit` and
-    `PressedTwin.read`, and ConfigurationError for a twin beside touch positions.
+    Raises the errors of `Pipeline.adapt`, `InputSpec.complete_dataset`, `Pipeline.fit` and
+    `PressedTwin.read`, and ConfigurationError for a twin next to touch positions.
     """
     from eitskin.training.method.settings import POSITIONS
 
@@ -110,7 +110,7 @@ def adapt(
         if twin is None:
             settings = training.TrainingSettings(POSITIONS, options={"share": 1.0})
             return training.Pipeline.fit(
-                before.layout.described(data) if before else data, settings
+                before.layout.complete_dataset(data) if before else data, settings
             )
         raise ConfigurationError(
             "expected a pipeline that knows the forces of touches with --twin, got one of touch "
@@ -122,7 +122,7 @@ def adapt(
     return before
 
 
-def curve_of(
+def adaptation_curve(
     before: "training.Pipeline | None", data: "datasets.Dataset", output: options.Output
 ) -> "tuple[CurvePoint, ...]":
     """Errors against the number of labelled frames; none, with a note, where these are too few."""
@@ -133,8 +133,8 @@ def curve_of(
     with output.counting("errors by frames") as show:
         try:
             if before is None or before.settings.method == POSITIONS:
-                known = data if before is None else before.layout.described(data)
-                return press_curve(LabelledPresses.of(known), show)
+                labelled = data if before is None else before.layout.complete_dataset(data)
+                return press_curve(LabelledPresses.from_dataset(labelled), show)
             return pipeline_curve(before, data, show)
         except DataError as error:
             output.note(f"no table of errors: {error}")
@@ -148,47 +148,47 @@ def curve_table(curve: "Sequence[CurvePoint]") -> Table:
     shown: list[tuple[str, Callable[[CurvePoint], float | None], str]] = [
         ("angle, deg rms", lambda point: point.angle_deg, "{:.2f}"),
         ("place, mm", lambda point: point.place_mm, "{:.1f}"),
-        ("lost, %", _lost, "{:.0f}"),
+        ("lost, %", _missed_percentage, "{:.0f}"),
     ]
-    told = [each for each in shown if any(each[1](point) is not None for point in curve)]
+    shown_columns = [each for each in shown if any(each[1](point) is not None for point in curve)]
     title = f"errors in blocks of time that were left out, {BLOCKS} in turn"
     rows = []
     for point in sorted(curve, key=lambda point: point.frames):
-        values = [(read(point), form) for _, read, form in told]
+        values = [(read(point), form) for _, read, form in shown_columns]
         cells = ["" if value is None else form.format(value) for value, form in values]
         rows.append((str(point.frames), point.method, *cells))
-    figures = (Column(name, justify="right") for name, _, _ in told)
-    return table_of(("labelled frames", "method", *figures), rows, title=title)
+    figures = (Column(name, justify="right") for name, _, _ in shown_columns)
+    return make_table(("labelled frames", "method", *figures), rows, title=title)
 
 
-def _lost(point: "CurvePoint") -> float | None:
+def _missed_percentage(point: "CurvePoint") -> float | None:
     """Share of the touches that were not found [%]; None where all were."""
     return None if point.found is None or point.found == 1.0 else 100.0 * (1.0 - point.found)
 
 
-def said(adapted: "training.Pipeline") -> dict[str, object]:
+def adaptation_facts(pipeline: "training.Pipeline") -> dict[str, object]:
     """Facts of an adaptation for JSON."""
-    known = adapted.adaptation or adapted.trained_on["validated"]
-    return {"estimates": adapted.targets.as_dict(), "adaptation": dict(known)}
+    facts = pipeline.adaptation or pipeline.trained_on["validated"]
+    return {"estimates": pipeline.targets.as_dict(), "adaptation": dict(facts)}
 
 
-def in_words(adapted: "training.Pipeline") -> str:
+def in_words(pipeline: "training.Pipeline") -> str:
     """A sentence about an adapted pipeline: what it learned from."""
-    if not adapted.adaptation:
+    if not pipeline.adaptation:
         frames, error = (
-            adapted.trained_on["frames"],
-            adapted.trained_on["validated"]["mean_error_mm"],
+            pipeline.trained_on["frames"],
+            pipeline.trained_on["validated"]["mean_error_mm"],
         )
         return (
             f"touch positions from {frames} frames of presses, {error:.1f} mm off in presses that "
             "were left out"
         )
-    known = adapted.adaptation
+    facts = pipeline.adaptation
     words = (
-        f"adapted by {known['flat']} flat frames, {known['bends']} at known angles and "
-        f"{known['touches']} with known touches; {known['left_out']} not used"
+        f"adapted by {facts['flat']} flat frames, {facts['bends']} at known angles and "
+        f"{facts['touches']} with known touches; {facts['left_out']} not used"
     )
-    return words + twin_in_words(known["twin"]) if known.get("twin") else words
+    return words + twin_in_words(facts["twin"]) if facts.get("twin") else words
 
 
 def twin_in_words(trial: "Mapping[str, Any]") -> str:
@@ -199,7 +199,7 @@ def twin_in_words(trial: "Mapping[str, Any]") -> str:
     if judged.without is None or judged.with_twin is None:
         return "; touches answer as on the twin, which no known touch has judged"
     left = f"{judged.without:.1%} of the known touches' changes unexplained, {judged.with_twin:.1%}"
-    return f"; {left} with the twin, which is {'taken' if judged.kept else 'not taken'}"
+    return f"; {left} with the twin, which is {'taken' if judged.accepts_twin else 'not taken'}"
 
 
 def calibration_table(calibration: "Calibration") -> Table:
@@ -211,7 +211,7 @@ def calibration_table(calibration: "Calibration") -> Table:
     ]
     caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
     headings = ("angle, deg", "standard error before, deg", "after, deg")
-    return table_of(headings, rows, caption=caption)
+    return make_table(headings, rows, caption=caption)
 
 
 Angles = Annotated[
@@ -261,36 +261,36 @@ def calibrate(
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)
-    wanted = ([0.0] if pipeline.stored is None else []) + angles_of(angles)
-    layout, taken = pipeline.layout, []
+    all_angles = ([0.0] if pipeline.stored_reference is None else []) + parse_angles(angles)
+    layout, taken_frames = pipeline.layout, []
     with options.opened_board(board, seed) as opened:
         layout.require_same_measurements(opened.protocol, opened.info.frequency)
-        alone = left_alone if opened.stage is None or "scene=" in board else staged(0.0)
-        hand = alone if no_prompt else asked(TerminalDialogue(output))
-        poses, newest = [bent(angle) for angle in wanted], not no_prompt
+        alone = left_alone if opened.stage is None or "scene=" in board else stage_poses(0.0)
+        hand = alone if no_prompt else ask_for_poses(TerminalDialogue(output))
+        poses, newest = [bent_pose(angle) for angle in all_angles], not no_prompt
 
-        def done(pose: Pose) -> None:
+        def note_pose(pose: Pose) -> None:
             output.note(f"{frames} frames: {pose.words}")
 
-        for frame, label in frames_in_poses(opened, poses, frames, hand, done, newest=newest):
+        for frame, label in frames_in_poses(opened, poses, frames, hand, note_pose, newest=newest):
             if label.flat:  # refused now, not after the work of all angles
                 layout.require_same_sensor(layout.voltages(frame)[0], adapting=True)
-            taken.append(frame)
-    known = [angle for angle in wanted for _ in range(frames)]
-    if pipeline.stored is not None:
-        moved = [pair for pair in zip(taken, known, strict=True) if pair[1]]
-        begun = taken[0].time - STORED_AGE
-        taken = [pipeline.stored.frame(begun), *(frame for frame, _ in moved)]
-        known = [0.0, *(angle for _, angle in moved)]
-    elif doubt := pipeline.doubt(layout.voltages(taken[0])[0]):
-        output.note(f"{doubt}; calibrating nevertheless, since you said that it is flat")
-    calibration = pipeline.calibrate(taken, known)
+            taken_frames.append(frame)
+    known_angles = [angle for angle in all_angles for _ in range(frames)]
+    if pipeline.stored_reference is not None:
+        moved = [pair for pair in zip(taken_frames, known_angles, strict=True) if pair[1]]
+        begun = taken_frames[0].time - STORED_AGE
+        taken_frames = [pipeline.stored_reference.frame(begun), *(frame for frame, _ in moved)]
+        known_angles = [0.0, *(angle for _, angle in moved)]
+    elif doubt := pipeline.doubt(layout.voltages(taken_frames[0])[0]):
+        output.note(f"{doubt}; calibrating nevertheless, since you stated that it is flat")
+    calibration = pipeline.calibrate(taken_frames, known_angles)
     saved = pipeline.save(out)
     output.result({"out": str(saved), **calibration.as_dict()}, calibration_table(calibration))
     output.note(f"saved {saved}; use it with this sensor only")
 
 
-def angles_of(text: str) -> list[float]:
+def parse_angles(text: str) -> list[float]:
     """Angles in degrees from text, without 0; raises ConfigurationError for other text."""
     try:
         return [angle for angle in map(float, text.split(",")) if angle]

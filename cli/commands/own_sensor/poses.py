@@ -28,7 +28,7 @@ class Dialogue(Protocol):
         """
 
     def note(self, text: str) -> None:
-        """Tell what is done, or what came of it."""
+        """Report what is done, or what came of it."""
 
     def sketch(self, text: str) -> None:
         """Show a map in letters, where places are not shown otherwise."""
@@ -76,19 +76,19 @@ class Pose:
     label: "training.FrameLabel"
 
 
-def bent(angle_deg: float) -> Pose:
+def bent_pose(angle_deg: float) -> Pose:
     """Pose of the untouched sensor at an angle."""
     words = "lay it flat" if angle_deg == 0 else f"bend it by {angle_deg:g} deg"
     return Pose(f"{words}, untouched", training.FrameLabel(angle_deg))
 
 
-def pressed(name: str, x: float, y: float) -> Pose:
+def pressed_pose(name: str, x: float, y: float) -> Pose:
     """Pose of the flat sensor with a press at a place [m]."""
     words = f"press at {name}: x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, and hold"
     return Pose(words, training.FrameLabel(touches=(training.TouchLabel(x, y),)))
 
 
-def asked(dialogue: "Dialogue") -> Hand:
+def ask_for_poses(dialogue: "Dialogue") -> Hand:
     """Ask a person for each pose, and wait until it is held."""
 
     def wait(_board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]") -> None:
@@ -102,17 +102,19 @@ def asked(dialogue: "Dialogue") -> Hand:
 
 
 def left_alone(_board: "hardware.Board", _pose: Pose, _stream: "Iterator[simulator.Frame]") -> None:
-    """Do nothing: the board goes through the poses by itself."""
+    """Do nothing: the board goes through the poses on its own."""
 
 
-def staged(force: float) -> Hand:
+def stage_poses(force: float) -> Hand:
     """Bring the simulated sensor of a virtual board into its poses, pressed by a force [N]."""
 
-    def moved(board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]") -> None:
+    def move_stage(
+        board: "hardware.Board", pose: Pose, stream: "Iterator[simulator.Frame]"
+    ) -> None:
 
         if board.stage is None:
             raise ConfigurationError(
-                "--no-prompt is for a virtual: board, whose sensor moves by itself, got another "
+                "--no-prompt is for a virtual: board, whose sensor moves on its own, got another "
                 "board; leave it out"
             )
         touches = tuple(simulator.Touch(each.x, each.y, force) for each in pose.label.touches or ())
@@ -121,7 +123,7 @@ def staged(force: float) -> Hand:
         while board.stage.truth(next(stream).number) != scene:
             pass
 
-    return moved
+    return move_stage
 
 
 def frames_in_poses(
@@ -129,7 +131,7 @@ def frames_in_poses(
     poses: Sequence[Pose],
     count: int,
     hand: Hand,
-    done: Callable[[Pose], None] = lambda _: None,
+    on_done: Callable[[Pose], None] = lambda _: None,
     *,
     newest: bool = False,
 ) -> "Iterator[tuple[simulator.Frame, training.FrameLabel]]":
@@ -137,10 +139,10 @@ def frames_in_poses(
 
     Args:
         board: open.
-        poses: in their order.
+        poses: poses in their order.
         count: number of frames in each.
         hand: way of bringing the sensor into a pose.
-        done: called after the frames of a pose.
+        on_done: called after the frames of a pose.
         newest: skip frames that came while the hand was at it.
     """
     stream = board.frames(newest=newest)
@@ -148,11 +150,11 @@ def frames_in_poses(
         hand(board, pose, stream)
         for _ in range(count):
             yield next(stream), pose.label
-        done(pose)
+        on_done(pose)
 
 
 def as_dataset(
-    taken: "Sequence[tuple[simulator.Frame, training.FrameLabel]]",
+    labelled_frames: "Sequence[tuple[simulator.Frame, training.FrameLabel]]",
     design: "geometry.SensorDesign | None",
 ) -> "datasets.Dataset":
     """Labelled frames of one sensor as a dataset.
@@ -166,8 +168,8 @@ def as_dataset(
 
     from eitskin.datasets.store.schema import MAX_TOUCHES
 
-    values = np.array([frame.impedance for frame, _ in taken])
-    labels = [label for _, label in taken]
+    values = np.array([frame.impedance for frame, _ in labelled_frames])
+    labels = [label for _, label in labelled_frames]
     flat = [row for row, label in enumerate(labels) if label.flat]
     if not flat:
         raise DataError(
@@ -175,7 +177,7 @@ def as_dataset(
             "repeat the step that lays it flat"
         )
     before = np.full(values.shape, np.nan, complex)
-    x, y = np.full((2, len(taken), MAX_TOUCHES), np.nan)
+    x, y = np.full((2, len(labelled_frames), MAX_TOUCHES), np.nan)
     latest: list[int] = []
     for row, label in enumerate(labels):
         if not label.touches:
@@ -194,27 +196,27 @@ def as_dataset(
         else datasets.State.BEND
         for label in labels
     ]
-    first = taken[0][0]
+    first = labelled_frames[0][0]
     return datasets.Dataset.from_arrays(
         values,
         values[flat].mean(axis=0),
         touch_reference=before,
-        specimen=np.zeros(len(taken)),
+        specimen=np.zeros(len(labelled_frames)),
         state=states,
         bend_angle_deg=[label.angle_deg for label in labels],
         touch_x=x,
         touch_y=y,
-        time=np.arange(len(taken)) * _period(taken),
-        status=np.array([frame.status for frame, _ in taken]),
+        time=np.arange(len(labelled_frames)) * _period(labelled_frames),
+        status=np.array([frame.status for frame, _ in labelled_frames]),
         protocol=first.protocol,
         frequency=first.frequency,
         design=design,
     )
 
 
-def _period(taken: "Sequence[tuple[simulator.Frame, training.FrameLabel]]") -> float:
-    """Mean time from frame to frame [s]; the clock of a board may begin anew at each step."""
-    steps = [b.time - a.time for (a, _), (b, _) in pairwise(taken)]
+def _period(labelled_frames: "Sequence[tuple[simulator.Frame, training.FrameLabel]]") -> float:
+    """Mean time from frame to frame [s]; the clock of a board may begin again at each step."""
+    steps = [b.time - a.time for (a, _), (b, _) in pairwise(labelled_frames)]
     forward = [step for step in steps if step > 0.0]
     return sum(forward) / len(forward) if forward else 1.0
 

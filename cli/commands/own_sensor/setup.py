@@ -41,7 +41,7 @@ class SetupOptions:
                 "expected no negative number of presses, and a frame or more in each pose, got "
                 f"{self.presses} and {self.frames}"
             )
-        adapt.angles_of(self.angles)
+        adapt.parse_angles(self.angles)
 
 
 @with_output
@@ -69,26 +69,27 @@ def command(
 
     require_writable(out, replace)
     dialogue, start = poses.TerminalDialogue(output), adapt.open_start(model, None)
-    hand = poses.staged(FORCE) if no_prompt else poses.asked(dialogue)
+    hand = poses.stage_poses(FORCE) if no_prompt else poses.ask_for_poses(dialogue)
     design = geometry.SensorDesign.from_toml(sensor) if sensor else None
     setup = Setup(model, start, out, options, dialogue, hand, design, asks=not no_prompt)
-    if setup.recorded.exists() and not replace:
+    if setup.frames_folder.exists() and not replace:
         raise ConfigurationError(
-            f"{setup.recorded} exists and is not replaced; {setup.going_on}, choose another --out, "
+            f"{setup.frames_folder} exists and is not replaced; {setup.next_command}, choose "
+            f"another --out, "
             "or give --replace"
         )
     try:
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
         adapted = setup.run(partial(opened_board, uri, seed))
     except (KeyboardInterrupt, typer.Abort):
-        output.note(setup.kept, whole=True)
+        output.note(setup.kept_files_note, whole=True)
         raise KeyboardInterrupt from None
     following = setup.live_command(uri)
     result = {
         "out": str(setup.out),
-        "frames": str(setup.recorded),
+        "frames": str(setup.frames_folder),
         "reference": str(setup.zero or ""),
-        **adapt.said(adapted),
+        **adapt.adaptation_facts(adapted),
         "next": following,
     }
     output.result(result, f"{setup.out}: {adapt.in_words(adapted)}\nnext: {following}")
@@ -120,12 +121,13 @@ class Setup:
 
     Attributes:
         model: name of the pipeline to start from, or `none`.
-        start: that pipeline; None for none.
-        out: of the sensor's own pipeline.
+        start: start that pipeline; None for none.
+        out: out of the sensor's own pipeline.
         options: number of frames, presses and angles.
-        dialogue: with the person at the sensor.
+        dialogue: dialogue with the person at the sensor.
         hand: way of bringing it into a pose.
-        design: of the sensor; that of the pipeline when omitted, None where nothing tells it.
+        design: design of the sensor; that of the pipeline when omitted, None where nothing shows
+            it.
         asks: whether steps can be repeated and skipped.
         taken: labelled frames by the step that took them.
         zero: file of the stored reference; None before it was taken.
@@ -152,36 +154,36 @@ class Setup:
             self.design = self.start.layout.known_design
 
     @property
-    def recorded(self) -> Path:
+    def frames_folder(self) -> Path:
         """Folder of the labelled frames."""
         return self.out.with_name(f"{self.out.stem}-frames")
 
     @property
-    def kept(self) -> str:
+    def kept_files_note(self) -> str:
         """Sentence about what is kept when the set-up ends early."""
         files = [str(self.zero)] if self.zero else []
-        files += [str(self.recorded)] if self.taken else []
+        files += [str(self.frames_folder)] if self.taken else []
         if not files:
             return "nothing was kept: no step that writes a file was finished"
-        return f"kept: {', '.join(files)}{f'; {self.going_on}' if self.taken else ''}"
+        return f"kept: {', '.join(files)}{f'; {self.next_command}' if self.taken else ''}"
 
     @property
-    def going_on(self) -> str:
+    def next_command(self) -> str:
         """Words that say how to learn from the labelled frames that are kept."""
-        return f"go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
+        return f"go on by: eitskin adapt {self.model} {self.frames_folder} --out {self.out}"
 
     def live_command(self, uri: str) -> str:
         """Command that goes on with the sensor's own pipeline."""
         reference = f" --reference {self.zero}" if self.zero else ""
         return f"eitskin live {self.out} --board '{uri}'{reference} --page"
 
-    def run(self, opened: "Callable[[], hardware.Board]") -> "training.Pipeline":
+    def run(self, open_board: "Callable[[], hardware.Board]") -> "training.Pipeline":
         """Go through all steps with a board, which each opens and closes.
 
         Raises ConfigurationError where no step took frames to learn from.
         """
         start, presses = self.start, self.options.presses
-        angles = adapt.angles_of(self.options.angles)
+        angles = adapt.parse_angles(self.options.angles)
         steps: list[tuple[str, str, Callable[[hardware.Board], str]]] = []
         if start is not None:
             check_sensor, store_zero = partial(self._check, start), partial(self._tare, start)
@@ -192,20 +194,20 @@ class Setup:
         if presses:
             steps.append(("presses", f"{presses} presses at named places", self._press))
         for name, what, work in steps:
-            self._step(name, what, opened, work)
+            self._step(name, what, open_board, work)
         return self._finish()
 
     def _step(
         self,
         name: str,
         what: str,
-        opened: "Callable[[], hardware.Board]",
+        open_board: "Callable[[], hardware.Board]",
         work: "Callable[[hardware.Board], str]",
     ) -> None:
-        """Run a step, as often as wanted; its errors are told, and it may be repeated."""
+        """Run a step, as often as wanted; its errors are reported, and it may be repeated."""
 
         def run() -> str:
-            with opened() as board:
+            with open_board() as board:
                 return work(board)
 
         if not self.asks:
@@ -223,13 +225,13 @@ class Setup:
                 return
 
     def _check(self, start: "training.Pipeline", board: "hardware.Board") -> str:
-        """The sensor check; findings are told, and the step may be repeated."""
+        """The sensor check; findings are reported, and the step may be repeated."""
         start.layout.require_same_measurements(board.protocol, board.info.frequency)
-        taken = list(islice(board.frames(), check.FRAMES))
-        found = check.sensor_findings(
-            start, taken, lambda: [start.process(frame) for frame in taken][-1]
+        check_frames = list(islice(board.frames(), check.FRAMES))
+        findings = check.sensor_findings(
+            start, check_frames, lambda: [start.process(frame) for frame in check_frames][-1]
         )
-        text = "\n".join(each.message for each in found.findings)
+        text = "\n".join(finding.message for finding in findings.findings)
         if text and not self.asks:
             self.dialogue.note(text)
             raise typer.Exit(check.EXIT_UNHEALTHY)
@@ -243,8 +245,8 @@ class Setup:
         return f"{self.zero} is the zero of this sensor, for --reference"
 
     def _bend(self, board: "hardware.Board") -> str:
-        angles = 0.0, *adapt.angles_of(self.options.angles)
-        return self._take(board, "angles", [poses.bent(angle) for angle in angles])
+        angles = 0.0, *adapt.parse_angles(self.options.angles)
+        return self._take(board, "angles", [poses.bent_pose(angle) for angle in angles])
 
     def _press(self, board: "hardware.Board") -> str:
         count = self.options.presses
@@ -255,37 +257,37 @@ class Setup:
         places = poses.press_places(self.design, count)
         self.dialogue.sketch(poses.place_map(self.design, places))
         half = (count + 1) // 2
-        named = [poses.pressed(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
-        flat = poses.bent(0.0)
+        named = [poses.pressed_pose(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
+        flat = poses.bent_pose(0.0)
         return self._take(board, "presses", [flat, *named[:half], flat, *named[half:]])
 
-    def _take(self, board: "hardware.Board", name: str, wanted: list[poses.Pose]) -> str:
+    def _take(self, board: "hardware.Board", name: str, pose_list: list[poses.Pose]) -> str:
         """Frames in poses, kept in the folder of labelled frames once all are taken."""
         from eitskin.files import atomic_folder
 
         done = poses.frames_in_poses(
             board,
-            wanted,
+            pose_list,
             self.options.frames,
             self.hand,
             lambda pose: self.dialogue.note(f"taken: {pose.words}"),
             newest=self.asks,
         )
-        taken = {**self.taken, name: list(done)}
-        data = poses.as_dataset([each for step in taken.values() for each in step], self.design)
-        with atomic_folder(self.recorded) as made:
-            datasets.save_dataset(data, made)
-        self.taken = taken
-        return f"{len(taken[name])} frames in {len(wanted)} poses"
+        frames = {**self.taken, name: list(done)}
+        data = poses.as_dataset([each for step in frames.values() for each in step], self.design)
+        with atomic_folder(self.frames_folder) as new_folder:
+            datasets.save_dataset(data, new_folder)
+        self.taken = frames
+        return f"{len(frames[name])} frames in {len(pose_list)} poses"
 
     def _finish(self) -> "training.Pipeline":
         """Adapt to the labelled frames, and save."""
         if not self.taken:
             raise ConfigurationError(
                 "no labelled frames to adapt to, all steps that take them were skipped; "
-                f"{self.kept}"
+                f"{self.kept_files_note}"
             )
         self.dialogue.note("learning from the labelled frames")
-        self.adapted = adapt.adapt(self.start, datasets.open_dataset(self.recorded))
+        self.adapted = adapt.adapt(self.start, datasets.open_dataset(self.frames_folder))
         self.out = self.adapted.save(self.out)
         return self.adapted

@@ -136,14 +136,14 @@ def test_readers_get_the_newest_only() -> None:
     newest = Latest[bytes]()
     for number in range(1, 6):
         newest.put(b"%d" % number)
-    assert newest.after(0) == (5, b"5")
-    assert newest.after(5, timeout=0.0) is None
+    assert newest.wait_after(0) == (5, b"5")
+    assert newest.wait_after(5, timeout=0.0) is None
     newest.put(b"6")
-    assert newest.after(2) == (6, b"6")
+    assert newest.wait_after(2) == (6, b"6")
     newest.close()
     newest.put(b"7")
-    assert newest.after(5) == (6, b"6")  # who has not seen the last one still may
-    assert newest.after(6) is None
+    assert newest.wait_after(5) == (6, b"6")  # who has not seen the last one still may
+    assert newest.wait_after(6) is None
 
 
 def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> None:
@@ -277,4 +277,4 @@ def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
     connection.board.info = Info(period=float("nan"))
     with LivePage(connection, DESIGN) as made, closing(Stream(made)) as stream:
         assert stream.until("sensor")["period"] is None
-        assert made.stale_after() == np.inf
+        assert made.max_age() == np.inf

@@ -267,14 +267,14 @@ def test_a_token_does_not_help_a_foreign_page(guarded):
 
 def test_every_network_needs_tokens_which_the_addresses_have():
     for host in ("127.0.0.1", "localhost", "127.0.0.5"):
-        assert Access.of(host).tokens is None
-        assert Access.of(host).role("") is Role.COMMANDER
-    access = Access.of("0.0.0.0")  # noqa: S104
+        assert Access.for_host(host).tokens is None
+        assert Access.for_host(host).role("") is Role.COMMANDER
+    access = Access.for_host("0.0.0.0")  # noqa: S104
     (_, view), (_, command) = access.invitations(8940)
     assert access.role(view.partition("#")[2]) is Role.VIEWER
     assert access.role(command.partition("#")[2]) is Role.COMMANDER
     assert "0.0.0.0" not in view  # noqa: S104
-    assert Access.of("0.0.0.0").tokens != access.tokens  # noqa: S104
+    assert Access.for_host("0.0.0.0").tokens != access.tokens  # noqa: S104
 
 
 def test_requests_may_call_the_page_by_the_address_that_they_came_to():
@@ -288,13 +288,13 @@ def test_requests_may_call_the_page_by_the_address_that_they_came_to():
 
 def test_tokens_are_kept_in_a_file_that_only_its_owner_reads(tmp_path):
     path = tmp_path / "tokens"
-    made = Access.of("127.0.0.1", path)
+    made = Access.for_host("127.0.0.1", path)
     assert made.tokens is not None
     assert path.stat().st_mode & 0o777 == 0o600
-    assert Access.of("0.0.0.0", path).tokens == made.tokens  # noqa: S104
+    assert Access.for_host("0.0.0.0", path).tokens == made.tokens  # noqa: S104
     path.chmod(0o640)
     with pytest.raises(ConfigurationError, match="chmod 600"):
-        Tokens.kept(path)
+        Tokens.load_or_create(path)
 
 
 def test_other_files_are_no_tokens(tmp_path):
@@ -304,10 +304,10 @@ def test_other_files_are_no_tokens(tmp_path):
     for text in (*texts, f"view {known} {known}", "\x00" * 99, "x" * 5000):
         path.write_text(text)
         with pytest.raises(ConfigurationError, match="expected"):
-            Tokens.kept(path)
+            Tokens.load_or_create(path)
     os.mkfifo(tmp_path / "pipe")  # which is not waited for
     with pytest.raises(ConfigurationError, match="something else"):
-        Tokens.kept(tmp_path / "pipe")
+        Tokens.load_or_create(tmp_path / "pipe")
 
 
 REQUEST = b"POST /scene HTTP/1.0\r\nHost: a\r\ncontent-LENGTH: 5\r\n\r\n12345"

@@ -10,11 +10,11 @@ import pytest
 
 from eitskin.cli.page.commands import stage_commands
 from eitskin.cli.page.drawing import FACE, INSIDE, DrawnBody, GelDrawing, GelShape
-from eitskin.cli.page.plan import Region, grid_of, outline_of
-from eitskin.cli.page.state import filled, relative_change
+from eitskin.cli.page.plan import Region, grid_spacing, plan_outline
+from eitskin.cli.page.state import fill_bad_channels, relative_change
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
-from eitskin.geometry.design.contact_areas import Pad, placed
+from eitskin.geometry.design.contact_areas import Pad, contact_areas
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc, Polygon
 from eitskin.geometry.design.patches import area_vectors
@@ -69,7 +69,7 @@ DESIGNS = {
 @pytest.mark.parametrize("name", DESIGNS)
 def test_a_drawn_layer_is_closed_and_its_electrodes_lie_where_they_are(name) -> None:
     design, area = DESIGNS[name]
-    body = DrawnBody.of(design)
+    body = DrawnBody.from_design(design)
     kinds = body.kinds[body.faces[:, 0]]
     vectors, middles = areas(body, kinds <= FACE)
     assert np.abs(vectors.sum(axis=0)).max() < 1e-12 * area
@@ -77,7 +77,7 @@ def test_a_drawn_layer_is_closed_and_its_electrodes_lie_where_they_are(name) -> 
     assert volume == pytest.approx(area * 0.005, rel=2e-3)  # a disc is drawn with chords
     upper, _ = areas(body, kinds == FACE)
     assert upper[:, 2].sum() == pytest.approx(area, rel=2e-3)
-    contacts = placed(design.electrodes, design.outline, design.thickness)
+    contacts = contact_areas(design.electrodes, design.outline, design.thickness)
     for number, (patch, contact) in enumerate(zip(design.patches(), contacts, strict=True)):
         vectors, middles, mine = of_electrode(body, number)
         assert (kinds[mine] == INSIDE).all() == (design.electrodes[number].on == "inside")
@@ -106,7 +106,7 @@ def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     ring = [(0.2 + 0.015 * math.cos(a), 0.1 + 0.015 * math.sin(a)) for a in (0.0, 2.0, 4.0)]
     electrodes = tuple(Electrode(x, y, **size) for x, y in ring)
     design = SensorDesign(surface, surface.height, electrodes, encapsulated_thickness=0.018)
-    shape = GelShape.of(design)
+    shape = GelShape.from_design(design)
     body = shape.body
     assert len(body.points) < 4000
     kinds = body.kinds[body.faces[:, 0]]
@@ -115,44 +115,46 @@ def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     assert (vectors * middles).sum() / 3.0 == pytest.approx(0.4 * math.pi * 0.03**3, rel=0.02)
     sizes = [np.linalg.norm(of_electrode(body, n)[0], axis=1).sum() for n in range(3)]
     assert sizes == pytest.approx([1e-4] * 3, rel=0.03)
-    assert np.array_equal(shape.bent(0.0, [(0.2, 0.1, 5.0)]), body.points)  # no dents
-    region = Region.around(design)
+    assert np.array_equal(shape.bend_points(0.0, [(0.2, 0.1, 5.0)]), body.points)  # no dents
+    region = Region.from_design(design)
     assert np.allclose([region.low, region.high], [(0.17, 0.07), (0.23, 0.13)], atol=1e-4)
     beside = b'{"touches": [{"x": 0.172, "y": 0.072, "force": 5}]}'  # in the rectangle's corner
     with pytest.raises(ConfigurationError, match="above the body"):
         stage_commands(FakeBoard(), design)["/scene"](beside)
-    points = decoded(base64.b64decode(GelDrawing.of(design).as_dict()["points"]), 2 * 0.06 / 32000)
+    points = decoded(
+        base64.b64decode(GelDrawing.from_design(design).as_dict()["points"]), 2 * 0.06 / 32000
+    )
     assert points.min() == pytest.approx(0.0, abs=1e-3)  # counted from its least corner
     assert points.max() == pytest.approx(0.06, abs=1e-3)
 
 
 def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
-    shape = GelShape.of(DESIGN)
+    shape = GelShape.from_design(DESIGN)
     points = shape.body.points
-    flat = shape.bent(0.0, [])
+    flat = shape.bend_points(0.0, [])
     assert np.array_equal(flat, points)
     layer = bend_table.bend(DESIGN, Clamp(), Mechanics(), Bend(30.0))
-    assert np.allclose(shape.bent(30.0, []), layer.positions(points))
+    assert np.allclose(shape.bend_points(30.0, []), layer.positions(points))
     upper = np.flatnonzero(points[:, 2] == 0.005)
     at = points[upper[np.hypot(*(points[upper, :2] - (0.075, 0.03)).T).argmin()]]
-    dented = shape.bent(0.0, [(at[0], at[1], 10.0)])
+    dented = shape.bend_points(0.0, [(at[0], at[1], 10.0)])
     dents = sketched_dents((Touch(at[0], at[1], 10.0),), DESIGN)
     assert np.allclose(dented, dents.positions(points))
     assert 0.3 < 1.0 - np.ptp(dents.positions(at * [[1, 1, 0], [1, 1, 1]])[:, 2]) / 0.005 < 0.5
-    assert np.array_equal(shape.bent(500.0, []), shape.bent(shape.most, []))
-    assert np.array_equal(shape.bent(float("nan"), []), flat)
+    assert np.array_equal(shape.bend_points(500.0, []), shape.bend_points(shape.most, []))
+    assert np.array_equal(shape.bend_points(float("nan"), []), flat)
 
 
 def test_a_disc_is_bent_by_the_hinge_and_one_that_is_too_short_stays_flat() -> None:
-    shape = GelShape.of(DESIGNS["disc"][0])
+    shape = GelShape.from_design(DESIGNS["disc"][0])
     bent = Hinge().flexure(shape.design, Bend(30.0)).positions(shape.body.points)
-    assert np.allclose(shape.bent(30.0, []), bent)
+    assert np.allclose(shape.bend_points(30.0, []), bent)
     short = Disc(0.015)
-    assert GelShape.of(with_outline(short, uniform(short, 4))).most == 0.0
+    assert GelShape.from_design(with_outline(short, uniform(short, 4))).most == 0.0
 
 
 def test_noise_is_not_drawn_again() -> None:
-    drawing = GelDrawing.of(DESIGN)
+    drawing = GelDrawing.from_design(DESIGN)
     first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
     assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
     moved = drawing.points(10.5, [(0.05, 0.03, float("nan"))])
@@ -168,7 +170,7 @@ def test_a_channel_that_was_bad_at_first_is_compared_with_its_first_good_value()
     values = np.full(28, 500.0)
     first = Frame(np.where(status, 1e5, values), PROTOCOL, status=status)
     later = Frame(values * 1.01, PROTOCOL, number=1)
-    reference = filled(first, later)
+    reference = fill_bad_channels(first, later)
     assert not reference.status.any()
     change = relative_change(Frame(values * 1.02, PROTOCOL, number=2), reference)
     assert change[3] == pytest.approx(100 * (1.02 / 1.01 - 1), abs=1e-3)
@@ -176,7 +178,7 @@ def test_a_channel_that_was_bad_at_first_is_compared_with_its_first_good_value()
 
 
 def test_the_outline_and_the_grid_seen_from_above() -> None:
-    assert len(outline_of(DESIGNS["disc"][0])) > 50
-    assert np.array_equal(outline_of(DESIGNS["polygon"][0]), L_SHAPE.vertices)
-    spacings = [grid_of(0.15, 0.06), grid_of(0.1, 0.1), grid_of(0.9, 2.1)]
+    assert len(plan_outline(DESIGNS["disc"][0])) > 50
+    assert np.array_equal(plan_outline(DESIGNS["polygon"][0]), L_SHAPE.vertices)
+    spacings = [grid_spacing(0.15, 0.06), grid_spacing(0.1, 0.1), grid_spacing(0.9, 2.1)]
     assert spacings == pytest.approx([0.015, 0.01, 0.2])

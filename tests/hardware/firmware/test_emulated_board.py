@@ -78,7 +78,7 @@ def test_it_says_who_it_is(running):
     board, info = running
     assert (info.firmware, info.uid, info.boot_count) == ("eitskin-f411 1.0", UID, 1)
     assert board.ask(Hello(), Info) == info
-    assert board.ask(GetTable(), Table) == Table.of(PROTOCOL)
+    assert board.ask(GetTable(), Table) == Table.from_protocol(PROTOCOL)
 
 
 def test_garbage_is_dropped_and_wrong_requests_are_told_so(running):

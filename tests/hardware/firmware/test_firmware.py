@@ -47,11 +47,11 @@ def test_it_says_who_it_is_on_boot_and_when_asked():
     assert ask(board, Hello()) == [info]
     assert (info.firmware, info.uid) == ("eitskin-c 1.0", b"uid-of-12-by")
     assert (info.boot_count, info.n_electrodes, info.n_measurements) == (1, 8, 28)
-    assert info.table_crc32 == Table.of(PROTOCOL).crc32
+    assert info.table_crc32 == Table.from_protocol(PROTOCOL).crc32
     assert (info.frequency, info.rtia, info.rcal) == (40e3, 200.0, 200.0)
     assert info.amplitude == pytest.approx(0.607)
     assert info.period == pytest.approx(28 * 10.6e-3)
-    assert ask(board, GetTable()) == [Table.of(PROTOCOL)]
+    assert ask(board, GetTable()) == [Table.from_protocol(PROTOCOL)]
 
 
 def test_a_reboot_counts_and_starts_the_numbers_again():
@@ -182,7 +182,7 @@ def test_requests_wait_while_their_answers_cannot_be_sent():
     board.hear(asked)
     assert board.poll(200) == b""
     board.line = None
-    assert messages(board.receive(b"")) == [Table.of(PROTOCOL)] * 40
+    assert messages(board.receive(b"")) == [Table.from_protocol(PROTOCOL)] * 40
 
 
 # ---- behind a port ----

@@ -131,7 +131,7 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
 def test_what_cannot_be_bent_is_refused(bent) -> None:
     reference, disc = SensorDesign.reference(), Disc(0.050)
     for make, message in (
-        (lambda: bent.positions(np.array([0.075, 0.030, 0.010])), "beside"),
+        (lambda: bent.positions(np.array([0.075, 0.030, 0.010])), "outside"),
         (lambda: ClampedStack(reference, Clamp(span=0.155)), "span"),
         (lambda: Mechanics(margin=-1e-3), "margin"),
         (lambda: ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4))), "rectangular"),

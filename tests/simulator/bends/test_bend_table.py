@@ -82,7 +82,7 @@ def few_angles(monkeypatch, tmp_path):
 @pytest.mark.parametrize("angle", [-15.0, 5.0, 25.0])
 def test_bends_between_the_solved_ones(stack, table, angle) -> None:
     (direct,) = stack.equilibria([angle])
-    between = table.at(angle)
+    between = table.bent_layer(angle)
     X = nodes(table)
     assert between.positions(X) == pytest.approx(direct.positions(X), abs=5e-6)
     assert between.energy == pytest.approx(direct.energy, rel=5e-3)
@@ -92,14 +92,14 @@ def test_bends_between_the_solved_ones(stack, table, angle) -> None:
 def test_nodes_and_the_flat_bend_are_met(stack, table) -> None:
     X = nodes(table)
     for direct in stack.equilibria(ANGLES):
-        layer = table.at(direct.angle_deg)
+        layer = table.bent_layer(direct.angle_deg)
         assert layer.positions(X) == pytest.approx(direct.positions(X), abs=1e-9)
         assert (layer.energy, layer.moment) == pytest.approx((direct.energy, direct.moment))
-    assert table.at(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
+    assert table.bent_layer(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
 
 
 def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(table) -> None:
-    layer, steps = table.at(33.0), 1e-7 * np.eye(3)
+    layer, steps = table.bent_layer(33.0), 1e-7 * np.eye(3)
     X = INSIDE * np.array([1.02, 1.02, 1.0]) - np.array([0.0006, 0.00012, 0.0])
     ends = [layer.positions(X + e) - layer.positions(X - e) for e in steps]
     sizes = solved(table).sizes
@@ -115,7 +115,7 @@ def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(t
 
 
 def test_left_mirrors_right_and_front_mirrors_back(table) -> None:
-    layer, centre = table.at(25.0), solved(table).sizes["centre"]
+    layer, centre = table.bent_layer(25.0), solved(table).sizes["centre"]
     for signs in (np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])):
         X = INSIDE - centre
         there = layer.positions(centre + signs * X) - centre
@@ -128,7 +128,7 @@ def test_the_reference_sensor_bends_as_an_independent_solution_has_it() -> None:
     sim = Simulator(SensorDesign.reference(), "standard")
     flat = sim.protocol.measure(sim.model.impedance()).real
     layer = bend_table.bend(sim.design, Clamp(), sim.mechanics, Bend(20.0))
-    change = sim.deformed(layer).impedance.real / flat - 1.0
+    change = sim.simulate_deformation(layer).impedance.real / flat - 1.0
     assert np.linalg.norm(change - INDEPENDENT) < 0.005 * np.linalg.norm(INDEPENDENT)
 
 
@@ -180,7 +180,7 @@ def test_bends_of_similar_sensors_are_interpolated(monkeypatch) -> None:
     found = bend_table.bend_table(design, between, materials, grid)
     direct = bend_table.bend_table(design, Clamp(0.0204, 0.0042), materials)
     nominal = bend_table.bend_table(design, CLAMP, materials)
-    at = (found.at(8.0), direct.at(8.0), nominal.at(8.0))
+    at = (found.bent_layer(8.0), direct.bent_layer(8.0), nominal.bent_layer(8.0))
     mine, true, first = (each.gradient(INSIDE) for each in at)
     assert np.linalg.norm(mine - true) < 0.05 * np.linalg.norm(first - true)
     assert at[0].energy == pytest.approx(at[1].energy, rel=5e-3)
@@ -190,9 +190,9 @@ def test_refusals_say_what_can_be_bent(table) -> None:
     disc = Disc(0.050)
     round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), "fast")
     for make, message in (
-        (lambda: table.at(40.1), "from -20 to 40 deg, got 40.1"),
-        (lambda: table.at(math.nan), "from -20 to 40 deg"),
-        (lambda: table.at(9.0).positions(INSIDE + 0.1), "kinematic fixture"),
+        (lambda: table.bent_layer(40.1), "from -20 to 40 deg, got 40.1"),
+        (lambda: table.bent_layer(math.nan), "from -20 to 40 deg"),
+        (lambda: table.bent_layer(9.0).positions(INSIDE + 0.1), "kinematic fixture"),
         (lambda: Clamp(span=-1.0), "span"),
         (lambda: Clamp(offset=math.inf), "offset"),
         (lambda: Clamp(compliance=-1.0), "compliance"),

@@ -12,7 +12,7 @@ from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.bends import bend_table, pressed_plates
 from eitskin.simulator.bends.pressed_plates import PlateBend, PlatesCase
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
-from eitskin.simulator.deformation.corrections import sums_on
+from eitskin.simulator.deformation.corrections import rectangle_sums
 from eitskin.simulator.deformation.field import Field
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
@@ -52,35 +52,35 @@ def plates(tmp_path_factory):
 
 def changed(held: PlateBend, x: float, y: float, depth: float) -> tuple[Field, float]:
     """What plates change of a press: the field, and by how much deeper it sinks [m]."""
-    sums = sums_on(DESIGN, 1, 3)
+    sums = rectangle_sums(DESIGN, 1, 3)
     (extra,) = held.evaluate(PUNCH, np.array([[x, y, depth]]), np.zeros(1, int), sums)
     (field,) = sums.fields(DESIGN.thickness, np.array([1.0, 1.0, DESIGN.thickness]))
     return field, float(extra)
 
 
 def moved(field: Field, points: np.ndarray = INSIDE) -> np.ndarray:
-    return field.moved(points)[:3, 0].T
+    return field.displacement_and_gradient(points)[:3, 0].T
 
 
 def coupled(held: PlateBend, x: float, y: float, depth: float) -> tuple[np.ndarray, float]:
     """What the plates change of a press, from two solutions on one mesh."""
     case = PlatesCase(DESIGN, CLAMP, MECHANICS, PUNCH)
-    about, middle = case.about, 0.5 * SIZE.length
+    about, middle = case.indentations, 0.5 * SIZE.length
     (dent,) = about.to_depths([depth / about.thickness]).dents
     body = about.mesh(SIZE, [(x, y)], pressed_plates._FINENESS)
     over_base = INSIDE[:, 0] + np.array([0.0, 0.0, 0.0035])
 
     def press(mesh, shape, state):
-        frame = shape and ContactFrame.at(shape, x, y, about.stack)
+        frame = shape and ContactFrame.from_bent_top(shape, x, y, about.stack)
         field = DentField(x, y, PUNCH, dent, frame)
         found = FiniteStack(mesh, 1, state).correction([field]) if mesh else None
-        return field.at(over_base).displacement, found, frame
+        return field.evaluate(over_base).displacement, found, frame
 
     there, bent, _ = press(body, held.state, held.state)
     _, flat, _ = press(dataclasses.replace(body, gap=(middle, middle)), None, None)
     here, _, gel = press(None, held.bend, None)
     rigid = flat.displacement(over_base)
-    rigid = rigid if gel is None else gel.turned(rigid)
+    rigid = rigid if gel is None else gel.rotate_vectors(rigid)
     change = there + bent.displacement(over_base) - here - rigid
     return change, float(bent.sunk[0] - flat.sunk[0])
 

@@ -80,7 +80,7 @@ def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
     stress = mesh.p.T @ [1.0, 2.0, 3.0]
     field = TetrahedralField(mesh.p.T, mesh.t.T.astype(np.int64), values, stress)
     X = inside(300, -0.1, 1.1).reshape(100, 3, 3)
-    x, F = field.mapped(X)
+    x, F = field.map_points(X)
     assert x == pytest.approx(X + moved(X), abs=1e-12)
     a, b, c = np.moveaxis(X, -1, 0)
     zero = np.zeros_like(a)
@@ -98,7 +98,7 @@ def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
 def test_a_block_of_tetrahedra_deforms_uniformly(F, bulk_ratio) -> None:
     mesh = skfem.MeshTet.init_tensor(*[np.linspace(0.0, 0.01, 3)] * 3)
     body = TetrahedralSolid(mesh, Mechanics(RUBBER, RUBBER, bulk_ratio=bulk_ratio))
-    rim = body.solid.nodes_of(body.facets)
+    rim = body.solid.facet_nodes(body.facets)
     assert np.linalg.norm(body.normals.sum(axis=0)) < 1e-9
     fixed = np.sort((3 * rim[:, None] + np.arange(3)).ravel())
     solid = body.solid
@@ -124,7 +124,7 @@ def test_heights_are_those_of_the_highest_triangle(design) -> None:
 @pytest.mark.slow
 def test_a_box_bends_as_the_clamped_stack_does(design, flat) -> None:
     clamped = ClampedBody(design, 0.020, 0.004, BARE, COARSE)
-    bent = clamped.bent(20.0)
+    bent = clamped.solve_angle(20.0)
     # By Simpson's rule: the moment at no angle is none.
     work = 4.0 * clamped.plates.moment(10.0) + clamped.plates.moment(20.0)
     energy = clamped.plates.energy(20.0)
@@ -153,7 +153,7 @@ def few_cells(monkeypatch):
         1e-3 * np.array([0.0, 4.0, 7.0, 10.0, 13.0, 16.0, 20.0]),
         1e-3 * np.array([0.0, 5.5, 10.0]),
     )
-    monkeypatch.setattr(pressed_body, "meshed", lambda *_: skfem.MeshTet.init_tensor(*lines))
+    monkeypatch.setattr(pressed_body, "mesh_body", lambda *_: skfem.MeshTet.init_tensor(*lines))
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ class Homogeneous(Deformation):
     def __init__(self, F: np.ndarray, mean_stress: float = 0.0) -> None:
         self.F, self.stress = F, mean_stress
 
-    def mapped(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def map_points(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         moved = points @ self.F.T + np.array([0.01, 0.02, -0.03])
         return moved, np.broadcast_to(self.F, (*points.shape[:-1], 3, 3))
 
@@ -52,9 +52,9 @@ def meshed(stretches=(1.0, 1.0), support=None) -> StackMesh:
 
 
 def pressed(dent, bent) -> Correction:
-    frame = None if bent is None else ContactFrame.at(bent, X, Y, STACK)
+    frame = None if bent is None else ContactFrame.from_bent_top(bent, X, Y, STACK)
     stretches = (1.0, 1.0) if frame is None else tuple(frame.stretches.tolist())
-    stack = FiniteStack(meshed(stretches), bent=bent)
+    stack = FiniteStack(meshed(stretches), bend=bent)
     return stack.correction([DentField(X, Y, PUNCH, dent, frame)])
 
 
@@ -70,9 +70,9 @@ def test_a_press_turns_with_its_sensor(dent) -> None:
 def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
     """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
     stretched = Homogeneous(TURN @ np.diag([1.15, 1.0, 1.0 / 1.15]))
-    frame = ContactFrame.at(stretched, X, Y, STACK)
+    frame = ContactFrame.from_bent_top(stretched, X, Y, STACK)
     assert frame.stretches == pytest.approx([1.15, 1.0])
-    stack = FiniteStack(meshed((1.15, 1.0)), bent=stretched)
+    stack = FiniteStack(meshed((1.15, 1.0)), bend=stretched)
     found = stack.correction([DentField(X, Y, PUNCH, dent, frame)])
     upwards = dent.force * TURN[:, 2]
     assert stack.reaction(found) == pytest.approx(upwards, abs=0.03 * dent.force)
@@ -80,13 +80,15 @@ def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
 
 def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
     F = TURN @ np.diag([1.2, 0.9, 0.8])
-    frame = ContactFrame.at(Homogeneous(F), X, Y, STACK)
+    frame = ContactFrame.from_bent_top(Homogeneous(F), X, Y, STACK)
     assert frame.rotation == pytest.approx(TURN, abs=1e-12)
     stress = np.random.default_rng(1).normal(size=(3, 3))
     # On flat faces of unit area across x, y and z lie 0.9, 1.2 and 1.2 x 0.9 of the bent top.
     assert frame.nominal(stress) == pytest.approx(TURN @ stress * [0.9, 1.2, 1.08])
     points = np.array([[X, Y, TOP], [X + 0.001, Y, TOP], [X, Y + 0.002, TOP]])
-    assert frame.flattened(points) == pytest.approx(Homogeneous(F).positions(points), abs=1e-12)
+    assert frame.flatten_points(points) == pytest.approx(
+        Homogeneous(F).positions(points), abs=1e-12
+    )
 
 
 def test_the_frame_of_a_curved_top_is_that_of_the_place_touched() -> None:
@@ -94,11 +96,11 @@ def test_the_frame_of_a_curved_top_is_that_of_the_place_touched() -> None:
         """Stretches grow along x and y from the place touched."""
 
         def mapped(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            moved, F = super().mapped(points)
+            moved, F = super().map_points(points)
             growth = np.diag([20.0, 0.0, 0.0]) * (points[..., :1, None] - X)
             return moved, F + growth + np.diag([0.0, 9.0, 0.0]) * (points[..., 1:2, None] - Y)
 
-    frame = ContactFrame.at(Curved(np.diag([1.2, 0.9, 1.0])), X, Y, STACK)
+    frame = ContactFrame.from_bent_top(Curved(np.diag([1.2, 0.9, 1.0])), X, Y, STACK)
     assert frame.stretches == pytest.approx([1.2, 0.9], rel=1e-9)
     assert frame.rotation == pytest.approx(np.eye(3), abs=1e-9)
 
@@ -116,7 +118,7 @@ class Nothing:
 
     sunk = np.zeros(1)
 
-    def moved(self, columns: np.ndarray) -> np.ndarray:
+    def displacement_and_gradient(self, columns: np.ndarray) -> np.ndarray:
         return np.zeros((12, columns.shape[1], len(columns)))
 
     def values(self, columns: np.ndarray) -> np.ndarray:
@@ -179,7 +181,7 @@ def test_the_state_of_a_bend_is_in_equilibrium() -> None:
     laws = (MECHANICS.encapsulation, MECHANICS.gel)
     solid = DentedSolid(mesh, laws, gel.astype(np.int64), MECHANICS.bulk_ratio)
     points = solid.points + np.array(bent.centre)
-    forces = solid.residual_of(bent.gradient(points) - np.eye(3), bent.mean_stress(points), gel)
+    forces = solid.state_residual(bent.gradient(points) - np.eye(3), bent.mean_stress(points), gel)
     nodal = solid.displacement(forces)
     x, y, z = solid.nodes.T
     on_plate = (z < -0.0059) & (x > 0.0199)

@@ -65,7 +65,7 @@ def test_mirrored_presses_have_mirrored_corrections(shipped, x, y, axis) -> None
     points = np.random.default_rng(0).uniform((0, 0, 0), (LENGTH, WIDTH, 0.005), (60, 3))
     mirrored, signs = points.copy(), np.ones(4)
     mirrored[:, axis], signs[axis] = size[axis] - points[:, axis], -1.0
-    here, image = shipped.at(x, y, DEPTH), shipped.at(*there, DEPTH)
+    here, image = shipped.correct_press(x, y, DEPTH), shipped.correct_press(*there, DEPTH)
     assert image[1] == pytest.approx(here[1], rel=1e-9)
     expected = total(here, points) * signs
     scale = np.abs(expected).max(axis=0)
@@ -75,7 +75,9 @@ def test_mirrored_presses_have_mirrored_corrections(shipped, x, y, axis) -> None
 
 def test_corrections_vanish_with_the_depth(shipped) -> None:
     points = np.random.default_rng(1).uniform((0, 0, 0), (LENGTH, WIDTH, 0.005), (60, 3))
-    deep, shallow = (np.abs(total(shipped.at(0.04, 0.02, d), points)) for d in (2.4e-3, 2.4e-6))
+    deep, shallow = (
+        np.abs(total(shipped.correct_press(0.04, 0.02, d), points)) for d in (2.4e-3, 2.4e-6)
+    )
     assert np.all(shallow.max(axis=0) < 3e-3 * deep.max(axis=0))
 
 
@@ -136,7 +138,7 @@ def test_tables_hold_what_was_solved_about_each_press(kind, solved_bells) -> Non
     aside = float(tables[0].nodes("distance_to_side")[2])
     x, y = {"strip": (0.075, aside), "side": (0.3, aside), "disc": (0.1 - aside, 0.05)}[kind]
     base, varied = (None, ()) if more else (tables[0], ((tables[0], 1.0),))
-    found = Corrections(design, tables * more, base, varied).at(x, y, 0.001)
+    found = Corrections(design, tables * more, base, varied).correct_press(x, y, 0.001)
     points = np.array([x, y, 0.0]) + np.random.default_rng(0).uniform(
         (-0.02, -min(aside, 0.02), 0.0), (0.5 * aside, 0.02, 0.005), (50, 3)
     )
@@ -154,12 +156,12 @@ def test_tables_hold_what_was_solved_about_each_press(kind, solved_bells) -> Non
 def test_presses_beyond_the_tables_are_refused(outline, middle, beside) -> None:
     found = corrections(design_on(outline), MECHANICS, PUNCH)
     deepest = float(found.first.nodes("depth")[-1])
-    found.at(*middle, deepest)
+    found.correct_press(*middle, deepest)
     with pytest.raises(ConfigurationError, match=r"tabulated to a depth .* touch_model='solved'"):
-        found.at(*middle, 1.05 * deepest)
+        found.correct_press(*middle, 1.05 * deepest)
     for place in beside:
         with pytest.raises(ConfigurationError, match=r"keep .* mm from the edge"):
-            found.at(*place, 0.001)
+            found.correct_press(*place, 0.001)
 
 
 def test_nodes_along_a_side_are_as_close_before_a_press_as_behind_it() -> None:
@@ -176,7 +178,7 @@ def test_a_disc_without_room_for_an_indenter_has_no_table() -> None:
 
 def pair(first, second):
     """Fields of what two presses (x, y, depth) change of each other, and their sinking."""
-    found = pair_corrections(DESIGN, MECHANICS, PUNCH).at(first, second)
+    found = pair_corrections(DESIGN, MECHANICS, PUNCH).correct_pair(first, second)
     assert len(found[0]) == 2
     return found
 
@@ -190,7 +192,7 @@ def test_pairs_feel_each_other_less_farther_apart() -> None:
     assert sizes[0] > sizes[1] > sizes[2]
     table = pair_corrections(DESIGN, MECHANICS, PUNCH)
     far = float(table.wide.nodes("axis_distance")[-1])
-    assert table.at((0.01, 0.03, DEPTH), (0.01 + far, 0.03, DEPTH)) == ([], 0.0)
+    assert table.correct_pair((0.01, 0.03, DEPTH), (0.01 + far, 0.03, DEPTH)) == ([], 0.0)
 
 
 def test_pairs_on_other_outlines_are_those_of_a_wide_stack() -> None:
@@ -198,8 +200,8 @@ def test_pairs_on_other_outlines_are_those_of_a_wide_stack() -> None:
     outline = Disc(0.05)
     disc = SensorDesign(outline, 0.005, uniform(outline, 8))
     touches = (0.04, 0.05, DEPTH), (0.065, 0.05, DEPTH)
-    wide = pair_corrections(disc, MECHANICS, PUNCH).at(*touches)
-    reference = pair_corrections(DESIGN, MECHANICS, PUNCH).at(*touches)
+    wide = pair_corrections(disc, MECHANICS, PUNCH).correct_pair(*touches)
+    reference = pair_corrections(DESIGN, MECHANICS, PUNCH).correct_pair(*touches)
     points = np.random.default_rng(2).uniform((0, 0, 0), (0.1, 0.1, 0.005), (60, 3))
     assert len(wide[0]) == 1
     assert total(wide, points) == pytest.approx(total((reference[0][:1], 0.0), points))
@@ -351,7 +353,7 @@ def test_stresses_go_with_the_modulus_of_the_gel() -> None:
     soft = Mechanics(gel=NeoHookean(10e3), encapsulation=NeoHookean(14e3))
     points = np.random.default_rng(1).uniform((0, 0, 0), (LENGTH, WIDTH, 0.005), (60, 3))
     expected, found = (
-        total(corrections(DESIGN, each, PUNCH).at(0.04, 0.02, DEPTH), points)
+        total(corrections(DESIGN, each, PUNCH).correct_press(0.04, 0.02, DEPTH), points)
         for each in (MECHANICS, soft)
     )
     assert found[:, :3] == pytest.approx(expected[:, :3])

@@ -70,7 +70,7 @@ def table() -> SolutionTable:
 def at(table, x, y, depth, height=HEIGHT):
     """Field and extra depth of a press on the disc by one table."""
     design = dataclasses.replace(DESIGN, thickness=height)
-    (field,), extra = Corrections(design, (), table, ((table, 1.0),)).at(x, y, depth)
+    (field,), extra = Corrections(design, (), table, ((table, 1.0),)).correct_press(x, y, depth)
     return field, extra
 
 
@@ -126,7 +126,9 @@ def test_a_thicker_gel_has_the_field_of_a_press_as_deep_in_proportion(table) -> 
 def test_weighted_tables_add_up(table) -> None:
     points = disc_points()
     field, extra = at(table, 0.07, 0.06, 0.002)
-    parts = Corrections(DESIGN, (), table, ((table, 1.3), (table, -0.3))).at(0.07, 0.06, 0.002)
+    parts = Corrections(DESIGN, (), table, ((table, 1.3), (table, -0.3))).correct_press(
+        0.07, 0.06, 0.002
+    )
     expected = values(field, points)
     scale = np.abs(expected).max(axis=0)  # fields are summed in single precision
     found = sum(values(each, points) for each in parts.fields)

@@ -63,7 +63,7 @@ def test_cubics_are_reproduced(bases) -> None:
 
 def test_cubics_have_their_slopes() -> None:
     field, at = made(splines()), columns(40)
-    moved = field.moved(at)
+    moved = field.displacement_and_gradient(at)
     assert moved[:3].transpose(2, 1, 0) == pytest.approx(cubic(at)[..., :3], abs=1e-9)
     for axis in range(3):
         step = 1e-6 * np.eye(3)[axis]
@@ -110,7 +110,7 @@ def test_points_beyond_the_box_have_the_values_of_its_faces_or_none() -> None:
     for ending in (made(polynomials(vanish=True)), framed(field, 1.0, 0.0)):
         beyond = at[:1] + np.array([0.05, 0.02, 0.0]) * (ending.frame is not None)
         assert np.all(ending.values(beyond) == 0.0)
-    assert np.all(ending.moved(beyond) == 0.0)
+    assert np.all(ending.displacement_and_gradient(beyond) == 0.0)
 
 
 def framed(field: Field, cos: float, sin: float, fade=None) -> Field:
@@ -122,7 +122,7 @@ def framed(field: Field, cos: float, sin: float, fade=None) -> Field:
 def test_a_turned_field_turns_displacements_and_slopes(fade) -> None:
     turned = framed(made(splines()), 0.6, 0.8, fade)
     at = columns(10, -0.008, 0.008) + np.array([0.05, 0.02, 0.0])
-    moved = turned.moved(at)
+    moved = turned.displacement_and_gradient(at)
     assert moved[:3] == pytest.approx(turned.values(at)[:3])
     for axis in range(3):
         step = 1e-6 * np.eye(3)[axis]

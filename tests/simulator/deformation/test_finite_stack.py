@@ -113,7 +113,7 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     first, second = (DentField(x, Y, PUNCH, dents[DEPTH]) for x in places)
     found = both.correction([first, second])
     under = np.array([[places[0] + r, Y, TOP] for r in (-0.003, 0.0, 0.003)])
-    beside = second.at(under).displacement
+    beside = second.evaluate(under).displacement
     assert np.ptp(beside[:, 2]) > 0.01 * DEPTH  # the other dent alone would tilt the contact
     moved = beside + found.displacement(under)
     assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
@@ -133,14 +133,14 @@ def test_a_contact_smaller_than_a_cell_is_held() -> None:
 
 def test_a_dent_is_smooth_across_its_axis(dents) -> None:
     field = DentField(X, Y, PUNCH, dents[DEPTH])
-    on, beside = (field.at(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
+    on, beside = (field.evaluate(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
     assert on == pytest.approx(beside, abs=1e-4)
     assert on[0, 0] == pytest.approx(on[1, 1], rel=1e-3)
     assert np.linalg.det(np.eye(3) + on) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
-    monkeypatch.setattr(finite_stack, "_MOST_UNKNOWNS", 5_000)
+    monkeypatch.setattr(finite_stack, "_MAX_UNKNOWNS", 5_000)
     with pytest.raises(ConfigurationError, match=r"needs \d+ unknowns, of which 5000"):
         FiniteStack(meshed())
 
@@ -156,7 +156,7 @@ def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, suppor
     count = len(stack.solid.nodes)
     forces = stack.solid.forces(found.unknowns)[: 3 * count].reshape(count, 3)
     held, base = np.zeros(count, dtype=bool), stack.solid.nodes[:, 2] < 1e-9
-    held[stack.solid.nodes_of(stack.body.facets("held"))] = True
+    held[stack.solid.facet_nodes(stack.body.facets("held"))] = True
     assert stack.reaction(found)[2] == pytest.approx(dents[SMALL].force, rel=0.03)
     # The last step of Newton's method leaves its square.
     assert np.abs(forces[base & ~held]).max() < 1e-3 * np.abs(forces[held]).max()

@@ -6,7 +6,7 @@ import pytest
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, Touch
 from eitskin.simulator.deformation.field import CubicSplines, Field, Frame, Polynomials
-from eitskin.simulator.deformation.node_sums import NodeSums, functions_from
+from eitskin.simulator.deformation.node_sums import NodeSums, basis_values
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.touches import dents
 
@@ -41,7 +41,7 @@ def test_sums_are_the_fields_and_their_images_one_by_one() -> None:
     for cells in (12, 24):
         nodes = np.linspace(0.0, LENGTH, 2 * cells + 1), np.linspace(0.0, WIDTH, cells + 1)
         sums, fields = NodeSums(nodes, 2, 4, 4), coefficients.transpose(0, 1, 3, 4, 2)
-        own = functions_from(along, nodes[0], origins)
+        own = basis_values(along, nodes[0], origins)
         sums.add(fields, np.eye(3), own, across.dense(nodes[1]), scenes, images)
         found = sums.fields(HEIGHT, np.ones(4))
         errors.append(
@@ -67,10 +67,10 @@ def test_a_table_beside_a_side_lies_along_each_of_them(upright) -> None:
     inward = CubicSplines(t.nodes + middle).dense(nodes[1 - upright])
     if upright:
         turned = field.swapaxes(1, 4)[:, :, :, [1, 0, 2, 3]]
-        own = functions_from(s, nodes[1], np.array([WIDTH - foot]))
+        own = basis_values(s, nodes[1], np.array([WIDTH - foot]))
         sums.add(turned, np.eye(1), inward, own, np.zeros(1, int), (0, 1))
     else:
-        own = functions_from(s, nodes[0], np.array([foot]))
+        own = basis_values(s, nodes[0], np.array([foot]))
         sums.add(field, np.eye(1), own, inward, np.zeros(1, int), (0, 0))
     (found,) = sums.fields(HEIGHT, np.ones(4))
     assert values(found, points()) == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())

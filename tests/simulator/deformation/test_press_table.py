@@ -38,7 +38,7 @@ def disc(dent, n=40):
 @pytest.mark.slow
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
     press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 40)
-    dent, pressed = table.at_depth(9e-4), press.to_depth(9e-4)
+    dent, pressed = table.dent_from_depth(9e-4), press.to_depth(9e-4)
     assert dent.force == pytest.approx(pressed.force, rel=0.01)
     assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
     in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
@@ -56,13 +56,13 @@ def moved(dent, r, z):
 
 def test_force_and_depth_are_each_others_inverse(table) -> None:
     for force in (0.05, 1.0, 10.0, 30.0):
-        dent = table.at_force(force)
-        assert table.at_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
+        dent = table.dent_from_force(force)
+        assert table.dent_from_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
 
 
 @pytest.mark.parametrize("force", [0.1, 5.0, 10.0, 20.0])
 def test_a_dent_keeps_volume(table, force) -> None:
-    dent = table.at_force(force)
+    dent = table.dent_from_force(force)
     r, z = disc(dent)
     u, _, shear, stretch, radial, tilt = moved(dent, r, z)
     J = (1 + u / r) * ((1 + radial) * (1 + stretch) - shear * tilt)
@@ -71,7 +71,7 @@ def test_a_dent_keeps_volume(table, force) -> None:
 
 
 def test_strains_are_derivatives_of_displacements(table) -> None:
-    dent, step = table.at_force(7.0), 1e-7
+    dent, step = table.dent_from_force(7.0), 1e-7
     r, z = disc(dent)
     _, _, shear, stretch, radial, tilt = moved(dent, r, z)
     along = moved(dent, r + step, z)[:2] - moved(dent, r - step, z)[:2]
@@ -82,7 +82,10 @@ def test_strains_are_derivatives_of_displacements(table) -> None:
 
 def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
     dents = Dents(
-        (PlacedDent(0.05, 0.02, table.at_force(9.0)), PlacedDent(0.08, 0.03, table.at_force(4.0)))
+        (
+            PlacedDent(0.05, 0.02, table.dent_from_force(9.0)),
+            PlacedDent(0.08, 0.03, table.dent_from_force(4.0)),
+        )
     )
     places = np.random.default_rng(2).uniform((0.03, 0.01), (0.12, 0.05), (30, 2))
     columns = np.empty((30, 4, 3))
@@ -94,7 +97,7 @@ def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
 
 
 def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
-    dents = Dents((PlacedDent(0.05, 0.02, table.at_force(10.0)),))
+    dents = Dents((PlacedDent(0.05, 0.02, table.dent_from_force(10.0)),))
     axis, beside = dents.gradient(np.array([[0.05, 0.02, 0.002], [0.05 + 1e-7, 0.02, 0.002]]))
     assert axis == pytest.approx(beside, abs=1e-4)
     reach = dents.presses[0].dent.reach
@@ -119,11 +122,11 @@ def test_the_layer_carries_its_share(table) -> None:
         for k in (1 - step, 1 + step)
     ]
     share = np.log(around[1] / around[0]) / np.log((1 + step) / (1 - step))
-    assert table.at_depth(depth).share == pytest.approx(share, abs=0.01)
+    assert table.dent_from_depth(depth).share == pytest.approx(share, abs=0.01)
 
 
 def test_pressure_falls_from_the_axis_to_nothing(table) -> None:
-    dent = table.at_force(10.0)
+    dent = table.dent_from_force(10.0)
     under, far = dent.mean_stress(np.array([0.0, 0.03]), np.full((2, 1), 0.0025))[:, 0]
     mean = -10.0 / (np.pi * dent.contact_radius**2)
     assert 2.0 * mean < under < 0.3 * mean
@@ -153,7 +156,7 @@ def test_kernels_scale_with_lengths_and_moduli(table) -> None:
     found = press_table(big, hard, Cylinder(0.015))
     assert found.forces == pytest.approx(12 * table.forces, rel=1e-12)
     assert found.knots == pytest.approx(2 * table.knots, rel=1e-12)
-    dent, twice = table.at_force(5.0), found.at_force(60.0)
+    dent, twice = table.dent_from_force(5.0), found.dent_from_force(60.0)
     assert twice.depth == pytest.approx(2 * dent.depth, rel=1e-9)
     assert twice.peak_pressure == pytest.approx(3 * dent.peak_pressure, rel=1e-9)
 
@@ -161,9 +164,9 @@ def test_kernels_scale_with_lengths_and_moduli(table) -> None:
 @pytest.mark.parametrize("force", [0.0, -1.0, 1e3, float("nan")])
 def test_forces_beyond_the_table_are_refused(table, force) -> None:
     with pytest.raises(ConfigurationError, match=r"force.*above 0"):
-        table.at_force(force)
+        table.dent_from_force(force)
     with pytest.raises(ConfigurationError, match=r"depth.*above 0"):
-        table.at_depth(force)
+        table.dent_from_depth(force)
 
 
 # Where they are kept

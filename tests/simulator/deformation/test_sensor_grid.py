@@ -43,7 +43,7 @@ def test_recipes_of_version_02_are_read_with_their_grid(tmp_path) -> None:
 
 def test_specimens_are_solved_about_the_sensor_of_their_recipe() -> None:
     recipe = Recipe("own", (SceneGroup("idle", count=1),))
-    assert recipe.nominal(0).grid == SensorGrid.about(
+    assert recipe.nominal(0).grid == SensorGrid.from_nominal(
         SensorDesign.reference(), Clamp(), Mechanics()
     )
 

@@ -18,8 +18,8 @@ from eitskin.simulator.deformation.corrections import (
     corrections,
 )
 from eitskin.simulator.deformation.field import CubicSplines, Field
-from eitskin.simulator.deformation.node_sums import _resampled
-from eitskin.simulator.deformation.outline_sides import re_entrant_distance, sides_of
+from eitskin.simulator.deformation.node_sums import _resample_splines
+from eitskin.simulator.deformation.outline_sides import re_entrant_distance, sides_in_reach
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_table import SolutionTable
@@ -63,8 +63,8 @@ def test_a_corner_at_which_a_side_goes_straight_on_changes_nothing(table, place)
     plain = Rectangle(0.15, 0.06)
     divided = Polygon(((0, 0), (0.07, 0), (0.15, 0), (0.15, 0.06), (0.08, 0.06), (0, 0.06)))
     points = inside(plain)
-    expected = total(on(plain, table).at(*place, DEPTH), points)
-    found = total(on(divided, table).at(*place, DEPTH), points)
+    expected = total(on(plain, table).correct_press(*place, DEPTH), points)
+    found = total(on(divided, table).correct_press(*place, DEPTH), points)
     scale = np.abs(expected).max(axis=0)
     assert found / scale == pytest.approx(expected / scale, abs=1e-9)
 
@@ -77,34 +77,38 @@ def test_a_turned_outline_has_the_turned_correction(table) -> None:
     turned = Polygon(tuple(map(tuple, (corners + shift).tolist())))
     points, place = inside(L_SHAPE), np.array([0.06, 0.035])
     moved = np.concatenate([points[:, :2] @ turn.T + shift, points[:, 2:]], axis=1)
-    expected = total(on(L_SHAPE, table).at(*place, DEPTH), points)
+    expected = total(on(L_SHAPE, table).correct_press(*place, DEPTH), points)
     expected[:, :2] = expected[:, :2] @ turn.T
-    found = total(on(turned, table).at(*(turn @ place + shift), DEPTH), moved)
+    found = total(on(turned, table).correct_press(*(turn @ place + shift), DEPTH), moved)
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_slopes_near_a_re_entrant_corner_are_those_of_the_displacement(table, axis) -> None:
-    fields, _ = on(L_SHAPE, table).at(0.043, 0.057, DEPTH)
+    fields, _ = on(L_SHAPE, table).correct_press(0.043, 0.057, DEPTH)
     points = np.array([[0.047, 0.051, 0.002], [0.045, 0.045, 0.004], [0.055, 0.047, 0.001]])
     step = np.zeros(3)
     step[axis] = 1e-6
     for field in fields:
-        ahead, behind = (field.moved((points + way * step)[:, None])[:3] for way in (1.0, -1.0))
-        slopes = field.moved(points[:, None])[3:].reshape(3, 3, 1, -1)[:, axis]
+        ahead, behind = (
+            field.displacement_and_gradient((points + way * step)[:, None])[:3]
+            for way in (1.0, -1.0)
+        )
+        slopes = field.displacement_and_gradient(points[:, None])[3:].reshape(3, 3, 1, -1)[:, axis]
         assert (ahead - behind) / 2e-6 == pytest.approx(slopes, rel=1e-4, abs=1e-7)
 
 
 def test_the_correction_is_continuous_where_a_press_passes_the_line_of_a_side(table) -> None:
     points = inside(L_SHAPE)
     before, after = (
-        total(on(L_SHAPE, table).at(0.03, 0.05 + y, DEPTH), points) for y in (-1e-7, 1e-7)
+        total(on(L_SHAPE, table).correct_press(0.03, 0.05 + y, DEPTH), points)
+        for y in (-1e-7, 1e-7)
     )
     assert np.abs(after - before).max() < 1e-4 * np.abs(before).max()
 
 
 def test_sides_are_seen_within_reach_and_from_the_front() -> None:
-    seen = list(sides_of(L_SHAPE, 0.09, 0.02, 0.045))
+    seen = list(sides_in_reach(L_SHAPE, 0.09, 0.02, 0.045))
     assert [round(side.aside, 6) for side in seen] == [0.02, 0.01, 0.03]
     assert re_entrant_distance(L_SHAPE, 0.05, 0.03) == pytest.approx(0.02)
     assert re_entrant_distance(Rectangle(0.1, 0.05), 0.05, 0.03) == math.inf
@@ -122,7 +126,7 @@ def test_a_table_on_the_nodes_of_another_is_the_same_field(table) -> None:
         Field(
             (CubicSplines(each.sizes["along"]), CubicSplines(each.sizes["inward"])),
             HEIGHT,
-            _resampled(coefficients, table, each)[0],
+            _resample_splines(coefficients, table, each)[0],
         ).values(points[:, None])
         for each in (table, finer)
     )
@@ -158,9 +162,13 @@ def test_a_rectangle_given_as_a_polygon_is_pressed_as_the_rectangle() -> None:
 def test_sums_beside_a_right_corner_give_the_signal_of_tables_of_rectangles(place, table) -> None:
     simulator = Simulator(SensorDesign.reference(), "coarse", touch_model="tabulated")
     touched = simulator.deformation(Scene(touches=(Touch(*place, 10.0),)))
-    fields, _ = on(Rectangle(0.15, 0.06), table).at(*place, touched.presses[0].dent.depth)
+    fields, _ = on(Rectangle(0.15, 0.06), table).correct_press(
+        *place, touched.presses[0].dent.depth
+    )
     summed = dataclasses.replace(touched, corrections=tuple(fields))
-    expected, found = (simulator.deformed(each).impedance.real for each in (touched, summed))
+    expected, found = (
+        simulator.simulate_deformation(each).impedance.real for each in (touched, summed)
+    )
     flat = simulator.measure(Scene()).impedance.real
     assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected - flat)
 

@@ -60,7 +60,7 @@ def test_small_presses_are_those_of_linear_layers(support) -> None:
 def test_tables_between_solved_moduli_of_the_substrate_are_interpolated() -> None:
     """By four of them; the weights add up to one and reproduce a cubic."""
     design = dataclasses.replace(DESIGN, support=Substrate(0.010, 6e3))
-    needed = list(StackGrid.around(design, Mechanics(), OWN_GRID).full_weights())
+    needed = list(StackGrid.from_design(design, Mechanics(), OWN_GRID).full_weights())
     moduli = [stack.sheets[0].law.shear_modulus for stack, _ in needed]
     assert moduli == pytest.approx([20e3 * 2.0 ** (k / 2) for k in (-5, -4, -3, -2)])
     assert all(stack.sheets[1:] == on(Rigid()).sheets for stack, _ in needed)

@@ -155,7 +155,7 @@ def test_a_scene_that_differs_too_much_is_solved_by_itself(small) -> None:
     batch = sensor.own.solver(small.model)
     before = small.model.factorisations, batch.solutions
     with compiled.kernels():
-        found = sensor.at([wild, gentle], TOLERANCE)
+        found = sensor.solve_scenes([wild, gentle], TOLERANCE)
     assert found[wild] == pytest.approx(plain, rel=1e-7, abs=1e-9 * np.abs(plain).max())
     assert np.array_equal(found[gentle], small.impedances([gentle])[0])
     assert small.model.factorisations == before[0] + 1
@@ -201,7 +201,7 @@ def test_few_touches_take_two_or_three_solutions_with_the_factors(small) -> None
 def test_bytes_do_not_depend_on_neighbours(monkeypatch, electrodes, plain) -> None:
     """Scenes in any order and number, beside quick and slow ones, in any place of a batch."""
     if plain:
-        monkeypatch.setattr(compiled, "loaded", lambda _: None)
+        monkeypatch.setattr(compiled, "load_kernels", lambda _: None)
     ring = uniform(SensorDesign.reference().outline, electrodes, min(0.005, 0.2 / electrodes))
     design = dataclasses.replace(SensorDesign.reference(), electrodes=ring)
     sim = Simulator(design, ((2, 2, 1), Grading(2e-3, 8e-3, 3.0)))

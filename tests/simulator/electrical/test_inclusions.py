@@ -56,7 +56,7 @@ def test_no_cell_crosses_the_rim_of_an_inclusion() -> None:
     model = ForwardModel(design, ((1, 1, 1), Grading(0.002, 0.01, 0.5)), inclusions=parts)
     corners = model.mesh.points[model.mesh.cells][..., :2]
     for part in parts:
-        depth = part.meshed.nearest(corners - part.origin)[1]
+        depth = part.mesh_outline.nearest(corners - part.origin)[1]
         assert ((depth > -1e-9).all(axis=1) | (depth < 1e-9).all(axis=1)).all()
     values = model._conductivity(None)[:, 0, 0]
     assert set(values.tolist()) == {1.0, 2.0, 3.0, 4.0 + 1.0j}

@@ -30,7 +30,9 @@ def designs(draw):
     ends = np.cumsum(lengths) / lengths.sum() * outline.perimeter
     starts, ends = ends[0::2], ends[1::2]
     electrodes = tuple(
-        Electrode(*outline.at((a + b) / 2).tolist(), float(b - a), draw(log_uniform(1e-7, 1e1)))
+        Electrode(
+            *outline.rim_points((a + b) / 2).tolist(), float(b - a), draw(log_uniform(1e-7, 1e1))
+        )
         for a, b in zip(starts, ends, strict=True)
     )
     conductivity = draw(log_uniform(1e-3, 1e2))

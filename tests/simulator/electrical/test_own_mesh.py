@@ -99,7 +99,7 @@ def test_a_picture_shows_where_a_body_has_changed(moved) -> None:
     values = picture[maker.grid.inside]
     x, y = maker.grid.centres[values < 0.5 * values.min()].mean(axis=0)
     assert np.hypot(x - moved - 0.4, y - moved + 0.2) < 0.12
-    whole = maker.grid.gathered(maker.model.sensitivity).sum(axis=1)
+    whole = maker.grid.sum_pixels(maker.model.sensitivity).sum(axis=1)
     assert whole == pytest.approx(mine.sensitivity(protocol) @ np.full(len(cells), 2.0), rel=1e-6)
 
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.accuracy import sheared
+from eitskin.benchmarks.accuracy import shear_deformation
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid, uniform
@@ -27,7 +27,7 @@ CONVERGED = {
     "standard": ((5, 5, 5, 4, 3), Grading(2e-4, 6e-3, 3.0)),
 }
 PRESSED = Scene(touches=(Touch(0.060, 0.030),))
-SCENES = {"press": PRESSED, "sheared": sheared(0), "sheared across": sheared(1)}
+SCENES = {"press": PRESSED, "sheared": shear_deformation(0), "sheared across": shear_deformation(1)}
 PROMISES = {"coarse": 3e-2, "fast": 1e-2, "standard": 3e-3}
 # Orders that fall with the part over the height follow presses and bends, but not a shear of the
 # whole layer, which couples the parts.
@@ -47,7 +47,7 @@ def flat(resolution):
 @cache
 def signal(resolution, name):
     sim, scene = simulator(resolution), SCENES[name]
-    frame = sim.measure(scene) if isinstance(scene, Scene) else sim.deformed(scene)
+    frame = sim.measure(scene) if isinstance(scene, Scene) else sim.simulate_deformation(scene)
     return frame.impedance.real / flat(resolution) - 1.0
 
 
@@ -80,12 +80,12 @@ def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -
     default, wide, small = (
         Touch(0.05, 0.03, indenter=each) for each in (Cylinder(), Cylinder(0.01), Sphere(0.003))
     )
-    assert family.suited([]) is family.suited([default, wide]) is sim.model
-    fine = family.suited([default, small])
+    assert family.model_for_touches([]) is family.model_for_touches([default, wide]) is sim.model
+    fine = family.model_for_touches([default, small])
     assert len(fine.mesh.cells) > len(sim.model.mesh.cells)
-    assert family.suited([small]) is fine
+    assert family.model_for_touches([small]) is fine
     own = Simulator(SensorDesign.reference(), ((3, 2, 1), Grading(1e-3, 6e-3, 2.0)))
-    assert own._impedances.own.suited([small]) is own.model
+    assert own._impedances.own.model_for_touches([small]) is own.model
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     fine = ForwardModel(sim.design, ((3, 2, 1), Grading(1.5e-3, 6e-3, 2.0)))
     family = sim._impedances.own
     suited = lambda touches: fine if any(t.force < 5.0 for t in touches) else family.base  # noqa: E731
-    monkeypatch.setattr(family, "suited", suited)
+    monkeypatch.setattr(family, "model_for_touches", suited)
     scenes = [Scene(touches=(Touch(x, 0.03, F),)) for F in (10.0, 2.0) for x in (0.04, 0.06, 0.08)]
     scenes = [Scene(), *scenes]
     apart = np.array([sim.measure(scene).impedance for scene in scenes])

@@ -12,7 +12,7 @@ from eitskin.simulator.instrument.ad5940 import (
     clipped_fundamental,
     drive_current,
     pga_range,
-    quantised,
+    quantise,
 )
 
 ONE = Protocol.pairwise(2)
@@ -35,7 +35,7 @@ def test_codes_are_multiples_of_a_step_with_a_uniform_error():
     rng = np.random.default_rng(5)
     phasors = rng.uniform(-0.6, 0.6, 20000) + 1j * rng.uniform(-0.6, 0.6, 20000)
     step = 0.9 / 2**17
-    found = quantised(phasors, np.full(20000, 0.9))
+    found = quantise(phasors, np.full(20000, 0.9))
     codes = np.array([found.real, found.imag]) / step
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-9)
     error = np.array([(found - phasors).real, (found - phasors).imag]) / step

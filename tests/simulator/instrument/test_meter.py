@@ -184,17 +184,17 @@ def test_instrument_files_are_read_back_and_named_by_their_path(tmp_path):
     board = Instrument(snr_db=62.0, meter=meter)
     board.to_toml(tmp_path / "rig.toml")
     assert Instrument.from_toml(tmp_path / "rig.toml") == board
-    assert Instrument.named(str(tmp_path / "rig.toml")) == board
+    assert Instrument.from_name(str(tmp_path / "rig.toml")) == board
     (tmp_path / "quiet.toml").write_text('board = "rig.toml"\nsnr_db = 0.0\n')
-    quiet = Instrument.named("quiet.toml", tmp_path)
+    quiet = Instrument.from_name("quiet.toml", tmp_path)
     assert quiet == dataclasses.replace(board, snr_db=0.0)
-    assert Instrument.named("ideal") == Instrument(snr_db=0.0)
+    assert Instrument.from_name("ideal") == Instrument(snr_db=0.0)
     (tmp_path / "wrong.toml").write_text("[meter]\nsense_plu = 1e-3\n")
     (tmp_path / "other.toml").write_text('board = "ad5940"\ngain = 0.0\n')
     known = dataclasses.replace(Instrument.ad5940(), gain=0.0)
-    assert Instrument.named("other.toml", tmp_path) == known
+    assert Instrument.from_name("other.toml", tmp_path) == known
     (tmp_path / "none.toml").write_text('board = "ad"\n')
     with pytest.raises(ConfigurationError, match=r"board: .*'ad5940', got 'ad'"):
-        Instrument.named("none.toml", tmp_path)
+        Instrument.from_name("none.toml", tmp_path)
     with pytest.raises(ConfigurationError, match=r"meter: unknown key 'sense_plu'; .*sense_plus"):
-        Instrument.named("wrong.toml", tmp_path)
+        Instrument.from_name("wrong.toml", tmp_path)

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import FourTerminalMeter, Protocol
-from eitskin.simulator.instrument.fit_parameters import FITTED, Parameter
+from eitskin.simulator.instrument.fit_parameters import FIT_PARAMETERS, Parameter
 from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, select_meter
 
 RIG = FourTerminalMeter(sink=3e-3, sense_plus=8e-4, idle=5e-4, scale=12.0, reads="magnitude")
@@ -131,7 +131,7 @@ def test_frames_and_terms_that_do_not_fit_are_refused(skin):
     with pytest.raises(ConfigurationError, match=r"among .*source.*, got souce"):
         fit_meter(skin, BOTH, frames, ("souce",))
     with pytest.raises(ConfigurationError, match=r"parameters cannot be fitted to \d+ readings"):
-        fit_meter(skin, BOTH, frames, FITTED)
+        fit_meter(skin, BOTH, frames, FIT_PARAMETERS)
     with pytest.raises(DataError, match=r"channels, got shape"):
         fit_meter(skin, BOTH, frames[:, 1:])
     with pytest.raises(DataError, match="finite"):

@@ -13,7 +13,7 @@ from eitskin.simulator.linalg.elimination_order import (
     level_structure,
     strips,
 )
-from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorised
+from eitskin.simulator.linalg.multifrontal import MultifrontalSolver, factorise
 
 
 def grid(n, m):
@@ -65,7 +65,7 @@ def test_solutions_are_those_of_the_dense_matrix(order, leaf, kind, monkeypatch)
     assert factors.solve(B) == pytest.approx(wanted, rel=1e-9)
     assert solver.congruence(values, B) == pytest.approx(B.T @ wanted, rel=1e-9)
     if kind == "real":
-        single = factors.rounded()
+        single = factors.to_single()
         x = B[single.order].astype(np.float32)
         single.solve(x)
         error = np.linalg.norm(x - wanted[single.order]) / np.linalg.norm(wanted)
@@ -89,7 +89,7 @@ def test_solutions_and_inertia_are_those_of_an_indefinite_matrix(leaf, monkeypat
     monkeypatch.setattr(elimination_order, "_LEAF", leaf)
     rng = np.random.default_rng(3)
     A, blocks = indefinite(rng)
-    found = factorised(csc_array(A), blocks)
+    found = factorise(csc_array(A), blocks)
     assert found.negative == np.count_nonzero(np.linalg.eigvalsh(A) < 0.0)
     right = rng.normal(size=len(A))
     assert found.solve(right) == pytest.approx(np.linalg.solve(A, right), rel=1e-9, abs=1e-9)
@@ -99,7 +99,7 @@ def test_a_singular_matrix_is_refused() -> None:
     A, blocks = indefinite(np.random.default_rng(6))
     A[5] = A[:, 5] = 0.0
     with pytest.raises(RuntimeError, match="singular"):
-        factorised(csc_array(A), blocks)
+        factorise(csc_array(A), blocks)
 
 
 def test_factors_grow_as_n_log_n(monkeypatch) -> None:

@@ -42,7 +42,7 @@ def test_a_round_punch_is_that_of_the_axisymmetric_press(rough) -> None:
     found = press.to_depth(1e-4)
     face = LayeredFace(LAYERS, 0.03, 4e-4)
     disc = Footprint(length=2.0 * radius, width=2.0 * radius, round=True, rough=rough)
-    pressed = face.pressed(covered(face, disc), rough)
+    pressed = face.solve_punch(covered(face, disc), rough)
     assert pressed.compliance == pytest.approx(found.depth / found.force, rel=0.03)
 
 
@@ -53,7 +53,7 @@ def test_a_punch_that_is_pressed_off_its_middle_tilts_and_pulls_nowhere() -> Non
         Footprint(corners=((a, -4e-3), (a + 0.02, -4e-3), (a + 0.02, 4e-3), (a, 4e-3)))
         for a in (-0.01, -0.003)
     )
-    own, tilted = (face.pressed(covered(face, each), True) for each in (central, shifted))
+    own, tilted = (face.solve_punch(covered(face, each), True) for each in (central, shifted))
     for pressed in (own, tilted):
         pressure = -pressed.tractions[2] * face.size**2
         force, *moments = (float((pressure * arm).sum()) for arm in (1.0, x, y))

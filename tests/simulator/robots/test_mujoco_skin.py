@@ -133,7 +133,7 @@ def test_a_table_gives_frames_of_one_touch_and_the_simulator_those_of_more(
         def factors(self, touches):
             return np.array([np.full(28, 1.0 + 0.01 * touch.force) for touch in touches])
 
-    monkeypatch.setattr(TouchTable, "solved", lambda *_: Table())
+    monkeypatch.setattr(TouchTable, "load_or_solve", lambda *_: Table())
     skin = MujocoSkin(simulator, model, "skin", touch_table=True)
     ((touch,), pair) = skin.touches(alone), skin.touches(data)
     found = [frame.impedance for frame in skin.update([alone, data, bare])]

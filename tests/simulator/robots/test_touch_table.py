@@ -10,7 +10,12 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.simulator import Cylinder, Footprint, Scene, Simulator, Sphere, Touch
-from eitskin.simulator.robots.touch_table import TouchRules, TouchTable, merged, touch_of_face
+from eitskin.simulator.robots.touch_table import (
+    TouchRules,
+    TouchTable,
+    merge_overlapping,
+    touch_of_face,
+)
 
 GEL, OUTLINE, RULES = Rectangle(0.15, 0.06), Rectangle(0.1, 0.05), TouchRules()
 FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])
@@ -21,14 +26,14 @@ FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])
 
 def test_points_of_one_body_are_one_touch_at_the_centre_of_force():
     points = [Touch(0.05, 0.02, 1.0), Touch(0.056, 0.02, 3.0), Touch(0.05, 0.026, 2.0)]
-    (touch,) = RULES.applied(points, GEL)
+    (touch,) = RULES.apply(points, GEL)
     assert touch.force == pytest.approx(6.0)
     assert (touch.x, touch.y) == (pytest.approx(0.053), pytest.approx(0.022))
 
 
 def test_touches_that_do_not_overlap_stay_apart_strongest_first():
     points = [Touch(0.03, 0.03, 2.0), Touch(0.0451, 0.03, 4.0), Touch(0.1, 0.03, 3.0)]
-    assert [each.force for each in RULES.applied(points, GEL)] == [4.0, 3.0, 2.0]
+    assert [each.force for each in RULES.apply(points, GEL)] == [4.0, 3.0, 2.0]
 
 
 def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment():
@@ -36,7 +41,7 @@ def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment()
     points = [
         Touch(0.15 * rng.random(), 0.06 * rng.random(), 0.1 + rng.random()) for _ in range(25)
     ]
-    found = merged(points)
+    found = merge_overlapping(points)
     assert 1 < len(found) < 25
     for one, other in combinations(found, 2):
         assert math.dist((one.x, one.y), (other.x, other.y)) >= 0.015
@@ -47,9 +52,9 @@ def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment()
 
 def test_the_strongest_gives_the_indenter_and_radii_decide_what_overlaps():
     small, large = Touch(0.05, 0.03, 1.0, Sphere(0.003)), Touch(0.06, 0.03, 2.0, Sphere(0.008))
-    (both,) = merged([small, large])
+    (both,) = merge_overlapping([small, large])
     assert both.indenter == Sphere(0.008)
-    assert len(merged([small, Touch(0.06, 0.03, 2.0, Sphere(0.0065))])) == 2
+    assert len(merge_overlapping([small, Touch(0.06, 0.03, 2.0, Sphere(0.0065))])) == 2
 
 
 @pytest.mark.parametrize("sides", [(0.04, 0.03), (0.06, 0.01), (0.05, 0.0)])
@@ -76,14 +81,14 @@ def test_a_face_is_one_touch_with_its_shape_force_and_moment(sides) -> None:
 
 def test_a_face_stays_on_the_gel() -> None:
     face = Footprint(length=0.04, width=0.02)
-    (touch,) = RULES.applied([Touch(0.001, 0.059, 5.0, face)], GEL)
+    (touch,) = RULES.apply([Touch(0.001, 0.059, 5.0, face)], GEL)
     assert (touch.x, touch.y) == pytest.approx((0.02, 0.05))
 
 
 def test_limits_of_force_and_place():
     rules = TouchRules(least=0.5, most=8.0, margin=0.01)
     weak, strong = Touch(0.1, 0.03, 0.4), Touch(0.002, 0.058, 30.0)
-    (touch,) = rules.applied([weak, strong], GEL)
+    (touch,) = rules.apply([weak, strong], GEL)
     assert (touch.x, touch.y, touch.force) == (0.01, pytest.approx(0.05), 8.0)
     for wrong in ({"least": 0.0}, {"least": 9.0, "most": 8.0}, {"margin": -1.0}):
         with pytest.raises(ConfigurationError, match="expected"):
@@ -119,7 +124,7 @@ class SmoothSimulator:
 
 
 def test_places_and_forces_between_are_interpolated() -> None:
-    table = TouchTable.solved(SmoothSimulator(), OUTLINE, Cylinder(), RULES, spacing=0.005)
+    table = TouchTable.load_or_solve(SmoothSimulator(), OUTLINE, Cylinder(), RULES, spacing=0.005)
     shares = np.random.default_rng(5).random((20, 3))
     touches = [
         Touch(0.005 + 0.09 * x, 0.005 + 0.04 * y, RULES.most * (0.01 + 0.99 * force))
@@ -133,7 +138,7 @@ def test_a_table_is_solved_once_for_all_it_depends_on() -> None:
     simulator = SmoothSimulator()
 
     def solved(indenter=Cylinder(), rules=RULES):  # noqa: B008
-        return TouchTable.solved(simulator, OUTLINE, indenter, rules, spacing=0.005)
+        return TouchTable.load_or_solve(simulator, OUTLINE, indenter, rules, spacing=0.005)
 
     first, scenes = solved(), simulator.solved
     assert scenes == 1 + 19 * 9 * 6

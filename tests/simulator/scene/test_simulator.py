@@ -68,14 +68,16 @@ def test_composing_with_what_does_nothing_changes_nothing(sim) -> None:
     same = sim.measure(Scene(Bend(20.0), touch, roll=Roll(0.0), twist=Twist(0.0))).impedance
     assert same == pytest.approx(plain, rel=1e-12)
     flat = sim.measure(Scene()).impedance
-    assert sim.deformed(Displaced(np.zeros_like)).impedance == pytest.approx(flat, rel=1e-10)
+    assert sim.simulate_deformation(Displaced(np.zeros_like)).impedance == pytest.approx(
+        flat, rel=1e-10
+    )
     for scene in (Scene(bend=Bend(1e-6)), Scene(touches=(Touch(0.06, 0.02, 1e-6),))):
         assert sim.measure(scene).impedance == pytest.approx(flat, rel=1e-7)
 
 
 def test_rigid_motions_are_not_felt(sim, flat) -> None:
     turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
-    moved = sim.deformed(Displaced(lambda x: x @ (turn.T - np.eye(3)) + 0.1)).impedance
+    moved = sim.simulate_deformation(Displaced(lambda x: x @ (turn.T - np.eye(3)) + 0.1)).impedance
     assert moved.real == pytest.approx(flat, rel=1e-9)
 
 

@@ -52,8 +52,8 @@ def test_the_support_of_a_scene_takes_the_place_of_the_design() -> None:
     with pytest.raises(ConfigurationError, match="free membrane"):
         on_free.check_scene(Scene(Bend(5.0)))
     on_free.check_scene(Scene(Bend(5.0), support=Rigid()))
-    assert on_free.supported(Scene()) == free
-    assert on_free.supported(Scene(support=Rigid())) == SensorDesign.reference()
+    assert on_free.design_on_support(Scene()) == free
+    assert on_free.design_on_support(Scene(support=Rigid())) == SensorDesign.reference()
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from eitskin.simulator.view.scene_pictures import (
     deformed_current_density,
     draw_scenes,
     indenter_surfaces,
-    most_changed,
+    most_sensitive_pair,
     round_number,
 )
 
@@ -72,14 +72,14 @@ def test_the_pair_that_changes_most_is_found(sim) -> None:
     scene = Scene(touches=(Touch(0.13, 0.03),))
     change = np.abs(sim.measure(scene).impedance / sim.measure(Scene()).impedance - 1.0)
     best = sim.protocol.table[int(np.argmax(change))]
-    assert most_changed(sim, scene) == best[:2]
+    assert most_sensitive_pair(sim, scene) == best[:2]
     assert set(best) <= {2, 3, 4}  # at the end that is pressed
     flat = sim.measure(Scene()).impedance.real
-    assert most_changed(sim, Scene()) == sim.protocol.table[int(np.argmax(flat))][:2]
+    assert most_sensitive_pair(sim, Scene()) == sim.protocol.table[int(np.argmax(flat))][:2]
     # Values that are zero by symmetry are not those that change most.
     symmetric = Protocol(((1, 5, 3, 7), (0, 4, 0, 4)), 8)
     other = Simulator(SensorDesign.reference(), "coarse", protocol=symmetric)
-    assert most_changed(other, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
+    assert most_sensitive_pair(other, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
 
 
 # Drawing
@@ -90,7 +90,7 @@ def test_an_indenter_has_its_shape_and_stands_upright_on_what_it_presses(indente
     turned = Roll(90.0).deformation(SensorDesign.reference())
     tip = np.array([0.05, 0.02, 0.01])
     left, _, right = np.linalg.svd(turned.gradient(tip))
-    body = shapes.revolved(indenter, tip, left @ right)
+    body = shapes.indenter_surface(indenter, tip, left @ right)
     offsets = (body.points - tip) @ (left @ right)
     r = np.hypot(offsets[:, 0], offsets[:, 1])
     assert r.max() == pytest.approx(indenter.rims[1], rel=1e-6)

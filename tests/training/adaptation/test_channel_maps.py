@@ -27,7 +27,7 @@ def presses(count=30, channels=4, seed=0):
     waves = rng.uniform(-40.0, 40.0, (2, channels))
     strength = rng.uniform(0.5, 2.0, count)
     answers = strength[:, None] * np.cos(places @ waves)
-    return Presses.of(places, strength, answers + 0.1 * rng.standard_normal(answers.shape))
+    return Presses.from_frames(places, strength, answers + 0.1 * rng.standard_normal(answers.shape))
 
 
 def dense(maps, learned, at):
@@ -52,7 +52,7 @@ def test_maps_are_those_of_the_full_covariance(weighted):
         learned.weight[20:] = 0.1
     maps = ChannelMaps.fit(KERNEL, learned, 0.05)
     at = np.random.default_rng(1).uniform(0.0, 0.1, (3, 2))
-    mean, variance = maps.at(at)
+    mean, variance = maps.evaluate(at)
     expected, covariance, back = dense(maps, learned, at)
     np.testing.assert_allclose(mean @ back, expected, atol=1e-5)
     for place in range(3):
@@ -86,7 +86,7 @@ def test_learned_noise_is_that_of_the_presses():
 
 def test_features_are_bounded_and_give_the_kernel_back():
     places = np.random.default_rng(0).uniform(0.0, 0.1, (900, 2))
-    features = KernelFeatures.of(PlaceKernel(0.05), places, most=150)
+    features = KernelFeatures.choose(PlaceKernel(0.05), places, most=150)
     assert len(features.chosen) <= 150
     phi = features(places[:50])
     np.testing.assert_allclose(phi @ phi.T, PlaceKernel(0.05)(places[:50], places[:50]), atol=0.02)
@@ -122,30 +122,30 @@ def answers(places, signs=1.0):
 
 
 def test_rotations_of_a_ring_are_found_and_only_with_their_channels():
-    sectors = Sectors.of(ring(), RING)
+    sectors = Sectors.from_design(ring(), RING)
     assert sectors.turned.shape == (N, len(RING))
     places = RADIUS + np.random.default_rng(0).uniform(-0.02, 0.02, (5, 2))
     turned = np.empty((5, len(RING)))
     turned[:, sectors.turned[2]] = answers(places)
-    np.testing.assert_allclose(turned, answers(sectors.rotated(places, 2)), atol=1e-12)
+    np.testing.assert_allclose(turned, answers(sectors.rotate(places, 2)), atol=1e-12)
     fewer = Protocol(RING.table[1:], N)
-    assert Sectors.of(ring(), fewer) is None
-    assert Sectors.of(None, RING) is None
-    assert Sectors.of(ring(), Protocol.pairwise(N)).turned.shape == (N, 15)
-    half_turn = Sectors.of(SensorDesign.reference(), Protocol.adjacent(8))
+    assert Sectors.from_design(ring(), fewer) is None
+    assert Sectors.from_design(None, RING) is None
+    assert Sectors.from_design(ring(), Protocol.pairwise(N)).turned.shape == (N, 15)
+    half_turn = Sectors.from_design(SensorDesign.reference(), Protocol.adjacent(8))
     assert half_turn.turned.shape == (2, 40)
     square = dataclasses.replace(ring(), electrodes=ring().electrodes[:5])
-    assert Sectors.of(square, Protocol.adjacent(5)) is None
+    assert Sectors.from_design(square, Protocol.adjacent(5)) is None
 
 
 def test_gains_and_signs_are_found_from_few_presses():
-    sectors = Sectors.of(ring(), RING)
+    sectors = Sectors.from_design(ring(), RING)
     rng = np.random.default_rng(1)
     places = RADIUS + rng.uniform(-0.025, 0.025, (12, 2))
     signs = np.where(rng.random(len(RING)) < 0.5, -1.0, 1.0)
     sizes = np.exp(0.2 * rng.standard_normal(len(RING)))
     seen = answers(places, signs * sizes)
-    gains = sectors.gains(PlaceKernel(0.04), Presses.of(places, np.ones(12), seen))
+    gains = sectors.gains(PlaceKernel(0.04), Presses.from_frames(places, np.ones(12), seen))
     for orbit in sectors.turned.T:
         relative = gains[orbit] / (signs * sizes)[orbit]
         assert len(set(np.sign(relative))) == 1
@@ -153,9 +153,9 @@ def test_gains_and_signs_are_found_from_few_presses():
 
 
 def test_copies_keep_their_owner():
-    sectors = Sectors.of(ring(), RING)
+    sectors = Sectors.from_design(ring(), RING)
     places = RADIUS + np.array([[0.01, 0.0], [0.0, 0.02]])
-    presses = sectors.shared(Presses.of(places, np.ones(2), answers(places)), 0.1)
+    presses = sectors.copy_to_sectors(Presses.from_frames(places, np.ones(2), answers(places)), 0.1)
     assert len(presses.strength) == 2 * N
     np.testing.assert_array_equal(presses.owner, np.tile([0, 1], N))
     np.testing.assert_array_equal(presses.weight, np.repeat([1.0, 0.1], [2, 2 * (N - 1)]))

@@ -130,10 +130,10 @@ def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
     loaded = Pipeline.load(Pipeline.fit(recording, POSITIONS).save(tmp_path / "a.eitmodel"))
     assert loaded.layout.protocol == table
     unknown = dataclasses.replace(recording, protocol=None)
-    assert PositionScore.of(loaded, unknown).frames == 8
+    assert PositionScore.from_dataset(loaded, unknown).frames == 8
     other = dataclasses.replace(recording, protocol=Protocol(table.table[::-1], 8))
     with pytest.raises(FrameError, match=r"trained for .* the frames have"):
-        PositionScore.of(loaded, other)
+        PositionScore.from_dataset(loaded, other)
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_measured_hydrogel_skin():
         pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
     names = RecordingNames("responsedowns", "responseups", "positions")
     recording = read_recording(DATA / "ohmc8.mat", names)
-    score = PositionScore.of(Pipeline.fit(recording, POSITIONS), recording)
+    score = PositionScore.from_dataset(Pipeline.fit(recording, POSITIONS), recording)
     assert score.frames == 100
     assert score.mean_error_mm < 2.5
     assert score.guess_error_mm > 40.0

@@ -9,7 +9,7 @@ from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
 from eitskin.cli.commands.live import command as live
-from eitskin.cli.page.plan import sheet_of
+from eitskin.cli.page.plan import sensor_or_region
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
@@ -118,15 +118,15 @@ def knowing(learned, **known):
 
 
 def test_the_page_shows_the_region_of_the_positions(learned):
-    sheet = sheet_of(learned)
+    sheet = sensor_or_region(learned)
     assert sheet.low[0] < -0.03
     assert sheet.high[1] > 0.03
     assert sheet.contains(np.array([0.0, 0.0]))
     assert not sheet.contains(np.array([0.2, 0.0]))
     design = SensorDesign.reference()
-    assert sheet_of(knowing(learned, known_design=design)) is design
+    assert sensor_or_region(knowing(learned, known_design=design)) is design
     with pytest.raises(Exception, match="leave out --page"):
-        sheet_of(knowing(learned, extent=None))
+        sensor_or_region(knowing(learned, extent=None))
 
 
 def test_what_is_known_of_the_sensor_is_saved(learned, tmp_path):

@@ -74,7 +74,7 @@ def test_it_estimates_only_what_has_labels_and_fills_in_a_bad_channel(dataset):
 
 def test_force_changes_the_direction_of_a_touch_little(dataset):
     spec = InputSpec(dataset.design, dataset.protocol, dataset.frequency, FLAT)
-    fitted = Features.fit(TrainingFrames.of(dataset, spec))
+    fitted = Features.fit(TrainingFrames.from_dataset(dataset, spec))
     light, firm = (touch_change([[0.05, 0.03]], force) for force in (0.5, 2.0))
     one = np.ones(2)
     dV = np.stack([light, firm])

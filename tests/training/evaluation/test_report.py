@@ -82,14 +82,14 @@ def perceived():
         np.array([frame[4] for frame in FRAMES]),
         np.array([discs(frame[2]) for frame in FRAMES]),
         tuple(
-            FoundTouches.of(
+            FoundTouches.from_arrays(
                 1e-3 * np.array(places, float).reshape(-1, 2),
                 np.linspace(0.9, 0.8, len(places)),
                 forces,
                 1e-3 * np.array(deviations),
             )
             if places
-            else FoundTouches.of((), ())
+            else FoundTouches.from_arrays((), ())
             for *_, places, forces, deviations in FRAMES
         ),
         ((),) * len(FRAMES),
@@ -122,13 +122,13 @@ def pipeline(says):
         1e-4,
         TrainingSettings(seed=5),
         {"sha256": "0" * 64, "frames": 3, "source": "simulated"},
-        Observations.of(data.select([0])),
+        Observations.from_dataset(data.select([0])),
     )
 
 
 @pytest.fixture(scope="module")
 def evaluation():
-    return Evaluation.of(pipeline(perceived()), frames())
+    return Evaluation.from_dataset(pipeline(perceived()), frames())
 
 
 def test_scores(evaluation):
@@ -172,9 +172,11 @@ def test_scores(evaluation):
 def test_spread_of_errors():
     """Ten touches 0.1, 0.4, 0.9 ... 10 mm off."""
     ten = [4] * 10
-    places = tuple(FoundTouches.of([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11))
+    places = tuple(
+        FoundTouches.from_arrays([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11)
+    )
     says = dataclasses.replace(chosen(perceived(), ten), touches=places)
-    report = Evaluation.of(pipeline(says), frames().select(ten)).report
+    report = Evaluation.from_dataset(pipeline(says), frames().select(ten)).report
     score = report.touches["1"]
     assert score.mean_error_mm == pytest.approx(3.85, rel=1e-4)
     assert score.median_error_mm == pytest.approx(3.05, rel=1e-4)
@@ -211,7 +213,7 @@ def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path, monkey
     says = chosen(perceived(), order)
     data = frames(bend_angle_deg=[0.0, 0.0, 10.0, -10.0, 0.0, 28.0, -20.0]).select(order)
     data = dataclasses.replace(data, time=np.arange(len(order)) * 0.3)
-    folder = write_report(Evaluation.of(pipeline(says), data), tmp_path / "report", {})
+    folder = write_report(Evaluation.from_dataset(pipeline(says), data), tmp_path / "report", {})
     document = json.loads((folder / "report.json").read_text())
     assert set(document["left_out"]) == {"training_curves.png"}
     assert "28 frames" in document["pictures"]["bend_sequence.png"]
@@ -257,7 +259,7 @@ def test_touches_beside_the_sheet_and_places_where_no_report_can_be_are_refused(
     data = frames()
     in_cm = dataclasses.replace(data, touch_x=1e2 * data.touch_x)
     with pytest.raises(DataError, match=r"x = .*0.06 m"):
-        Evaluation.of(pipeline(perceived()), in_cm)
+        Evaluation.from_dataset(pipeline(perceived()), in_cm)
     file = tmp_path / "file"
     file.write_text("mine")
     for place in (file, file / "below", tmp_path):

@@ -21,10 +21,10 @@ from eitskin.training.joint.networks import (
     without_drift,
 )
 from eitskin.training.joint.specimen_model import (
-    FAR_DEG,
-    NEAR_DEG,
+    BLEND_END_DEG,
+    BLEND_START_DEG,
     AngleEstimate,
-    blended,
+    blend_angles,
     estimate_angle,
 )
 from eitskin.training.joint.training import TrainingRun, fit_bends
@@ -65,12 +65,12 @@ def frames(specimens=150, seed=1, tightness=0.35):
     return made_up_frames(change, angle, number, NOISE)
 
 
-def fitted(data, progress=silent, mixed=angle_training.MIXED):
+def fitted(data, progress=silent, mixed=angle_training.MIX_RANGE):
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "MEMBERS", 3)
-        patch.setattr(angle_training, "HIDDEN", (32, 32))
+        patch.setattr(angle_training, "HIDDEN_SIZES", (32, 32))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))  # of minutes: fewer steps suffice
-        patch.setattr(angle_training, "MIXED", mixed)
+        patch.setattr(angle_training, "MIX_RANGE", mixed)
         return fit_angles(data, data.features, BendCurvePrior.fit(data), SETTINGS, 0, progress)
 
 
@@ -146,19 +146,21 @@ def test_angles_stay_near_those_learned_from(size):
     assert angle in (-20.0 - BEYOND_DEG, 50.0 + BEYOND_DEG)
 
 
-@pytest.mark.parametrize(("by_networks", "expected"), [(0.0, 1.0), (NEAR_DEG / 2, 2.0), (8.0, 8.0)])
+@pytest.mark.parametrize(
+    ("by_networks", "expected"), [(0.0, 1.0), (BLEND_START_DEG / 2, 2.0), (8.0, 8.0)]
+)
 def test_the_curve_counts_near_zero(by_networks, expected):
-    curve = (1.0, 0.1) if by_networks != NEAR_DEG / 2 else (4.0 - by_networks, 0.1)
-    angle, deviation = blended(curve, (by_networks, 0.5))
+    curve = (1.0, 0.1) if by_networks != BLEND_START_DEG / 2 else (4.0 - by_networks, 0.1)
+    angle, deviation = blend_angles(curve, (by_networks, 0.5))
     assert angle == pytest.approx(expected)
-    share = min(by_networks / NEAR_DEG, 1.0)
+    share = min(by_networks / BLEND_START_DEG, 1.0)
     assert deviation == pytest.approx(0.1 + share * 0.4)
 
 
 def test_a_large_bend_by_the_curve_alone_does_not_count(monkeypatch):
     """Networks see none: the frame is flat, neither bent nor of an angle in between."""
-    assert blended((2.0 * FAR_DEG, 17.0), (0.3, 0.5)) == (0.3, 0.5)
-    assert blended((0.1 * FAR_DEG, 17.0), (0.3, 0.5))[0] > 1.5
+    assert blend_angles((2.0 * BLEND_END_DEG, 17.0), (0.3, 0.5)) == (0.3, 0.5)
+    assert blend_angles((0.1 * BLEND_END_DEG, 17.0), (0.3, 0.5))[0] > 1.5
     method = smooth_method()
     flat = constant_networks(method, 0.3, 0.5)
     lost = AngleEstimate(55.0, 10.0, 1.0)
@@ -173,7 +175,7 @@ def test_the_curve_tells_flat_from_bent_where_networks_tell_the_angle():
     """It meets zero exactly, whereas networks may be as unsure as the bend is large."""
     method = smooth_method()
     unsure = constant_networks(method, 6.0, 6.0)
-    change = method.bend_prior.of([0.0]).value([6.0, 0.0])
+    change = method.bend_prior.predict([0.0]).value([6.0, 0.0])
     seen = known_frames(FLAT, 8, change, [6.0, 0.0], before=change).observations
     said = replace(method, angles=unsure).predict(seen)
     assert said.bend_deviation_deg[0] > 5.0
@@ -189,7 +191,7 @@ def test_networks_are_told_features_of_their_own():
     def angle(method, told):
         slope = 0.1 * np.arange(1, len(told) + 1)
         networks = constant_networks(method, 20.0, UNIT_DEG * np.exp(-2.0), slope)
-        change = method.bend_prior.of([0.0]).value([20.0])
+        change = method.bend_prior.predict([0.0]).value([20.0])
         seen = known_frames(flat, 8, change, [20.0], before=change).observations
         own = JointMethod.from_arrays(replace(method, angles=networks).arrays(), LAYOUT)
         said = own.predict(seen).bend_angle_deg[0]
@@ -210,7 +212,7 @@ def test_networks_tell_angles_of_clamps_never_seen(trained):
     unseen = frames(60, seed=9)
     found = np.array([networks.estimate(each, np.zeros(0), 1e-4) for each in unseen.change])
     error = found[:, 0] - unseen.angle_deg
-    noise, curve_of_all = NOISE**2 * np.eye(CHANNELS), BendCurvePrior.fit(frames()).of(())
+    noise, curve_of_all = NOISE**2 * np.eye(CHANNELS), BendCurvePrior.fit(frames()).predict(())
     by_curve = np.array([estimate_angle(curve_of_all, each, noise)[0] for each in unseen.change])
     rms = np.sqrt(np.mean(error**2))
     assert rms < 0.6 * np.sqrt(np.mean((by_curve - unseen.angle_deg) ** 2))
@@ -238,7 +240,7 @@ def test_networks_learn_clamps_between_those_of_the_training_set():
         found = [networks.estimate(each, np.zeros(0), 1e-4)[0] for each in unseen.change]
         return np.sqrt(np.mean((found - unseen.angle_deg) ** 2))
 
-    mixed, apart = error(angle_training.MIXED), error((0.0, 0.0))
+    mixed, apart = error(angle_training.MIX_RANGE), error((0.0, 0.0))
     assert mixed < 0.75 * apart, (mixed, apart)
 
 
@@ -293,7 +295,7 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "MEMBERS", 2)
-        patch.setattr(angle_training, "HIDDEN", (24, 24))
+        patch.setattr(angle_training, "HIDDEN_SIZES", (24, 24))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))
         run = TrainingRun(_no_features(), COMBINATIONS, settings, 0, silent)
         learned, _ = fit_bends(run, data)

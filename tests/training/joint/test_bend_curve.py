@@ -109,17 +109,17 @@ def test_conditioned_is_bayes_rule(curve, rng):
     change[1, 2] = change[2, :2] = np.nan
     noise = NOISE + 1e-8
     mean, covariance = posterior(curve, angles, change, noise)
-    said = curve.conditioned(angles, change, noise)
+    said = curve.condition(angles, change, noise)
     size = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((said.effects.ravel() - mean) / size, 0.0, atol=1e-6)
     np.testing.assert_allclose(
         said.covariance / np.outer(size, size), covariance / np.outer(size, size), atol=1e-6
     )
-    together = curve.conditioned(angles, change, np.kron(np.eye(3), noise))
+    together = curve.condition(angles, change, np.kron(np.eye(3), noise))
     np.testing.assert_allclose(together.effects, said.effects, rtol=1e-9)
     turns = curve
     for i in range(3):
-        turns = turns.conditioned(angles[i : i + 1], change[i : i + 1], noise)
+        turns = turns.condition(angles[i : i + 1], change[i : i + 1], noise)
     np.testing.assert_allclose((turns.effects - said.effects).ravel() / size, 0.0, atol=1e-6)
 
 
@@ -146,7 +146,7 @@ def test_a_mixture_has_the_moments_of_curves_drawn_from_it(curve, rng):
 
 def estimated(curve, change):
     """Angle and standard error of a frame, whose bad measurements are NaN."""
-    combined = COMBINATIONS.combined(change, 1.0, 0.0)
+    combined = COMBINATIONS.combine(change, 1.0, 0.0)
     return estimate_angle(curve, combined.change, combined.noise)
 
 
@@ -201,14 +201,14 @@ def test_mixed_model_finds_covariance_and_mean(rng):
     true = own_covariance(rng)
     curves = BendCurvePrior.fit(made_up(rng, 400, 16, true))
     scatter = np.sqrt(2.0 / 400)
-    at = {angle: curves.of(()).uncertainty(angle) for angle in (-20.0, 25.0, 50.0)}
+    at = {angle: curves.predict(()).uncertainty(angle) for angle in (-20.0, 25.0, 50.0)}
     truth = BendCurve(mean_curve(), np.zeros((RANDOM_POWERS, CHANNELS)), true, RANGE)
     for angle, said in at.items():
         expected = truth.uncertainty(angle)
         scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
         np.testing.assert_allclose(said / scale, expected / scale, atol=5 * scatter)
         np.testing.assert_allclose(
-            curves.of(()).value(angle), truth.value(angle), atol=4 * np.sqrt(scale.max() / 400)
+            curves.predict(()).value(angle), truth.value(angle), atol=4 * np.sqrt(scale.max() / 400)
         )
 
 
@@ -219,20 +219,20 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
     curves = BendCurvePrior.fit(data)
     blind = BendCurvePrior.fit(replace(data, features=data.features[:, :0]))
     assert np.trace(blind.covariance) > 5 * np.trace(curves.covariance)
-    one = curves.of([1.0, -0.5]).value(40.0)
+    one = curves.predict([1.0, -0.5]).value(40.0)
     expected = powers(40.0, MEAN_POWERS) @ (mean_curve() + effect[0] - 0.5 * effect[1])
     np.testing.assert_allclose(one, expected, atol=3e-4)
-    assert np.abs(curves.of([0.0, 0.0]).value(40.0) - expected).max() > 1e-3
+    assert np.abs(curves.predict([0.0, 0.0]).value(40.0) - expected).max() > 1e-3
 
 
 def test_expected_curves_are_those_conditioned_on_all_frames(rng):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     data = made_up(rng, 12, 5, own_covariance(rng), effect)
     curves = BendCurvePrior.fit(data)
-    found = curves.expected(data)
+    found = curves.expected_coefficients(data)
     for number in range(12):
         its = data[data.specimen == number]
-        expected = curves.of(its.features[0]).conditioned(its.angle_deg, its.change, NOISE)
+        expected = curves.predict(its.features[0]).condition(its.angle_deg, its.change, NOISE)
         np.testing.assert_allclose(found[number], expected.coefficients, rtol=1e-6, atol=1e-9)
 
 
@@ -241,11 +241,11 @@ def test_arrays_make_them_again(rng, curve):
     curves = BendCurvePrior.fit(made_up(rng, 20, 6, own_covariance(rng), effect))
     again = BendCurvePrior.from_arrays(curves.arrays())
     np.testing.assert_array_equal(
-        again.of([0.3, 2.0]).value(31.0), curves.of([0.3, 2.0]).value(31.0)
+        again.predict([0.3, 2.0]).value(31.0), curves.predict([0.3, 2.0]).value(31.0)
     )
     np.testing.assert_array_equal(again.covariance, curves.covariance)
     assert again.angle_deg == curves.angle_deg
-    known = curve.conditioned(np.array([10.0]), curve.value([10.0]) + 1e-3, NOISE)
+    known = curve.condition(np.array([10.0]), curve.value([10.0]) + 1e-3, NOISE)
     same = BendCurve.from_arrays(known.arrays())
     np.testing.assert_array_equal(same.value(44.0), known.value(44.0))
     np.testing.assert_array_equal(same.uncertainty(44.0), known.uncertainty(44.0))
@@ -259,14 +259,14 @@ def test_curves_of_strange_specimens_are_less_certain(rng):
         RANGE,
         np.array([1.0, 0.04]),
     )
-    usual = prior.of(np.zeros(2)).covariance
+    usual = prior.predict(np.zeros(2)).covariance
     for features, rate, factor in (
         ((0.5, 0.1), 1.0, 1.0),
         ((2.0, 0.4), 1.0, 4.0),
         ((2.0, 0.4), 0.5, 2.0),
         ((0.0, 1.0), 0.2, 2.5),
     ):
-        wide = prior.widened(np.array(features), rate)
+        wide = prior.predict_widened(np.array(features), rate)
         np.testing.assert_allclose(wide.covariance, factor * usual)
     again = BendCurvePrior.from_arrays(prior.arrays())
     np.testing.assert_array_equal(again.spread, prior.spread)
@@ -287,7 +287,7 @@ def flattening(unknown=2e-3):
 
 
 def seen(change):
-    return COMBINATIONS.combined(change, 1.0, 0.0)
+    return COMBINATIONS.combine(change, 1.0, 0.0)
 
 
 def frames(curve, count, rng):

@@ -8,7 +8,7 @@ from made_up_frames import made_up_frames
 
 from eitskin.training.joint import clamps
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.clamps import DRAWN, ClampCurves
+from eitskin.training.joint.clamps import SAMPLE_COUNT, ClampCurves
 from eitskin.training.joint.mirrored_frames import SCALE
 
 CHANNELS = 3
@@ -48,7 +48,7 @@ def bent(clamps, each=6, seed=2, feature=0.3):
 
 def learned(frames, seed=0):
     prior = BendCurvePrior.fit(frames)
-    return ClampCurves.fit(frames, prior, prior.expected(frames), seed)
+    return ClampCurves.fit(frames, prior, prior.expected_coefficients(frames), seed)
 
 
 def at_40(coefficients):
@@ -78,8 +78,10 @@ def test_curves_of_clamps_that_the_set_does_not_have_are_those_of_the_formula(mo
     others = clamps_of(30, seed=9)
     low, high = (np.append(end[:3], np.log(end[3])) for end in ends)
     places = np.column_stack([others[:, :3], np.log(others[:, 3])])
-    monkeypatch.setattr(clamps, "DRAWN", len(others))
-    monkeypatch.setattr(clamps, "_drawn", lambda *_: 2.0 * (places - low) / (high - low) - 1.0)
+    monkeypatch.setattr(clamps, "SAMPLE_COUNT", len(others))
+    monkeypatch.setattr(
+        clamps, "_sample_smoothly", lambda *_: 2.0 * (places - low) / (high - low) - 1.0
+    )
     found = at_40(learned(bent(learned_from)).drawn)
     scatter = rms(expected(others) - expected(others).mean(axis=0))
     assert rms(found - expected(others)) < 0.05 * scatter
@@ -89,7 +91,7 @@ def test_drawn_clamps_fill_the_range_of_the_set():
     made = clamps_of(60)
     found = at_40(learned(bent(made)).drawn)
     many = expected(clamps_of(4000, seed=5))
-    assert found.shape == (DRAWN, CHANNELS)
+    assert found.shape == (SAMPLE_COUNT, CHANNELS)
     assert np.allclose(found.mean(axis=0), many.mean(axis=0), atol=0.1 * many.std())
     assert np.allclose(found.std(axis=0), many.std(axis=0), rtol=0.15)
 

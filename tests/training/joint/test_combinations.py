@@ -45,7 +45,9 @@ def model(combinations, mismatch=0.0):
     output, latent = (
         np.einsum("kc,pch->pkh", mix, each) for each in (RESPONSE.output, RESPONSE.latent_output)
     )
-    mixed = replace(RESPONSE, output=output, latent_output=latent, mismatch=mismatch).of(())
+    mixed = replace(RESPONSE, output=output, latent_output=latent, mismatch=mismatch).for_specimen(
+        ()
+    )
     powers = np.kron(np.eye(RANDOM_POWERS), mix)
     covariance = powers @ CURVE.covariance @ powers.T
     effects = np.zeros((RANDOM_POWERS, len(mix)))
@@ -56,7 +58,7 @@ def measured(touches=TOUCHES, angle_deg=20.0):
     """Change of log V (C,) in a frame of a sensor that has moved by 5 deg."""
     change = CURVE.value(angle_deg) - CURVE.value(angle_deg - 5.0)
     if len(touches):
-        change = change + RESPONSE.of(())(touches, angle_deg).sum(axis=0)
+        change = change + RESPONSE.for_specimen(())(touches, angle_deg).sum(axis=0)
     return MIX @ change + 1.4 * NOISES * np.random.default_rng(1).standard_normal(COUNT)
 
 
@@ -66,7 +68,7 @@ def fitted(combinations, change, mismatch=0.0):
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
     candidates = TouchCandidates(places(), RANGES.middle_force, specimen(touches, 15.0))
     objective = TouchObjective(
-        combinations.combined(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
+        combinations.combine(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
     )
     faults = possible_faults(PROTOCOL, FLAT)
     return fit_frame(objective, candidates, TOUCHES[:, :2] + 0.003, faults)
@@ -93,9 +95,9 @@ def test_measurements_that_are_left_out_are_left_out_of_their_combinations():
     assert_same(few, fitted(ALL, change))
     assert few.degrees_of_freedom == COUNT - 4 - 7
     change[[2, 30, 31, 77]] = 5.0  # values that are left out do not matter
-    combined = FEW.combined(change, 2.0, 0.0).without([2, 30, 31, 77])
+    combined = FEW.combine(change, 2.0, 0.0).drop([2, 30, 31, 77])
     change[[2, 30, 31, 77]] = np.nan
-    np.testing.assert_allclose(combined.change, FEW.combined(change, 2.0, 0.0).change, atol=1e-12)
+    np.testing.assert_allclose(combined.change, FEW.combine(change, 2.0, 0.0).change, atol=1e-12)
 
 
 @pytest.mark.parametrize("fault", ["measurement", "contact"])
@@ -120,12 +122,12 @@ def contact_members(electrode):
 def test_combinations_that_nothing_tells_are_unknown():
     """With fewer good measurements than combinations; where they tell, they are least squares."""
     good = np.arange(COUNT) % 28 > 9
-    forward, covariance = FEW.without(good)
+    forward, covariance = FEW.restrict(good)
     weights = FEW.basis[good].T @ FEW.basis[good]
     np.testing.assert_allclose(covariance, np.linalg.inv(weights), rtol=1e-4)
     assert not forward[:, ~good].any()
     few = np.arange(COUNT) < 10
-    assert np.linalg.eigvalsh(FEW.without(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
+    assert np.linalg.eigvalsh(FEW.restrict(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
 
 
 def test_noise_of_frames_in_combinations_is_that_of_their_measurements():
@@ -133,7 +135,7 @@ def test_noise_of_frames_in_combinations_is_that_of_their_measurements():
     alone = made_up_frames(np.zeros((2, COUNT)), np.zeros(2), np.arange(2), np.diag(NOISES**2))
     frames = replace(alone, variance=1.5)
     features = SimpleNamespace(apply=lambda flat: flat[:, :2])
-    found = frames.combined(features, FEW, drift=4e-8)
+    found = frames.combine(features, FEW, drift=4e-8)
     expected = FEW.forward.T @ (1.5 * np.diag(NOISES**2) + 4e-8) @ FEW.forward
     np.testing.assert_allclose(found.noise, expected, atol=1e-12)
 
@@ -230,7 +232,7 @@ def test_few_specimens_have_few_features(rng, count, kept):
 def test_bounded_features_are_those_of_a_specimen_at_the_bound(rng):
     features = SpecimenFeatures.fit(specimens(50, rng), IMAGES)
     near = specimens(1, rng)[0]
-    np.testing.assert_array_equal(features.bounded(near), features.apply(near))
+    np.testing.assert_array_equal(features.clip(near), features.apply(near))
     far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
     assert features.apply(far)[0] == pytest.approx(12.0)
-    assert features.bounded(far)[0] == CLIP_SIGMA
+    assert features.clip(far)[0] == CLIP_SIGMA

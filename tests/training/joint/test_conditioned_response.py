@@ -22,7 +22,7 @@ def method():
 
 def sensor(method, latent, strength=1.0):
     """Response of a sensor with these latent variables (Q,)."""
-    middle = method.response.of(method.features.apply(FLAT))
+    middle = method.response.for_specimen(method.features.apply(FLAT))
     more = np.tensordot(latent, method.response.latent_output, axes=1)
     return replace(middle, output=strength * (middle.output + more))
 
@@ -43,7 +43,7 @@ def left(method, one, rng):
     """Rms error of the response of an adapted method in other touches, relative to these."""
     touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (200, 3))
     exact = one(touches, 0.0)
-    error = method.response_of(FLAT)(touches, 0.0) - exact
+    error = method.specimen_response(FLAT)(touches, 0.0) - exact
     return np.sqrt(np.mean(error**2) / np.mean(exact**2))
 
 

@@ -13,7 +13,7 @@ from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 
 from smooth_sensor import TOUCH_PRIOR
 
-if compiled.loaded("numba") is None:
+if compiled.load_kernels("numba") is None:
     pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
 
 NEAR = [[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]]
@@ -36,7 +36,7 @@ def test_fits_end_where_those_of_plain_numpy_do(steps):
             start = np.array(touches, dtype=float).reshape(-1, 3)
             start = np.add(start, [away, -away, 0.0])
             start = np.clip(start, TOUCH_PRIOR.low, TOUCH_PRIOR.high)
-            at = objective.linearised(Unknowns(start, 14.0))
+            at = objective.linearise(Unknowns(start, 14.0))
             whitening = objective.whitening(at)
             one, other = (
                 levenberg_marquardt(each, at, steps, 0.03, whitening, goal)

@@ -28,8 +28,8 @@ def method():
 def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None, age=5.0):
     """One frame of the mean specimen; `wrong` is added to its log V."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
-    one = method.response.of(method.features.apply(flat))
-    bent = method.bend_prior.of([0.0]).value(angle_deg)
+    one = method.response.for_specimen(method.features.apply(flat))
+    bent = method.bend_prior.predict([0.0]).value(angle_deg)
     frame = bent + one(touches, angle_deg).sum(axis=0)
     if rng is not None:
         frame = frame + NOISE * rng.standard_normal(28)
@@ -119,7 +119,7 @@ def test_state_and_touches_agree(method):
     """Touched frames alone have touches, also near the threshold of detection."""
     rng = np.random.default_rng(2)
     for factor in (0.02, 0.05, 0.1, 0.2):
-        one = method.response.of(method.features.apply(FLAT))
+        one = method.response.for_specimen(method.features.apply(FLAT))
         wrong = factor * one(np.array([TOUCH]), 0.0)[0]
         for _ in range(5):
             said = method.predict(observed(method, rng=rng, wrong=wrong))
@@ -192,7 +192,7 @@ def test_wrong_channel_is_told_and_is_no_touch(method, size):
 @pytest.mark.parametrize("kind", ["noise", "gain", "clipped", "swapped", "huge"])
 def test_nonsense_is_told_and_never_without_numbers(method, kind):
     rng = np.random.default_rng(6)
-    V = FLAT * np.exp(method.bend_prior.of([0.0]).value(20.0))
+    V = FLAT * np.exp(method.bend_prior.predict([0.0]).value(20.0))
     nonsense = {
         "noise": V * np.exp(0.01 * rng.standard_normal(28)),
         "gain": V * 1.1,
@@ -231,7 +231,7 @@ def sample(method):
 
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
     """Calibration to a sensor whose channels bend a little more than the mean's."""
-    change = method.bend_prior.of([0.0]).value(angles) + offset * powers(angles, 1)
+    change = method.bend_prior.predict([0.0]).value(angles) + offset * powers(angles, 1)
     adapted, told = method.adapt(known_frames(FLAT, 4, change, angles))
     return adapted, told.calibration
 
@@ -264,7 +264,7 @@ def test_calibration_makes_angles_right_and_surer(method):
 def test_drift_during_calibration_is_not_taken_for_the_curve(method):
     """A common change of half a percent after four hours hardly moves the curve."""
     angles = np.full(6, 30.0)
-    change = method.bend_prior.of([0.0]).value(angles) + 5e-3
+    change = method.bend_prior.predict([0.0]).value(angles) + 5e-3
     bend = {}
     for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
         known = known_frames(FLAT, 4, change, angles, age=age)
@@ -277,14 +277,14 @@ def test_known_frames_of_unknown_times_share_no_drift(method):
     """Standard errors hold, though each frame has drifted by itself."""
     rng, angles = np.random.default_rng(6), np.array([-15.0, 10.0, 20.0, 30.0, 45.0])
     shift = method.drift * np.sqrt(60.0 / DRIFT_TIME)
-    change = method.bend_prior.of([0.0]).value(angles)
+    change = method.bend_prior.predict([0.0]).value(angles)
     ratios = []
     for _ in range(20):
         drifted = (
             change + shift * rng.standard_normal((5, 1)) + NOISE * rng.standard_normal((5, 28))
         )
         curve = method.adapt(known_frames(FLAT, 4, drifted, angles, age=60.0))[0].calibrated
-        wrong = curve.value(30.0) - method.bend_prior.of([0.0]).value(30.0)
+        wrong = curve.value(30.0) - method.bend_prior.predict([0.0]).value(30.0)
         ratios.append(wrong @ np.linalg.pinv(curve.uncertainty(30.0)) @ wrong / 28)
     assert np.mean(ratios) < 1.3
 
@@ -292,7 +292,7 @@ def test_known_frames_of_unknown_times_share_no_drift(method):
 def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     """Known frames twice as noisy as in training double the noise of later frames."""
     rng, angles = np.random.default_rng(7), np.full(40, 20.0)
-    before = np.tile(method.bend_prior.of([0.0]).value(20.0), (40, 1))
+    before = np.tile(method.bend_prior.predict([0.0]).value(20.0), (40, 1))
     change = before + 2.0 * NOISE * rng.standard_normal((40, 28)) + 1e-3  # and a common drift
     one, told = method.adapt(known_frames(FLAT, 4, change, angles, before=before))
     assert told.noise_scale == one.own_noise_scale == pytest.approx(2.0, rel=0.1)
@@ -338,7 +338,7 @@ def test_a_static_reference_that_nothing_explains_is_told(method):
 def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     rng = np.random.default_rng(4)
     touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (12, 3))
-    change = method.response.of(method.features.apply(FLAT))(touches, 0.0)
+    change = method.response.for_specimen(method.features.apply(FLAT))(touches, 0.0)
     told_places = touches + np.array([0.004, 0.0, 0.0])
     known = known_frames(FLAT, 4, change, np.zeros(12), touches=told_places[:, None])
     one, told = method.adapt(known)

@@ -21,9 +21,9 @@ from one_frame import (
 )
 
 from eitskin.training.joint import fit_kernels, model_selection
-from eitskin.training.joint.model_selection import apart, fit_frame
+from eitskin.training.joint.model_selection import fit_frame, misfit_rise
 from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
-from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates, pruned
+from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates, prune
 
 from smooth_sensor import (
     RANGES,
@@ -49,7 +49,7 @@ def test_gradient_is_that_of_finite_differences(kind):
     }[kind]
     objective = replace(frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0)), response=STIFF)
     unknowns = Unknowns(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
-    at = objective.linearised(unknowns)
+    at = objective.linearise(unknowns)
     whitening = objective.whitening(at)
     quadratic = objective.quadratic(at, whitening)
     assert quadratic.misfit == pytest.approx(objective.misfit(at, whitening), rel=1e-12)
@@ -58,7 +58,7 @@ def test_gradient_is_that_of_finite_differences(kind):
         step = 1e-4 * np.eye(len(quadratic.products[0, 1:]))[i]
         up, down = (
             objective.misfit(
-                objective.linearised(objective.stepped(unknowns, sign * step)), whitening
+                objective.linearise(objective.apply_step(unknowns, sign * step)), whitening
             )
             for sign in (1, -1)
         )
@@ -71,7 +71,7 @@ def test_two_touches_at_one_place_can_be_told_apart():
     """Coincident touches in a corner part again; the Hessian stays regular."""
     objective = frame(TOUCHES[2])
     corner = np.array([TOUCH_PRIOR.low, TOUCH_PRIOR.low])
-    found = levenberg_marquardt(objective, objective.linearised(Unknowns(corner, 0.0)), 30, 1e-6)
+    found = levenberg_marquardt(objective, objective.linearise(Unknowns(corner, 0.0)), 30, 1e-6)
     assert np.linalg.eigvalsh(found.hessian).min() > 0
     apart = np.linalg.norm(found.unknowns.touches[0, :2] - found.unknowns.touches[1, :2])
     assert apart > 0.5 * TOUCH_PRIOR.separation
@@ -88,7 +88,7 @@ def test_fits_end_where_their_goal_is_out_of_reach_and_nowhere_else(monkeypatch)
 
     monkeypatch.setattr(fit_kernels, "linearise", counting)
     for touches, reached in ((TOUCHES[2][:1], False), (np.array(TOUCHES[2]) + 0.003, True)):
-        start = objective.linearised(Unknowns(np.array(touches), 0.0))
+        start = objective.linearise(Unknowns(np.array(touches), 0.0))
         counted.clear()
         free = levenberg_marquardt(objective, start, 8, 0.03)
         steps, goal = len(counted), free.misfit + 10.0 if reached else 100.0
@@ -104,10 +104,10 @@ def test_residuals_are_whitened_with_noise_bend_and_response():
     """Whitened residuals of many specimens are uncorrelated, with unit variance."""
     rng = np.random.default_rng(4)
     touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
-    one = response(mismatch, unseen=2).of(())
+    one = response(mismatch, unseen=2).for_specimen(())
     objective = replace(frame(touches, angle, reference), response=one)
     unknowns = Unknowns(touches, angle)
-    whitening = objective.whitening(objective.linearised(unknowns))
+    whitening = objective.whitening(objective.linearise(unknowns))
     unsure = CURVE.uncertainty(angle, reference)
     size = np.sqrt(np.sum(ONE(touches, angle) ** 2, axis=0))
     wrong = rng.multivariate_normal(np.zeros(28), TWO_FRAMES + unsure, 4000)
@@ -174,7 +174,7 @@ def test_touch_and_bend_since_the_reference_are_found_together(angle_deg, refere
 def test_a_second_look_ends_where_it_comes_to_what_the_first_found(monkeypatch):
     ends = []
     monkeypatch.setattr(
-        model_selection, "pruned", lambda *args: ends.append(pruned(*args)) or ends[-1]
+        model_selection, "prune", lambda *args: ends.append(prune(*args)) or ends[-1]
     )
     objective = frame(TOUCHES[3], 24.0, 15.0, np.random.default_rng(1))  # far: looked at again
     found = explained(objective, np.array(TOUCHES[3])[::-1, :2])
@@ -186,16 +186,16 @@ def test_estimates_are_compared_whatever_the_order_of_their_touches():
     objective = frame(TOUCHES[3])
 
     def at(touches, angle_deg=0.0):
-        start = objective.linearised(Unknowns(np.array(touches), angle_deg))
+        start = objective.linearise(Unknowns(np.array(touches), angle_deg))
         return levenberg_marquardt(objective, start, 0, 0.0)
 
     one, other = at(TOUCHES[3]), np.array(TOUCHES[3])[[2, 0, 1]]
-    assert apart(one, at(other)) == 0.0
-    assert apart(one, at(other[:2])) == np.inf
-    assert apart(one, at(other[[0, 0, 1]])) == np.inf
+    assert misfit_rise(one, at(other)) == 0.0
+    assert misfit_rise(one, at(other[:2])) == np.inf
+    assert misfit_rise(one, at(other[[0, 0, 1]])) == np.inf
     moved = np.add(other, [[0.0, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 0.0]])
     rise = at(moved, 0.02).misfit - one.misfit
-    assert apart(one, at(moved, 0.02)) == pytest.approx(rise, rel=0.1)
+    assert misfit_rise(one, at(moved, 0.02)) == pytest.approx(rise, rel=0.1)
 
 
 def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():
@@ -237,7 +237,7 @@ def test_errors_are_as_large_as_stated():
 
 def faint(share):
     """Response of a sensor with reduced sensitivity, and its candidates."""
-    weak = replace(RESPONSE, scale=RESPONSE.scale * share).of(())
+    weak = replace(RESPONSE, scale=RESPONSE.scale * share).for_specimen(())
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
     return weak, TouchCandidates(places(), RANGES.middle_force, weak(touches, 0.0))
 

@@ -40,7 +40,7 @@ def method():
 
 @pytest.fixture(scope="module")
 def learned(method):
-    return method.response.of(method.features.apply(FLAT))
+    return method.response.for_specimen(method.features.apply(FLAT))
 
 
 def touches(count, rng):
@@ -83,7 +83,7 @@ def test_the_twin_of_the_sensor_makes_places_better_by_the_flat_frame_alone(meth
     held_out = pressed(twin, 12, 1)
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
     one, told = method.adapt(replace(flat, twin=twin))
-    assert (told.twin.touches, told.twin.kept) == (0, True)
+    assert (told.twin.touches, told.twin.accepts_twin) == (0, True)
     json.dumps(told.as_dict(), allow_nan=False)
     assert mean_error(one, held_out) < 0.6 * mean_error(method, held_out)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
@@ -100,11 +100,11 @@ def test_known_touches_keep_the_twin_of_the_sensor_and_refuse_that_of_another(
     other.gains = 2.0 - twin.gains
     known = pressed(twin, 6, 0, forces=forces)
     one, told = method.adapt(replace(known, twin=twin))
-    assert told.twin.kept
+    assert told.twin.accepts_twin
     assert told.twin.with_twin < 0.5 * told.twin.without
     assert one.own_output is not None
     refused, told = method.adapt(replace(known, twin=other))
-    assert not told.twin.kept
+    assert not told.twin.accepts_twin
     np.testing.assert_array_equal(refused.own_output, method.adapt(known)[0].own_output)
 
 

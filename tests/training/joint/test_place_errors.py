@@ -21,9 +21,11 @@ from eitskin.training.method.predictions import FoundTouches
 def test_the_scale_of_one_sensor_is_the_rms_of_its_ratios():
     touches = np.array([[[0.05, 0.03, 8.0]], [[0.10, 0.03, np.nan]], [[0.02, 0.02, 5.0]]])
     found = [
-        FoundTouches.of([[0.053, 0.034]], [1.0], None, [0.001]),  # 5 mm, five standard errors
-        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # two
-        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
+        FoundTouches.from_arrays(
+            [[0.053, 0.034]], [1.0], None, [0.001]
+        ),  # 5 mm, five standard errors
+        FoundTouches.from_arrays([[0.10, 0.028]], [1.0], None, [0.001]),  # two
+        FoundTouches.from_arrays([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
     ]
     assert own_error_scale(touches, found) == pytest.approx(np.sqrt((4 + 25 + 4) / (4 + 2)))
 
@@ -33,10 +35,10 @@ def many(scale: ErrorScale, count: int = 4000):
     rng = np.random.default_rng(3)
     features = rng.standard_normal((count, 2)) * rng.uniform(0.2, 2.0, (count, 1))
     touches = np.tile([[0.07, 0.03]], (count, 1, 1))
-    factors = np.array([scale.of(p) for p in features])[:, None]
+    factors = np.array([scale.evaluate(p) for p in features])[:, None]
     places = touches[:, 0] + 1e-3 * factors * rng.standard_normal((count, 2))
     spread = [np.sqrt(2.0) * 1e-3]
-    found = [FoundTouches.of(place[None], [1.0], None, spread) for place in places]
+    found = [FoundTouches.from_arrays(place[None], [1.0], None, spread) for place in places]
     return touches, found, features
 
 
@@ -51,22 +53,22 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
     assert learned.strange == pytest.approx(scale.strange, rel=0.2, abs=0.05)
     for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
         expected = np.sqrt(learned.usual + square * learned.strange)
-        assert learned.of(np.array(features)) == pytest.approx(expected)
+        assert learned.evaluate(np.array(features)) == pytest.approx(expected)
 
 
 def test_a_scale_of_few_or_no_touches_stays_near_one():
     assert ErrorScale.fit(np.zeros((0, 1, 2)), [], np.zeros((0, 3))) == ErrorScale()
     touches, found, features = many(ErrorScale(0.01), 2)
-    assert 0.5 < ErrorScale.fit(touches, found, features).of(np.zeros(2)) <= 1.0
+    assert 0.5 < ErrorScale.fit(touches, found, features).evaluate(np.zeros(2)) <= 1.0
     # Errors that only strange sensors have leave the others a scale above zero.
     touches, found, features = many(ErrorScale(0.0, 2.0))
-    assert ErrorScale.fit(touches, found, features).of(np.zeros(2)) > 0.1
+    assert ErrorScale.fit(touches, found, features).evaluate(np.zeros(2)) > 0.1
 
 
 def test_a_sensor_without_features_has_the_usual_scale():
     touches, found, _ = many(ErrorScale(2.0))
     scale = ErrorScale.fit(touches, found, np.zeros((len(touches), 0)))
-    assert scale.of(np.zeros(0)) ** 2 == pytest.approx(2.0, rel=0.1)
+    assert scale.evaluate(np.zeros(0)) ** 2 == pytest.approx(2.0, rel=0.1)
 
 
 def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it():
@@ -75,7 +77,7 @@ def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it():
     arrays = scaled.arrays()
     assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
     before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
-    assert before.error_scale.of(np.array([1.5])) == 2.0
+    assert before.error_scale.evaluate(np.array([1.5])) == 2.0
     for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
         with pytest.raises(DataError, match="standard errors"):
             JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)

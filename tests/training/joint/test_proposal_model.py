@@ -8,7 +8,7 @@ import pytest
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
 from eitskin.training.joint.networks import ProposalNetwork, network_inputs
-from eitskin.training.joint.touch_response import MOST_TOUCHES
+from eitskin.training.joint.touch_response import MAX_TOUCHES
 from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
 
@@ -47,7 +47,7 @@ def test_frames_are_follow_the_touch_prior():
         values = places[..., axis][there]
         assert TOUCH_PRIOR.low[axis] <= values.min() < TOUCH_PRIOR.low[axis] + 0.002
         assert TOUCH_PRIOR.high[axis] - 0.002 < values.max() <= TOUCH_PRIOR.high[axis]
-    for i in range(MOST_TOUCHES):
+    for i in range(MAX_TOUCHES):
         for j in range(i):
             apart = np.hypot(*(places[:, i] - places[:, j]).T)
             assert np.nanmin(apart) >= TOUCH_PRIOR.separation
@@ -56,11 +56,11 @@ def test_frames_are_follow_the_touch_prior():
 def test_made_up_changes_are_those_of_the_response():
     """The mean change over specimens and noise is that of `TouchResponse`."""
     rng = np.random.default_rng(2)
-    touches = np.full((2000, MOST_TOUCHES, 3), np.nan)
+    touches = np.full((2000, MAX_TOUCHES, 3), np.nan)
     touches[:, 0] = [0.05, 0.02, 9.0]
     angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
     change = MODEL.touch_changes(touches, angle, features, rng)
-    expected = MODEL.response.of([0.0])(touches[0, :1], 20.0)[0]
+    expected = MODEL.response.for_specimen([0.0])(touches[0, :1], 20.0)[0]
     strong = expected > 0.3 * expected.max()
     mean = change.mean(axis=0) / np.exp(0.5 * touch_training.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
@@ -114,7 +114,7 @@ def test_one_peak_is_one_place_and_there_are_four_at_most():
     near = picture((0.050, 0.030, 0.9), (0.056, 0.030, 0.8)).places(np.zeros(3), 0.030)
     assert len(near) == 1
     many = [(0.02 + 0.022 * i, 0.03, 0.5) for i in range(6)]
-    assert len(picture(*many).places(np.zeros(3), 0.030)) == MOST_TOUCHES
+    assert len(picture(*many).places(np.zeros(3), 0.030)) == MAX_TOUCHES
 
 
 def test_inputs_take_what_is_not_finite_for_no_change():

@@ -35,7 +35,7 @@ def touches():
 
 
 def test_derivatives_are_those_of_finite_differences(learned, touches):
-    one = learned.of([0.5, -1.0])
+    one = learned.for_specimen([0.5, -1.0])
     said = one.with_derivatives(touches, 20.0)
     values, slopes = said[0], said[1:]
     np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
@@ -70,7 +70,7 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
         weights=(learned.weights[0], *(0.1 * rng.standard_normal((layers - 1, 160, 160)))),
         biases=(learned.biases[0], *rng.standard_normal((layers - 1, 160))),
     )
-    one, p = deep.of([0.5, -1.0]), [0.5, -1.0]
+    one, p = deep.for_specimen([0.5, -1.0]), [0.5, -1.0]
     expected = np.array(list(plain(deep, p, touches, 33.0)))
     size = np.abs(expected).max()
     np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
@@ -79,7 +79,7 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
 
 
 def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
-    one = learned.of([1.0, 1.0])
+    one = learned.for_specimen([1.0, 1.0])
     np.testing.assert_array_equal(one(touches * [1.0, 1.0, 0.0], 30.0), 0.0)
     assert np.abs(one(touches, 30.0) / one(touches, 0.0) - 1.0).max() > 0.01
     assert one(touches[:0], 0.0).shape == (0, 28)
@@ -88,17 +88,17 @@ def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touche
 def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
     rng = np.random.default_rng(6)
     three, angle = touches[:3], 10.0
-    one = learned.of([0.5, 0.0])
+    one = learned.for_specimen([0.5, 0.0])
     shapes = one.latent_changes(three, angle)
     assert shapes.shape == (2, 28)
     alone = [one.latent_changes(three[i : i + 1], angle) for i in range(3)]
     np.testing.assert_allclose(np.sum(alone, axis=0), shapes)
     q = rng.standard_normal((20, 2))
     output = one.output + np.tensordot(q, learned.latent_output, axes=1)
-    hidden = learned.hidden(three, angle).sum(axis=0)
+    hidden = learned.hidden_output(three, angle).sum(axis=0)
     drawn = output @ hidden - one.output @ hidden
     np.testing.assert_allclose(drawn, q @ shapes, atol=1e-12)
-    again = TouchResponse.from_arrays(learned.arrays()).of([0.5, 0.0])
+    again = TouchResponse.from_arrays(learned.arrays()).for_specimen([0.5, 0.0])
     changes = again.latent_changes(three, angle)
     np.testing.assert_allclose(changes, shapes, atol=1e-5 * np.abs(shapes).max())
 
@@ -107,11 +107,11 @@ def test_arrays_make_it_again(learned, touches):
     """Copies agree to single precision, in which weights are saved."""
     told = replace(learned, mismatch=0.07)
     again = TouchResponse.from_arrays(told.arrays())
-    expected = told.of([1.0, 2.0])(touches, -5.0)
-    said = again.of([1.0, 2.0])(touches, -5.0)
+    expected = told.for_specimen([1.0, 2.0])(touches, -5.0)
+    said = again.for_specimen([1.0, 2.0])(touches, -5.0)
     np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
     twice = TouchResponse.from_arrays(again.arrays())
-    np.testing.assert_array_equal(twice.of([1.0, 2.0])(touches, -5.0), said)
+    np.testing.assert_array_equal(twice.for_specimen([1.0, 2.0])(touches, -5.0), said)
     assert again.mismatch == 0.07
     assert again.ranges.size == told.ranges.size
     assert again.ranges.force == told.ranges.force
@@ -143,7 +143,7 @@ def frames(count, seed):
 def trained():
     """Smaller network trained for seconds, accurate to a tenth of the change."""
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(touch_training, "HIDDEN", 48)
+        patch.setattr(touch_training, "HIDDEN_SIZE", 48)
         patch.setattr(touch_training, "LAYERS", 2)
         settings = NetworkSettings(1e-2, epochs=40, batch=32)
         yield fit_response(frames(800, 0), RANGES, settings, 0, silent)
@@ -163,7 +163,7 @@ def test_strengths_of_specimens_do_not_blur_it(trained):
         said, true = [], []
         for i in np.flatnonzero(data.specimen == number):
             touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
-            one = response.of(data.features[i])
+            one = response.for_specimen(data.features[i])
             said.append(one(touches, float(data.angle_deg[i])).sum(axis=0))
             true.append(data.change[i])
         strengths.append(np.vdot(said, true) / np.vdot(said, said))
@@ -182,7 +182,7 @@ def test_network_says_what_it_was_trained_to_say(features):
     plain = folded_response(network, np.unique(data.specimen), 0.5, RANGES)
     for i in range(40):
         touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
-        alone = plain.of(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
+        alone = plain.for_specimen(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
         np.testing.assert_allclose(alone, said[i], atol=1e-5 * np.abs(said).max())
 
 
@@ -216,10 +216,10 @@ def test_changed_prior_pulls_forces(mean):
     """The estimate of an 8 N touch in large noise approaches the prior's mean force."""
     prior = replace(TOUCH_PRIOR, force=(mean, 0.2))
     assert prior.box[0, 2] == mean
-    one = response().of(())
+    one = response().for_specimen(())
     true = Unknowns(np.array([[0.060, 0.030, 8.0]]), 0.0)
     change = one(true.touches, 0.0)[0]
-    combined = MEASUREMENTS.combined(change, 2.0 * 30**2, 0.0)
+    combined = MEASUREMENTS.combine(change, 2.0 * 30**2, 0.0)
     objective = TouchObjective(combined, 0.0, one, curve(), prior)
-    found = levenberg_marquardt(objective, objective.linearised(true), 30, 1e-9)
+    found = levenberg_marquardt(objective, objective.linearise(true), 30, 1e-9)
     assert found.unknowns.touches[0, 2] == pytest.approx(mean, abs=0.3)

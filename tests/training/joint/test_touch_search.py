@@ -13,7 +13,7 @@ from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.fit_kernels import DAMPINGS, trust_step
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.touch_search import (
-    LEAST_DISTANCE,
+    MIN_DISTANCE,
     PAIR_STRIDE,
     TouchCandidates,
     initial_touches,
@@ -32,7 +32,7 @@ from smooth_sensor import (
     response,
 )
 
-ONE, CURVE = response(mismatch=0.05).of(()), curve()
+ONE, CURVE = response(mismatch=0.05).for_specimen(()), curve()
 TWO = np.array([[0.055, 0.030, 7.0], [0.100, 0.020, 9.0]])
 BAD = [4, 11]
 
@@ -43,7 +43,7 @@ def objective():
     change = CURVE.value(14.0) - CURVE.value(10.0) + ONE(TWO, 14.0).sum(axis=0)
     change = change + NOISE * np.random.default_rng(0).standard_normal(28)
     change[BAD] = np.nan
-    combined = MEASUREMENTS.combined(change, 2.0, 1e-8)
+    combined = MEASUREMENTS.combine(change, 2.0, 1e-8)
     return TouchObjective(combined, 10.0, ONE, CURVE, TOUCH_PRIOR)
 
 
@@ -56,7 +56,7 @@ def candidates():
 
 def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
     start = Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)
-    found = levenberg_marquardt(objective, objective.linearised(start), 0, 0.03)
+    found = levenberg_marquardt(objective, objective.linearise(start), 0, 0.03)
     rest = [found.unknowns.without_touch(0), found.unknowns]
     said = pair_starts(found, [0, None], candidates)
     tried = candidates.places[::PAIR_STRIDE]
@@ -65,7 +65,7 @@ def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
         left, best = found.whitening @ residual(objective, unknowns), (np.inf, None)
         taken = unknowns.touches[:, :2]
         for i, j in combinations(range(len(tried)), 2):
-            near = np.linalg.norm(taken - tried[[i, j], None], axis=-1) <= LEAST_DISTANCE * 0.030
+            near = np.linalg.norm(taken - tried[[i, j], None], axis=-1) <= MIN_DISTANCE * 0.030
             if near.any() or np.linalg.norm(tried[i] - tried[j]) <= TOUCH_PRIOR.separation:
                 continue
             share = np.linalg.lstsq(shapes[:, [i, j]], left, rcond=None)[0]
@@ -80,7 +80,7 @@ def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
 
 
 def test_forces_are_the_least_squares_with_their_prior(objective):
-    untouched = objective.linearised(Unknowns(np.zeros((0, 3)), 13.0))
+    untouched = objective.linearise(Unknowns(np.zeros((0, 3)), 13.0))
     said = initial_touches(objective, TWO[:, :2], untouched).touches
     whitening = objective.whitening(untouched)
     mean, deviation = TOUCH_PRIOR.force
@@ -110,7 +110,7 @@ def test_possible_faults_are_every_channel_and_every_contact():
 
 def test_likeliest_fault_is_that_of_a_fit_of_each():
     rng = np.random.default_rng(1)
-    possible, seen = possible_faults(PROTOCOL, FLAT), MEASUREMENTS.combined(np.ones(28), 1.0, 0.0)
+    possible, seen = possible_faults(PROTOCOL, FLAT), MEASUREMENTS.combine(np.ones(28), 1.0, 0.0)
     known, residual = rng.standard_normal((28, 4)), rng.standard_normal(28)
     gains = []
     for change in possible.changes.T:
@@ -180,7 +180,7 @@ def test_a_fit_beyond_a_bound_is_the_best_within(force):
     """
     true = np.array([[*TOUCHES[1][0][:2], force]])
     objective = replace(frame(true, 5.0, 5.0, np.random.default_rng(3)), response=STIFF)
-    start = objective.linearised(Unknowns(np.array([[0.050, 0.026, 8.0]]), 4.0))
+    start = objective.linearise(Unknowns(np.array([[0.050, 0.026, 8.0]]), 4.0))
     whitening = objective.whitening(start)
     found = levenberg_marquardt(objective, start, 30, 1e-8, whitening)
     bound = TOUCH_PRIOR.low[2] if force < 1.0 else TOUCH_PRIOR.high[2]
@@ -188,7 +188,7 @@ def test_a_fit_beyond_a_bound_is_the_best_within(force):
 
     def misfit(x):
         unknowns = Unknowns(np.array([[0.01 * x[1], 0.01 * x[2], x[3]]]), x[0])
-        return objective.misfit(objective.linearised(unknowns), whitening)
+        return objective.misfit(objective.linearise(unknowns), whitening)
 
     low, high = TOUCH_PRIOR.low * [100.0, 100.0, 1.0], TOUCH_PRIOR.high * [100.0, 100.0, 1.0]
     bounds = [(-25.0, 55.0), *zip(low, high, strict=True)]
@@ -202,7 +202,7 @@ def test_a_fit_beyond_a_bound_is_the_best_within(force):
 
 def test_the_step_at_which_a_fit_ends_leads_on_to_its_minimum():
     objective = frame(TOUCHES[2], 15.0, 10.0, np.random.default_rng(4))
-    start = objective.linearised(Unknowns(np.array(TOUCHES[2]) + 0.004, 12.0))
+    start = objective.linearise(Unknowns(np.array(TOUCHES[2]) + 0.004, 12.0))
     whitening = objective.whitening(start)
     coarse, fine = (
         levenberg_marquardt(objective, start, 30, tolerance, whitening)

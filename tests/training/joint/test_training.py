@@ -79,7 +79,7 @@ def dataset(count=750, specimens=24, seed=0):
 def small_networks(steps=40):
     """Context with smaller networks, and fewer steps of the proposals in an epoch."""
     with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(touch_training, "HIDDEN", 48)
+        patch.setattr(touch_training, "HIDDEN_SIZE", 48)
         patch.setattr(touch_training, "LAYERS", 2)
         patch.setattr(touch_training, "PROPOSAL_HIDDEN", (96, 96))
         patch.setattr(touch_training, "STEPS_PER_EPOCH", steps)
@@ -96,7 +96,7 @@ def trained():
             response=NetworkSettings(1e-2, epochs=12, batch=48),
             proposals=NetworkSettings(1e-2, epochs=2, batch=64),
         )
-        frames = TrainingFrames.of(dataset(), LAYOUT)
+        frames = TrainingFrames.from_dataset(dataset(), LAYOUT)
         whole = TrainingSettings(joint=settings)
         method = JointMethod.fit(frames, whole, lambda *told: said.append(told))
     return method, said
@@ -112,9 +112,9 @@ def test_what_is_learned_is_the_sensor(trained):
     assert method.response.ranges.angle_deg[0] < -18.0
     assert 0.01 < method.response.mismatch < 0.4
     angles = np.array([-15.0, 20.0, 45.0])
-    bend = method.bend_prior.of(np.zeros(len(method.features.directions))).value(angles)
+    bend = method.bend_prior.predict(np.zeros(len(method.features.directions))).value(angles)
     np.testing.assert_allclose(bend, powers(angles, 5) @ bend_mean(), atol=5e-4)
-    spread = np.sqrt(np.diag(method.bend_prior.of(np.zeros(4)).uncertainty(50.0)))
+    spread = np.sqrt(np.diag(method.bend_prior.predict(np.zeros(4)).uncertainty(50.0)))
     assert 3e-4 < np.median(spread) < 8e-4
     assert {stage for stage, *_ in said} == {"bend curve", "touch response", "proposals"}
     assert all(done <= total for _, done, total in said)
@@ -123,7 +123,7 @@ def test_what_is_learned_is_the_sensor(trained):
 @pytest.mark.slow
 def test_learned_method_perceives_frames_never_seen(trained):
     unseen = dataset(150, 24, seed=1)
-    said = trained[0].predict(Observations.of(unseen))
+    said = trained[0].predict(Observations.from_dataset(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
     free = unseen.state != State.TOUCH
     assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg)[free] ** 2)) < 1.5
@@ -144,15 +144,15 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     numbers = checked.specimen_number[checked.specimen]
     assert set(numbers.tolist()) == set(specimens[7::8].tolist())
     assert (checked.touch_count > 0).all()
-    seen = Observations.of(checked)
+    seen = Observations.from_dataset(checked)
     plain = replace(method, error_scale=ErrorScale()).predict(seen).touches
     known = np.stack([checked.touch_x, checked.touch_y], axis=-1)
-    features = method.features.bounded(seen.flat)
+    features = method.features.clip(seen.flat)
     assert method.error_scale == ErrorScale.fit(known, plain, features)
     assert method.error_scale != ErrorScale()
     scaled = method.predict(seen).touches
     for before, after, p in zip(plain, scaled, features, strict=True):
-        expected = method.error_scale.of(p) * before.deviation
+        expected = method.error_scale.evaluate(p) * before.deviation
         # What a hidden neighbour adds is not scaled.
         np.testing.assert_allclose(after.deviation, expected, rtol=0.1)
 
@@ -172,7 +172,7 @@ def test_a_sensor_that_is_never_bent():
     method = type(method).from_arrays(method.arrays(), LAYOUT)
     assert method.targets == Targets(("idle", "touch"), angle=False)
     unseen = data.select(slice(30))
-    said = method.predict(Observations.of(unseen))
+    said = method.predict(Observations.from_dataset(unseen))
     assert np.mean(said.state == unseen.state) > 0.8
     for unknown in (said.bend_angle_deg, said.bend_deviation_deg, said.probabilities[:, 2]):
         assert np.isnan(unknown).all()
@@ -204,7 +204,7 @@ def test_touches_without_forces():
         method = restored(fit_joint(JointMethod, without_forces(dataset()), LAYOUT, BRIEF))
     assert method.targets == Targets(force=False)
     unseen = dataset(60, seed=1)
-    said = method.predict(Observations.of(unseen))
+    said = method.predict(Observations.from_dataset(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
     single = np.flatnonzero((unseen.touch_count == 1) & [len(t) > 0 for t in said.touches])
     assert len(single) > 10
@@ -248,7 +248,7 @@ def test_a_sensor_that_is_never_touched():
     assert method.targets == Targets(("idle", "bend"), touches=False, force=False)
     unseen = dataset(90, seed=1)
     unseen = unseen.select(unseen.state != State.TOUCH)
-    said = method.predict(Observations.of(unseen))
+    said = method.predict(Observations.from_dataset(unseen))
     clear = np.abs(unseen.bend_angle_deg) > 5.0
     assert (said.state[clear] == State.BEND).all()
     assert np.mean(said.state[unseen.state == State.IDLE] == State.IDLE) > 0.9
@@ -257,7 +257,7 @@ def test_a_sensor_that_is_never_touched():
     assert np.isnan(said.touch_map).all()
     assert not any(len(touches) for touches in said.touches)
     changed = unseen.impedance * np.where(np.arange(28) == 5, 1.3, 1.0)
-    told = method.predict(Observations.of(replace(unseen, impedance=changed))).problems
+    told = method.predict(Observations.from_dataset(replace(unseen, impedance=changed))).problems
     assert all(any(PROTOCOL.labels[5] in problem for problem in each) for each in told)
 
 

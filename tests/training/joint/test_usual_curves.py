@@ -62,7 +62,7 @@ def test_likelihood_of_a_specimen_is_that_of_a_normal_vector(mixture, everywhere
     powers = (ANGLES[:, None] / SCALE) ** np.arange(1, RANDOM_POWERS + 1)
     weights = np.kron(powers, np.eye(CHANNELS))
     whole = weights @ everywhere.covariance @ weights.T + NOISE**2 * np.eye(len(weights))
-    curve = everywhere.of(())
+    curve = everywhere.predict(())
     for number in (0, 200):
         change = mixture.change[mixture.specimen == number]
         normal = multivariate_normal(curve.value(ANGLES).ravel(), whole)
@@ -80,7 +80,9 @@ def test_the_group_that_bends_alike_is_found(mixture, usual):
     size = np.trace(by_hand.covariance)
     assert np.trace(usual.covariance) == pytest.approx(size, rel=0.1)
     np.testing.assert_allclose(
-        usual.of(()).value(30.0), by_hand.of(()).value(30.0), atol=0.02 * np.abs(WAYS).max()
+        usual.predict(()).value(30.0),
+        by_hand.predict(()).value(30.0),
+        atol=0.02 * np.abs(WAYS).max(),
     )
 
 
@@ -107,10 +109,10 @@ def test_a_mixture_has_the_moments_of_its_parts():
 def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
     unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
     none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS))
-    both = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, usual=usual.of(()))
-    alone = SpecimenModel(np.zeros(0), None, everywhere.of(()), none)
+    both = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none, usual=usual.predict(()))
+    alone = SpecimenModel(np.zeros(0), None, everywhere.predict(()), none)
     for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
-        combined = COMBINATIONS.combined(change, 1.0, 0.0)
+        combined = COMBINATIONS.combine(change, 1.0, 0.0)
         found, before = both.angle(combined), alone.angle(combined)
         assert (found.usual > 0.5) == alike
         if alike:

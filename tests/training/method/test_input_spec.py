@@ -9,7 +9,7 @@ from eitskin.datasets import Dataset
 from eitskin.errors import FrameError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.method.input_spec import LARGEST_SPREAD, InputSpec
+from eitskin.training.method.input_spec import MAX_SPREAD, InputSpec
 
 PROTOCOL = Protocol.pairwise(8)
 FLAT = np.linspace(400.0, 800.0, 28)
@@ -20,7 +20,7 @@ def of_specimens(scatter):
     rng = np.random.default_rng(0)
     reference = FLAT * np.exp(scatter * rng.normal(size=(8, 28)))
     data = Dataset.from_arrays(reference, reference, specimen=np.arange(8), state=np.zeros(8))
-    return InputSpec.of(data, SensorDesign.reference(), PROTOCOL), rng
+    return InputSpec.from_dataset(data, SensorDesign.reference(), PROTOCOL), rng
 
 
 def test_sensors_that_scatter_as_those_trained_with_are_taken():
@@ -33,12 +33,12 @@ def test_sensors_that_scatter_as_those_trained_with_are_taken():
 
 def test_the_limit_is_never_lower_than_of_sensors_that_hardly_scatter_and_is_saved():
     spec, _ = of_specimens(0.01)
-    assert spec.spread == LARGEST_SPREAD
+    assert spec.spread == MAX_SPREAD
     for each in (spec, of_specimens(0.15)[0]):
         again = InputSpec.from_document(each.document(), each.reference)
         assert again.spread == each.spread
     old = {key: value for key, value in spec.document().items() if key != "spread"}
-    assert InputSpec.from_document(old, spec.reference).spread == LARGEST_SPREAD
+    assert InputSpec.from_document(old, spec.reference).spread == MAX_SPREAD
 
 
 def test_readings_in_the_noise_hardly_count():
@@ -75,7 +75,7 @@ def test_a_sensor_that_scatters_more_is_taken_once_its_flat_values_are_known():
         spec.require_same_sensor(strange.astype(complex))
     spec.require_same_sensor(strange.astype(complex), adapting=True)
     partly = np.where(np.arange(28) == 5, np.nan, strange)
-    for own in (spec.of_sensor(strange), spec.of_sensor(partly)):
+    for own in (spec.for_sensor(strange), spec.for_sensor(partly)):
         own.require_same_sensor((0.8 * strange).astype(complex))
         with pytest.raises(FrameError, match="scatter by"):
             own.require_same_sensor(FLAT.astype(complex))

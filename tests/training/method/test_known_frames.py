@@ -25,7 +25,7 @@ PRESSED = FrameLabel(20.0, PRESS)
 def known(labels, levels):
     """Frames whose log V is this much above that of the flat sensor, half a second apart."""
     frames = [Frame(FLAT * np.exp(z) + 0j, PROTOCOL, 0.5 * i) for i, z in enumerate(levels)]
-    return KnownFrames.of(frames, labels, SPEC)
+    return KnownFrames.from_frames(frames, labels, SPEC)
 
 
 def test_changes_are_from_the_mean_of_the_flat_frames():
@@ -35,7 +35,7 @@ def test_changes_are_from_the_mean_of_the_flat_frames():
     np.testing.assert_allclose(np.log1p(seen.static[2]), 0.010)
     np.testing.assert_allclose(seen.age, [0.0, 0.5, 1.0])
     assert seen.static_frames.tolist() == [2, 2, 2]
-    assert found.bent.tolist() == [False, False, True]
+    assert found.is_bent.tolist() == [False, False, True]
     assert found.flat.tolist() == [True, True, False]
 
 
@@ -56,13 +56,13 @@ def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, refer
     np.testing.assert_allclose(np.log1p(found.observations.dynamic[row]), change)
     assert found.reference_deg[row] == pytest.approx(reference_deg, nan_ok=True)
     assert found.observations.dynamic_frames[row] == frames
-    assert np.flatnonzero(found.touched).tolist() == [row]
+    assert np.flatnonzero(found.has_touches).tolist() == [row]
     np.testing.assert_allclose(found.touches[row, 0], [0.05, 0.03, 8.0])
 
 
 def test_what_is_unknown_is_neither_touched_nor_bent():
     found = known([REST, FrameLabel(20.0, None), UNKNOWN], [0.0, 0.1, 0.1])
-    assert not (found.touched | found.bent).any()
+    assert not (found.has_touches | found.is_bent).any()
     light = FrameLabel(0.0, (TouchLabel(0.1, 0.03),))
     assert np.isnan(known([REST, light], [0, 0]).touches[1, 0, 2])
 
@@ -90,10 +90,10 @@ def of_two():
 
 
 def test_a_dataset_has_labels_and_references_of_its_own():
-    found = KnownFrames.of(dataset(), None, SPEC)
+    found = KnownFrames.from_frames(dataset(), None, SPEC)
     assert found.flat.tolist() == [True, False, False, False]
-    assert found.bent.tolist() == [False, True, False, False]
-    assert found.touched.tolist() == [False, False, True, True]
+    assert found.is_bent.tolist() == [False, True, False, False]
+    assert found.has_touches.tolist() == [False, False, True, True]
     assert found.reference_deg.tolist() == [0.0, 0.0, 0.0, 20.0]
     np.testing.assert_allclose(found.observations.dynamic[2:, 0], np.expm1([0.03, 0.03]), rtol=1e-5)
 
@@ -111,8 +111,12 @@ FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
         (lambda: FrameLabel(float("inf")), DataError, "angle up to 360"),
         (lambda: TouchLabel(0.1, 0.03, 0.0), DataError, "above 0 N"),
         (lambda: TouchLabel(float("nan"), 0.03), DataError, "place"),
-        (lambda: KnownFrames.of(of_two(), None, SPEC), ConfigurationError, "2 specimens"),
-        (lambda: KnownFrames.of(dataset(), [REST], SPEC), ConfigurationError, "no labels beside"),
+        (lambda: KnownFrames.from_frames(of_two(), None, SPEC), ConfigurationError, "2 specimens"),
+        (
+            lambda: KnownFrames.from_frames(dataset(), [REST], SPEC),
+            ConfigurationError,
+            "no labels beside",
+        ),
     ],
 )
 def test_what_cannot_be_known_is_refused(make, error, message):

@@ -35,27 +35,27 @@ def idle(frames, noise):
 
 
 def found(data):
-    return channel_noise(data, Observations.of(data))
+    return channel_noise(data, Observations.from_dataset(data))
 
 
 def test_noise_of_each_channel():
     """Few frames lean on the median channel; a channel that never differs has a floor."""
     assert found(idle(4000, TRUE)) == pytest.approx(TRUE, rel=0.1)
     data = idle(1, np.full(8, 1e-2))
-    drawn = np.abs(Observations.of(data).dynamic[0])
+    drawn = np.abs(Observations.from_dataset(data).dynamic[0])
     assert np.ptp(np.log(found(data))) < 0.5 * np.ptp(np.log(drawn))
     data = idle(200, np.where(np.arange(8) < 6, 0.0, 1e-2))
-    noise, overall = found(data), frame_noise(data, Observations.of(data))
+    noise, overall = found(data), frame_noise(data, Observations.from_dataset(data))
     assert (noise[:6] > 0).all()
     assert (noise[:6] < 1e-3 * (noise[6:].min() + overall)).all()
 
 
 def test_there_are_more_epochs_where_frames_are_few():
     settings = NetworkSettings(1e-3, epochs=40, batch=32, fewest_steps=800)
-    epochs = [settings.epochs_of(count) for count in (5, 40, 240, 640, 6400)]
+    epochs = [settings.count_epochs(count) for count in (5, 40, 240, 640, 6400)]
     assert epochs == [800, 400, 100, 40, 40]
-    assert NetworkSettings(1e-3, epochs=40, batch=32).epochs_of(5) == 40
-    assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.epochs_of(5) == 3
+    assert NetworkSettings(1e-3, epochs=40, batch=32).count_epochs(5) == 40
+    assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.count_epochs(5) == 3
 
 
 UNKNOWN = UNKNOWN_STATE
@@ -98,7 +98,7 @@ def frames(states, angles=None, touched=(), force=np.nan, **known):
     ],
 )
 def test_targets_are_what_frames_have_labels_for(data, targets, missing):
-    assert Targets.of(data) == targets
+    assert Targets.from_dataset(data) == targets
     assert targets.missing == missing
     assert targets.positions_only == (data.touch_count > 0).all()
 
@@ -161,7 +161,7 @@ def test_the_end_of_a_single_specimen_is_held_out_state_by_state():
 
 
 def test_a_touch_unpacks_as_three_and_knows_five():
-    both = FoundTouches.of([[0.1, 0.2], [0.3, 0.4]], [0.5, 0.9], [7.0, 8.0], [1e-3, 2e-3])
+    both = FoundTouches.from_arrays([[0.1, 0.2], [0.3, 0.4]], [0.5, 0.9], [7.0, 8.0], [1e-3, 2e-3])
     first, second = both
     assert tuple(first) == (first.x, first.y, first.strength) == (0.3, 0.4, 0.9)
     assert (first.force, first.deviation, len(first)) == (8.0, 2e-3, 3)

@@ -66,8 +66,8 @@ def test_a_failed_electrode_is_named_and_left_out(learned, electrode, at, kind, 
     assert at <= fault.number <= at + delay
     assert not marked.status[:at].any()
     assert (marked.status[at + delay + 15 :, MEMBERS[electrode]] != 0).all()
-    score = PositionScore.of(learned, broken.select(np.arange(at, COUNT)))
-    healthy = PositionScore.of(learned, recording().select(np.arange(at, COUNT)))
+    score = PositionScore.from_dataset(learned, broken.select(np.arange(at, COUNT)))
+    healthy = PositionScore.from_dataset(learned, recording().select(np.arange(at, COUNT)))
     assert score.mean_error_mm < 1.5 * healthy.mean_error_mm + 0.3
     assert score.error_ratio < 1.4
 
@@ -85,7 +85,7 @@ def test_a_pipeline_is_learned_from_what_was_healthy():
     (fault,) = follow_recording(broken)[1]
     assert (fault.electrode, fault.number) == (3, 150)
     late = Pipeline.fit(broken, TrainingSettings("touch position"))
-    score = PositionScore.of(late, broken)
+    score = PositionScore.from_dataset(late, broken)
     assert score.mean_error_mm < 0.2 * score.guess_error_mm
     assert [text.startswith("electrode 3 ") for text in score.faults] == [True]
 
@@ -104,7 +104,7 @@ def test_a_session_names_the_electrode_and_goes_on(learned, tmp_path):
 
 
 def test_an_electrode_that_recovers_is_taken_back_and_changes_of_all_are_no_fault():
-    usual = ReadingRange.of(np.exp(0.01 * np.random.default_rng(0).standard_normal((50, 40))))
+    usual = ReadingRange.fit(np.exp(0.01 * np.random.default_rng(0).standard_normal((50, 40))))
     health = SensorHealth(usual, PROTOCOL)
     wrong, ones = np.where(MEMBERS[1], np.linspace(1.5, 3.0, 40), 1.0), np.ones(40)
     for number in range(60):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from typing_extensions import TypeAliasType
 
 from eitskin.training.method.stored_fields import (
-    GIVEN,
-    Stored,
+    GIVEN_FIELD,
+    StoredField,
     StoredFields,
     field_arrays,
     restored_fields,
@@ -21,16 +21,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Part(StoredFields):
-    values: Annotated[Array, Stored(single=True)]
-    size: Annotated[float, Stored("numbers")]
-    ends: Annotated[tuple[int, int], Stored("numbers")]
+    values: Annotated[Array, StoredField(single=True)]
+    size: Annotated[float, StoredField("numbers")]
+    ends: Annotated[tuple[int, int], StoredField("numbers")]
 
 
 @dataclass(frozen=True)
 class Whole(StoredFields):
-    sensor: Annotated[str, GIVEN]
+    sensor: Annotated[str, GIVEN_FIELD]
     part: Part
-    layers: Annotated[tuple[Array, ...], Stored("layer")]
+    layers: Annotated[tuple[Array, ...], StoredField("layer")]
     none: Part | None
     names: tuple[int, ...] = (7,)
     half: Array = field(init=False)

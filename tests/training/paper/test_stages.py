@@ -11,7 +11,7 @@ from eitskin.threads import one_torch_thread
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
-from eitskin.training.paper.networks import layer_network, mirrored, weights_of
+from eitskin.training.paper.networks import layer_network, mirror_samples, network_weights
 from eitskin.training.paper.stages import (
     Classifier,
     PostProcessor,
@@ -173,7 +173,7 @@ def test_networks_evaluated_by_numpy_are_torchs(layers):
         name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
         if name.endswith(("running_var", "1.weight"))
         else rng.normal(0.0, 0.1, array.shape).astype(array.dtype)
-        for name, array in weights_of(network).items()
+        for name, array in network_weights(network).items()
     }
     inputs = rng.normal(size=(70, layers[0].inputs, 16, 40)).astype(np.float32)  # two batches
     expected = by_torch(network, weights, inputs)
@@ -205,14 +205,14 @@ def test_mirror_images_are_drawn_with_their_targets():
     def batch(chosen, generator):  # noqa: ARG001
         return maps[chosen].clone(), 10.0 * maps[chosen]
 
-    draw, generator = mirrored(batch, flips), torch.Generator().manual_seed(0)
+    draw, generator = mirror_samples(batch, flips), torch.Generator().manual_seed(0)
     for _ in range(40):
         pictures, targets = draw(torch.tensor([1]), generator)
         assert torch.equal(targets, 10.0 * pictures)
         seen.add(tuple(pictures.ravel().tolist()))
     assert seen == {(6, 7, 8, 9, 10, 11), (8, 7, 6, 11, 10, 9), (9, 10, 11, 6, 7, 8),
                     (11, 10, 9, 8, 7, 6)}  # fmt: skip
-    assert mirrored(batch, flips[:1]) is batch
+    assert mirror_samples(batch, flips[:1]) is batch
 
 
 def test_saved_networks_of_other_shapes_are_refused(presses, reconstruction, embedding):

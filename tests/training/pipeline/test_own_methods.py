@@ -56,7 +56,7 @@ class Strongest(Method):
         dV = np.nan_to_num(observations.dynamic)
         nearest = np.linalg.norm(dV[:, None] - self.known, axis=2).argmin(axis=1)
         places = np.where(np.abs(dV).max(axis=1) > 1e-4, self.places[nearest].T, np.nan).T
-        return Predictions.of(len(dV), self.spec, places=places[:, None])
+        return Predictions.from_arrays(len(dV), self.spec, places=places[:, None])
 
     def arrays(self):
         return {"known": self.known, "places": self.places}
@@ -110,9 +110,9 @@ def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):
     """Opening runs no code that the user does not name."""
     other = type("Other", (Strongest,), {})
     for path, code, message in (
-        (folder, None, r"runs no code by itself.*--method .*:Strongest"),
+        (folder, None, r"runs no code on its own.*--method .*:Strongest"),
         (folder, other, r"by .*:Strongest, got the code of .*Other"),
-        ("reference.eitmodel", Strongest, "comes with eitskin"),
+        ("reference.eitmodel", Strongest, "ships with eitskin"),
     ):
         with pytest.raises(ConfigurationError, match=message):
             Pipeline.load(path, code)
@@ -126,7 +126,7 @@ def test_code_that_is_not_named_or_is_another_is_refused(folder, monkeypatch):
 
 def shifted(method, observations):
     places = np.full((len(observations), 1, 2), 0.03)
-    return Predictions.of(len(observations), method.spec, places=places)
+    return Predictions.from_arrays(len(observations), method.spec, places=places)
 
 
 def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dataset):
@@ -152,7 +152,7 @@ def faulty(**members):
 
 
 def says(**what):
-    return lambda self, seen: Predictions.of(
+    return lambda self, seen: Predictions.from_arrays(
         len(seen), self.spec, **{k: f(len(seen)) for k, f in what.items()}
     )
 

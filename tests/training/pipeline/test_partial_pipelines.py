@@ -18,7 +18,7 @@ from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evalua
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import table_rows
-from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, losses_of
+from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, quantity_losses
 from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
@@ -133,7 +133,7 @@ def test_angles_alone(tmp_path):
 def test_the_method_is_chosen_by_held_out_specimens():
     """The joint method is refused for so few frames; what is left is chosen, and doubted."""
     data, told = frames([State.IDLE, State.TOUCH]), []
-    found = Selection.of(
+    found = Selection.from_dataset(
         data,
         seed=2,
         adjust=lambda settings: settings.with_epochs(1),
@@ -154,7 +154,7 @@ def test_the_method_is_chosen_by_held_out_specimens():
 def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monkeypatch):
     """A brief comparison leaves those that may win, and the last word has the whole training."""
     data = frames(list(State))
-    evaluation, trained = Evaluation.of(never_touched, data), []
+    evaluation, trained = Evaluation.from_dataset(never_touched, data), []
     brief, whole = {"joint": 0.2, "quick": 0.3, "paper": 0.5}, {"joint": 0.2, "quick": 0.1}
 
     def trial(_data, preset, _settings, share, _progress):
@@ -163,19 +163,21 @@ def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monke
         return Trial(preset, 1.0, "", evaluation, {"x": loss}, share=share)
 
     monkeypatch.setattr(selection, "train_candidate", trial)
-    found = Selection.of(data, presets=("joint", "quick", "paper"))
+    found = Selection.from_dataset(data, presets=("joint", "quick", "paper"))
     assert found.preset == "quick"
     assert [preset for preset, briefly in trained if not briefly] == ["joint", "quick"]
     assert "0.500" in found.trials[2].stopped
     assert [each.seconds for each in found.trials] == [2.0, 2.0, 1.0]
     assert found.trials[2].as_dict()["stopped"]
     brief["quick"], whole["joint"] = 0.5, 0.3
-    assert Selection.of(data).preset == "joint"
+    assert Selection.from_dataset(data).preset == "joint"
 
 
 def test_what_is_not_estimated_counts_as_guessed(never_touched):
     data = frames(list(State))
-    losses = losses_of(Evaluation.of(never_touched, data), Targets.of(data))
+    losses = quantity_losses(
+        Evaluation.from_dataset(never_touched, data), Targets.from_dataset(data)
+    )
     assert losses["touches"] == 1.0
     assert losses["angle"] < 0.2
     assert losses["state"] >= 1 / 3  # no touch is recognised
@@ -187,7 +189,7 @@ def test_no_method_for_a_set_is_told(monkeypatch):
 
     monkeypatch.setattr(Pipeline, "fit", refused)
     with pytest.raises(DataError, match="joint: too few; quick: too few"):
-        Selection.of(frames([State.IDLE, State.TOUCH]))
+        Selection.from_dataset(frames([State.IDLE, State.TOUCH]))
 
 
 def test_the_command_compares_and_warns(tmp_path, capsys):
@@ -221,7 +223,7 @@ def test_own_sensors_and_most_frames_that_were_not_trained_on_are_told(
     data = dataclasses.replace(make(40, specimens=3, specimen=specimen), names=Names(names))
     kept = np.flatnonzero(np.isin(specimen, learned))
     monkeypatch.setattr(TrainingSettings, "split", lambda *_: (kept, kept, kept))
-    evaluation = Evaluation.of(never_touched, frames(list(State)))
+    evaluation = Evaluation.from_dataset(never_touched, frames(list(State)))
     found = [each for each in data_warnings(data, evaluation) if "trained on, as" in each]
     assert len(found) == (words is not None)
     assert re.search(words or "", " ".join(found))

@@ -12,8 +12,8 @@ from eitskin.datasets import State, read_recording
 from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Pipeline, PositionScore, TrainingSettings, evaluate
-from eitskin.training.method.input_spec import LARGEST_SCALE
-from eitskin.training.pipeline.frame_order import LONGEST_GAP
+from eitskin.training.method.input_spec import MAX_SCALE
+from eitskin.training.pipeline.frame_order import MAX_GAP
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 
@@ -129,7 +129,7 @@ def test_a_new_session_begins_with_new_references_and_is_told(session, change):
 def test_a_gap_before_a_touch_is_told(session):
     session()
     session(20.0)
-    session.number = int(session.number + LONGEST_GAP / 0.3) + 2
+    session.number = int(session.number + MAX_GAP / 0.3) + 2
     assert "5 s" in session(20.0, PLACE).problems[0]
     session(20.0)
     assert session(20.0, PLACE).problems == ()
@@ -203,7 +203,7 @@ def test_frames_of_other_sensors_and_measurements_are_refused(pipeline, sensor, 
 
 
 def test_gain_of_gel_or_board_is_no_reason_to_refuse(pipeline, sensor):
-    for factor in (1.1 / LARGEST_SCALE, 0.9 * LARGEST_SCALE * np.exp(0.3j)):
+    for factor in (1.1 / MAX_SCALE, 0.9 * MAX_SCALE * np.exp(0.3j)):
         pipeline.reset()
         pipeline.process(Frame(sensor.flat * factor, PAIRS))
         bent = pipeline.process(Frame(sensor.impedance(30.0) * factor, PAIRS, 0.3, 1))
@@ -243,7 +243,7 @@ def test_recorded_touches_are_tested_on_the_last_of_them(dataset):
     held_out = learned.held_out(recording)
     assert len(held_out) == 16
     assert held_out.max() < np.flatnonzero(recording.state == State.TOUCH)[16]
-    score = PositionScore.of(learned, recording)
+    score = PositionScore.from_dataset(learned, recording)
     assert score.mean_error_mm < 0.3 * score.guess_error_mm
 
 

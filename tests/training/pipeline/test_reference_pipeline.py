@@ -1,4 +1,4 @@
-"""The pipeline that comes with eitskin, on frames of the simulator."""
+"""The pipeline that ships with eitskin, on frames of the simulator."""
 
 from dataclasses import replace
 

@@ -16,7 +16,7 @@ from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
 from eitskin.training import NetworkSettings, Pipeline, PositionScore, TrainingSettings
 from eitskin.training.pipeline.saved_form import (
-    SHIPPED,
+    SHIPPED_PATH,
     SUMS,
     SavedPipeline,
     read_pipeline,
@@ -170,7 +170,9 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     folder = learned.save(tmp_path / "skin.eitmodel")
     assert sorted(path.name for path in folder.iterdir()) == FILES
     loaded = Pipeline.load(folder)
-    assert PositionScore.of(loaded, recording) == PositionScore.of(learned, recording)
+    assert PositionScore.from_dataset(loaded, recording) == PositionScore.from_dataset(
+        learned, recording
+    )
     assert loaded.settings.method == loaded.method.KIND == "touch position"
     edit(folder, **array("grid.low", lambda low: low + 0.01))
     with pytest.raises(DataError, match="does not compute"):
@@ -259,7 +261,7 @@ HOSTILE = {
 def test_nonsense_with_right_sums_is_refused_in_one_short_sentence(tmp_path):
     for number, (name, (change, words)) in enumerate(HOSTILE.items()):
         folder = tmp_path / f"{number}.eitmodel"
-        shutil.copytree(SHIPPED, folder)
+        shutil.copytree(SHIPPED_PATH, folder)
         edit(folder, **change)
         with pytest.raises(EitskinError, match=words) as refused:
             Pipeline.load(folder)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
-from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, FEWEST_SPECIMENS, FlatSensors
-from eitskin.training.pipeline.frame_order import LONGEST_ELAPSED, LONGEST_GAP, SessionOrder
+from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, MIN_SPECIMENS, FlatSensors
+from eitskin.training.pipeline.frame_order import MAX_ELAPSED_TIME, MAX_GAP, SessionOrder
 from eitskin.training.pipeline.held_touch import HeldTouch
-from eitskin.training.pipeline.references import LONGEST_MEAN
+from eitskin.training.pipeline.references import MAX_MEAN_FRAMES
 from eitskin.training.pipeline.session import Session
 
 NOISE = 3e-4  # of the difference of two frames
@@ -47,12 +47,12 @@ def test_difference_is_relative_real_and_blind_to_gain_and_phase(gain, phase):
 
 def test_references_are_means_of_a_still_sensor():
     """Of the opening for the static one, of the latest stillness for the dynamic one."""
-    for count in (2, 5, LONGEST_MEAN):
+    for count in (2, 5, MAX_MEAN_FRAMES):
         still = frames(FLAT, count)
         session = averaged(still)
         np.testing.assert_allclose(session.touch, still.mean(axis=0), rtol=1e-13)
         np.testing.assert_array_equal(session.touch, session.bend)
-    assert averaged(frames(FLAT, 2000)).dynamic.count == LONGEST_MEAN
+    assert averaged(frames(FLAT, 2000)).dynamic.count == MAX_MEAN_FRAMES
     session = averaged(frames(FLAT, 20), frames(BENT, 20, seed=1))
     assert error(session.touch, BENT) < NOISE / 3
     opening = session.bend.copy()
@@ -111,7 +111,7 @@ ORDERS = [
     ((*STEADY, (5, 3600.0)), False, "jumped ahead", 3600.0),
     ((*STEADY, (24, 7.2)), False, "", 7.2),  # lost frames
     ((*STEADY, (5, 4.0)), False, "", 4.0),  # a short pause
-    (((0, -1e308), (1, 1e308)), False, "", LONGEST_ELAPSED),
+    (((0, -1e308), (1, 1e308)), False, "", MAX_ELAPSED_TIME),
     *(((*STEADY, wrong, (6, 1.8)), False, "", 1.8) for wrong in AHEAD),
     *(
         case
@@ -132,7 +132,7 @@ def test_order_of_frames(given, begins, problem, elapsed):
     assert step.gap == ("jumped" in problem or given[-1] == (24, 7.2) or given[-1][1] == 1e308)
     assert problem in " ".join(step.problems)
     assert len(step.problems) == bool(problem)
-    assert order.elapsed == pytest.approx(elapsed)
+    assert order.elapsed_time == pytest.approx(elapsed)
 
 
 @pytest.mark.parametrize("wrong", AHEAD)
@@ -152,7 +152,7 @@ def shown(places, noise=1e-4, seed=0):
         session.follow(Frame(V, Protocol.pairwise(8), time=0.3 * number, number=number))
         if session.empty:
             session.average(V)
-        row = session.observed(V)
+        row = session.to_observations(V)
         session.renew(V, touched=place is not None)
         if place is None:
             continue
@@ -191,7 +191,7 @@ def test_the_noise_that_motion_is_told_from_is_that_of_the_session(noise):
 def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
     protocol, values = Protocol.pairwise(4), np.ones(6)
     session = Session(1e-4, averages=False, bends=bends)
-    for number, time in enumerate((0.0, 1.0, 2.0 + LONGEST_GAP)):
+    for number, time in enumerate((0.0, 1.0, 2.0 + MAX_GAP)):
         session.follow(Frame(values, protocol, number=number, time=time))
         session.average(values)
         session.renew(values, touched=number == 2)
@@ -230,7 +230,7 @@ def doubted(judge, values):
     return np.mean([bool(judge.judge(each).doubt) for each in values])
 
 
-@pytest.mark.parametrize("count", [FEWEST_SPECIMENS, 20, 200])
+@pytest.mark.parametrize("count", [MIN_SPECIMENS, 20, 200])
 def test_flat_sensors_are_seldom_doubted(count):
     assert doubted(known(count), sensors(400, seed=1)) <= 10 * FALSE_ALARM
     chances = [known().judge(each).chance for each in sensors(400, seed=2)]
@@ -254,7 +254,7 @@ def test_bent_and_odd_sensors_are_doubted():
 
 
 def test_a_distribution_needs_specimens_and_survives_its_arrays():
-    assert FlatSensors.fit(sensors(FEWEST_SPECIMENS - 1)) is None
+    assert FlatSensors.fit(sensors(MIN_SPECIMENS - 1)) is None
     assert FlatSensors.fit(np.repeat(sensors(1), 20, axis=0)) is None
     again = FlatSensors.from_arrays(known().arrays())
     value = sensors(1, 20.0, seed=8)[0]
@@ -264,7 +264,7 @@ def test_a_distribution_needs_specimens_and_survives_its_arrays():
 
 def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     strange = sensors(1, seed=5)[0] * ODD
-    own = known().of_sensor(np.abs(strange))
+    own = known().for_sensor(np.abs(strange))
     later = 1.3 * strange * np.exp(0.004 * np.random.default_rng(9).normal(size=(100, C)))
     assert doubted(known(), later) == 1.0
     assert doubted(own, later) <= 10 * FALSE_ALARM
@@ -272,7 +272,7 @@ def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     assert np.mean([bool(start.doubt) for start in bent]) > 0.9
     assert np.median([start.bend_deg for start in bent]) == pytest.approx(40.0, abs=5.0)
     partly = np.where(np.arange(C) == 2, np.nan, np.abs(strange))
-    assert not known().of_sensor(partly).judge(strange).doubt
+    assert not known().for_sensor(partly).judge(strange).doubt
 
 
 def test_a_step_of_all_channels_is_taken_back_unless_the_sensor_may_take_it():

@@ -108,13 +108,15 @@ def test_frames_that_give_no_reference_leave_the_pipeline_as_it_was(pipeline, tr
         pipeline.tare([])
     with pytest.raises(FrameError, match="times those"):
         pipeline.use(dataclasses.replace(reference, impedance=40.0 * reference.impedance))
-    assert pipeline.stored is reference
+    assert pipeline.stored_reference is reference
 
 
 @pytest.fixture
 def reference(truth):
     values = [frame.impedance for frame in frames(truth["flat"])]
-    return StoredReference.of(values, PROTOCOL, 40e3, Zero.FLAT, board="0102", source="virtual:")
+    return StoredReference.from_frames(
+        values, PROTOCOL, 40e3, Zero.FLAT, board="0102", source="virtual:"
+    )
 
 
 def test_the_file_brings_everything_back(reference, tmp_path):

@@ -11,7 +11,7 @@ L_SHAPE = Polygon(((0, 0), (0.12, 0), (0.12, 0.05), (0.06, 0.05), (0.06, 0.1), (
 
 
 def test_reference_sensor_has_squares_of_two_millimetres():
-    grid = PixelGrid.of(Rectangle(0.150, 0.060))
+    grid = PixelGrid.from_outline(Rectangle(0.150, 0.060))
     assert grid.shape == (30, 75)
     assert len(grid) == 2250
     assert grid.sides == pytest.approx((2e-3, 2e-3))
@@ -20,7 +20,7 @@ def test_reference_sensor_has_squares_of_two_millimetres():
 
 @pytest.mark.parametrize(("outline", "area"), [(Disc(0.05), np.pi * 0.05**2), (L_SHAPE, 0.009)])
 def test_mask_has_the_area_of_the_outline(outline, area):
-    grid = PixelGrid.of(outline, 4000)
+    grid = PixelGrid.from_outline(outline, 4000)
     assert len(grid) * grid.area == pytest.approx(area, rel=0.02)
     picture = grid.image(np.arange(len(grid)))
     assert np.isnan(picture).sum() == picture.size - len(grid)
@@ -28,16 +28,16 @@ def test_mask_has_the_area_of_the_outline(outline, area):
 
 
 def test_cut_pixels_add_to_their_nearest_ones():
-    grid = PixelGrid.of(Disc(0.05), 400)
+    grid = PixelGrid.from_outline(Disc(0.05), 400)
     values = np.random.default_rng(0).normal(size=(3, 400))
-    gathered = grid.gathered(values)
+    gathered = grid.sum_pixels(values)
     assert gathered.sum(axis=1) == pytest.approx(values.sum(axis=1))
     deep = Disc(0.05).contains(grid.centres, margin=0.015)
     assert (gathered[:, deep] == values[:, grid.inside.ravel()][:, deep]).all()
 
 
 def test_differences_of_a_slope_are_its_gradient_and_none_crosses_the_rim():
-    grid = PixelGrid.of(L_SHAPE, 300)
+    grid = PixelGrid.from_outline(L_SHAPE, 300)
     x, y = grid.centres.T
     along_x, along_y = (grid.differences @ (3.0 * x - 2.0 * y)).reshape(2, -1)
     for values, expected in ((along_x, 3.0 * grid.sides[0]), (along_y, -2.0 * grid.sides[1])):
@@ -46,7 +46,7 @@ def test_differences_of_a_slope_are_its_gradient_and_none_crosses_the_rim():
 
 
 def test_discs_have_their_area():
-    grid = PixelGrid.of(Rectangle(0.150, 0.060))
+    grid = PixelGrid.from_outline(Rectangle(0.150, 0.060))
     for radius in (0.004, 0.0075, 0.02):
         shares = grid.discs([(0.0731, 0.0302), (0.075, 0.030)], radius)
         assert shares.sum(axis=1) * grid.area == pytest.approx(np.pi * radius**2, rel=0.05)
@@ -55,7 +55,7 @@ def test_discs_have_their_area():
 # ---- figures of merit ----
 
 
-DISC = PixelGrid.of(Disc(0.1), 10_000)
+DISC = PixelGrid.from_outline(Disc(0.1), 10_000)
 CENTRE, RADIUS = (0.13, 0.09), 0.02
 INTEGRAL = np.pi * RADIUS**2
 

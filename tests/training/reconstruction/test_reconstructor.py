@@ -112,8 +112,8 @@ def test_bad_channels_are_left_out(greit):
     spoiled[3] = np.nan
     shown = greit.image(Frame(spoiled, PROTOCOL, status=status), Frame(before, PROTOCOL))
     data = greit.data(after, before)
-    family = greit.family.without(status != 0)
-    expected = family.matrix(greit.lambda_of()) @ data[status == 0]
+    family = greit.family.drop_channels(status != 0)
+    expected = family.matrix(greit.choose_lambda()) @ data[status == 0]
     assert shown[greit.grid.inside] == pytest.approx(expected)
     status[: len(status) // 2 + 1] = 1
     with pytest.raises(UnusableFrameError, match="50%"):
@@ -127,7 +127,7 @@ def test_frames_choose_lambda_by_cross_validation(greit):
     few, many = (
         clean + share * np.abs(clean).max() * rng.normal(size=len(clean)) for share in (0.001, 0.1)
     )
-    assert maker.lambda_of(few[None]) < maker.lambda_of(many[None])
+    assert maker.choose_lambda(few[None]) < maker.choose_lambda(many[None])
     assert np.isfinite(maker.images(many)[maker.grid.inside]).all()
 
 
@@ -148,11 +148,11 @@ def test_channels_near_zero_are_compared_on_one_scale_and_mirrored_places_are_to
     Readings of driven electrodes, whose contacts say most, are left out beside others.
     """
     assert Reconstructor(SensorDesign.reference()).difference == "relative"
-    assert (made().difference, made().mirrored) == ("relative", 0.0)
+    assert (made().difference, made().ambiguous_share) == ("relative", 0.0)
     facing = Protocol.skip(16, 7, sense_skip=7)
     maker = Reconstructor(DESIGN, facing, pixels=625, resolution=COARSE)
     assert maker.difference == "absolute"
-    assert maker.mirrored > 0.9
+    assert maker.ambiguous_share > 0.9
     driven = Protocol.adjacent(16, shared=True)
     maker = Reconstructor(DESIGN, driven, pixels=625, resolution=COARSE)
     before = np.real(maker.model.impedance)

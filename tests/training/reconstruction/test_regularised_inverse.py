@@ -9,7 +9,7 @@ from eitskin.training.reconstruction.picture_methods import least_variation, pri
 from eitskin.training.reconstruction.pixel_grid import PixelGrid
 from eitskin.training.reconstruction.regularised_inverse import Regularisation, gauss_newton
 
-GRID = PixelGrid.of(Rectangle(0.12, 0.06), 72)
+GRID = PixelGrid.from_outline(Rectangle(0.12, 0.06), 72)
 RNG = np.random.default_rng(0)
 # Channels feel the surroundings of one position each, more or less.
 J = -GRID.discs(RNG.uniform((0, 0), (0.12, 0.06), (15, 2)), 0.03) @ np.diag(np.geomspace(1, 3, 72))
@@ -46,7 +46,7 @@ def test_pictures_that_the_prior_can_see_are_exact_without_noise(name):
 def test_missing_channels_are_those_of_a_smaller_jacobian():
     missing = np.arange(15) % 4 == 1
     smaller = gauss_newton(J[~missing], np.ones(72)).matrix(0.3)
-    assert family().without(missing).matrix(0.3) == pytest.approx(smaller)
+    assert family().drop_channels(missing).matrix(0.3) == pytest.approx(smaller)
 
 
 def test_noise_figure_is_that_of_drawn_noise():
@@ -56,13 +56,13 @@ def test_noise_figure_is_that_of_drawn_noise():
     signal = np.abs(inverse.matrix(parameter) @ response).mean() / np.sqrt(np.mean(noise**2))
     expected = np.abs(response).mean() / signal
     assert inverse.noise_figure(parameter, response) == pytest.approx(expected, rel=0.01)
-    chosen = inverse.of_noise_figure(expected, response)
+    chosen = inverse.lambda_from_noise_figure(expected, response)
     assert chosen == pytest.approx(parameter, rel=0.05)
 
 
 def test_noise_figures_that_no_lambda_has_are_refused_with_the_range():
     with pytest.raises(ConfigurationError, match=r"between \S+ and \S+ .* got 1e-06"):
-        family().of_noise_figure(1e-6, J @ TRUTH)
+        family().lambda_from_noise_figure(1e-6, J @ TRUTH)
 
 
 def test_cross_validation_is_least_at_its_lambda_and_near_the_best_picture():
@@ -75,7 +75,7 @@ def test_cross_validation_is_least_at_its_lambda_and_near_the_best_picture():
         left = np.eye(15) - J @ inverse.matrix(parameter)
         return np.sum((y @ left) ** 2) / np.trace(left) ** 2
 
-    found = inverse.of_gcv(y)
+    found = inverse.lambda_from_gcv(y)
     assert score(found) <= min(score(found * factor) for factor in (0.1, 0.9, 1.1, 10.0))
     # The pictures are drawn from the prior with s = 1, and the noise is 2: lambda = n / s.
     assert found == pytest.approx(2.0, rel=0.3)
@@ -83,18 +83,20 @@ def test_cross_validation_is_least_at_its_lambda_and_near_the_best_picture():
 
 def test_misfit_is_kept():
     y, inverse = RNG.normal(size=15), family("laplace")
-    parameter = inverse.of_misfit(1.2, y)
+    parameter = inverse.lambda_from_misfit(1.2, y)
     assert np.linalg.norm(y - J @ inverse.matrix(parameter) @ y) == pytest.approx(1.2, rel=1e-3)
 
 
 def test_rules_by_name():
-    assert Regularisation.named("noise-figure:0.5") == Regularisation("noise-figure", 0.5)
-    assert Regularisation.named("gcv").rule == "gcv"
-    assert Regularisation.named("lambda:3").choose(family(), TRUTH, J) == 3.0
-    assert Regularisation.named("snr:10").choose(family(), TRUTH, J) == family().of_snr(10.0)
+    assert Regularisation.from_text("noise-figure:0.5") == Regularisation("noise-figure", 0.5)
+    assert Regularisation.from_text("gcv").rule == "gcv"
+    assert Regularisation.from_text("lambda:3").choose(family(), TRUTH, J) == 3.0
+    assert Regularisation.from_text("snr:10").choose(
+        family(), TRUTH, J
+    ) == family().lambda_from_snr(10.0)
     for text in ("gcv:1", "snr", "snr:x", "snr:-1", "lambda:inf", "l-curve:1"):
         with pytest.raises(ConfigurationError, match="expected a rule"):
-            Regularisation.named(text)
+            Regularisation.from_text(text)
 
 
 # ---- total variation ----
@@ -113,7 +115,7 @@ def test_step_of_one_dimension_has_its_closed_form():
 
 
 def test_total_variation_falls_at_the_same_misfit():
-    grid = PixelGrid.of(Rectangle(0.1, 0.1), 225)
+    grid = PixelGrid.from_outline(Rectangle(0.1, 0.1), 225)
     J = np.random.default_rng(0).normal(size=(60, 225))
     truth = grid.discs([(0.04, 0.06)], 0.02)[0]
     y = J @ truth + 0.1 * np.random.default_rng(1).normal(size=60)
@@ -126,5 +128,5 @@ def test_total_variation_falls_at_the_same_misfit():
 
 
 def test_data_within_the_misfit_need_no_change():
-    grid = PixelGrid.of(Rectangle(0.1, 0.1), 25)
+    grid = PixelGrid.from_outline(Rectangle(0.1, 0.1), 25)
     assert not least_variation(grid, np.eye(25), np.full(25, 0.1), 1.0).any()

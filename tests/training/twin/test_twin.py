@@ -22,15 +22,15 @@ from eitskin.training.twin.fit import TwinProblem
 from eitskin.training.twin.labelled_frames import FLAT, LabelledFrames, labelled_frames
 from eitskin.training.twin.parameters import (
     TwinPrior,
-    centred,
     instrument_parameters,
+    interpolation_centre,
     sensor_parameters,
     twin_parameter,
 )
 from eitskin.training.twin.twin import Twin
 
 DESIGN = SensorDesign.reference()
-NOMINAL = centred(Specimen(DESIGN, Clamp(), Mechanics()))
+NOMINAL = interpolation_centre(Specimen(DESIGN, Clamp(), Mechanics()))
 ADJACENT = Protocol.adjacent(8, shared=True)
 TERMS = ("sink", "idle")
 PARAMETERS = (
@@ -98,7 +98,7 @@ def test_flat_numbers_on_a_board_with_loads_are_found_within_their_standard_erro
     assert all(after < before for before, after in twin.posterior.objectives)
     for name in ("span", "offset", "gel_modulus", "encapsulation_modulus"):  # no frame shows them
         assert shown[name] == pytest.approx(1.0)
-        assert (name,) in twin.undetermined
+        assert (name,) in twin.undetermined_combinations
 
 
 @pytest.mark.slow
@@ -197,7 +197,7 @@ def test_span_and_offset_are_found_from_known_angles():
     names = [each.name for each in twin.parameters]
     assert twin.narrowing[names.index("span")] < 0.1
     assert twin.narrowing[names.index("offset")] < 0.1
-    assert twin.predicted(labelled_frames(data)).shape == (4, 28)
+    assert twin.predict(labelled_frames(data)).shape == (4, 28)
 
 
 # ---- pressed twin ----

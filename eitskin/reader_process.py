@@ -34,7 +34,7 @@ SIZE: Final = struct.Struct("<Q")
 
 _Message = tuple[Any, dict[str, tuple[str, tuple[int, ...], bytearray]]]
 
-_CHILD: Final = "from eitskin.contained import answer_tasks; answer_tasks()"
+_CHILD: Final = "from eitskin.reader_process import answer_tasks; answer_tasks()"
 _ERRORS: Final = {
     "ConfigurationError": ConfigurationError,
     "DataError": DataError,
@@ -55,15 +55,15 @@ class Limits:
     """Limits of a reader, beyond which it is ended.
 
     Attributes:
-        seconds: of processor time for each answer.
-        memory: beside that of the program itself [bytes]; kept to on Linux.
+        seconds: seconds of processor time for each answer.
+        memory: next to that of the program itself [bytes]; kept to on Linux.
     """
 
     seconds: int
     memory: int
 
 
-def contained(
+def read_in_subprocess(
     reader: str, argument: Any, content: bytes, limits: Limits
 ) -> Generator[Answer, None, None]:
     """Answers of a reader that is called in a child with plain data as `argument`, and with bytes.
@@ -163,7 +163,7 @@ class _Child:
     def answers(
         self, reader: str, argument: Any, content: bytes, limits: Limits
     ) -> Generator[Answer, None, None]:
-        """Answers of a reader; errors as for `contained`."""
+        """Answers of a reader; errors as for `read_in_subprocess`."""
         task = [reader, argument, limits.seconds, limits.memory]
         sent = np.frombuffer(content, dtype=np.uint8)
         to, back = self._process.stdin, self._process.stdout
@@ -221,10 +221,10 @@ def _perform(task: Answer, answers: IO[bytes]) -> None:
     module, _, function = reader.partition(":")
     outcome: Any = None
     try:
-        made = getattr(importlib.import_module(module), function)
+        reader_function = getattr(importlib.import_module(module), function)
         _limit_memory(memory)
         _limit_time(seconds)
-        for answer in made(argument, task.arrays["content"].tobytes()):
+        for answer in reader_function(argument, task.arrays["content"].tobytes()):
             write_message(answers, ["answer", answer.data], answer.arrays)
             _limit_time(seconds)
     except MemoryError:

@@ -6,15 +6,15 @@ import signal
 import numpy as np
 import pytest
 
-from eitskin.contained import Limits, contained
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.reader_process import Limits, read_in_subprocess
 
 LIMITS = Limits(seconds=1, memory=100 << 20)
 
 
 def answers(code, content=b"", limits=LIMITS):
     """Answers of a reader whose body is `code`."""
-    return list(contained("builtin_reader:read", code, content, limits))
+    return list(read_in_subprocess("builtin_reader:read", code, content, limits))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -23,7 +23,7 @@ def reader(tmp_path_factory):
     folder = tmp_path_factory.mktemp("readers")
     body = (
         "import os, signal\nimport numpy as np\n"
-        "from eitskin.contained import Answer\n"
+        "from eitskin.reader_process import Answer\n"
         "from eitskin.errors import ConfigurationError, DataError\n"
         "def read(argument, content):\n    yield from eval(argument)\n"
         "def spin():\n    while True:\n        pass\n"
@@ -32,7 +32,7 @@ def reader(tmp_path_factory):
     (folder / "builtin_reader.py").write_text(body)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(folder))
-        from eitskin import contained as module
+        from eitskin import reader_process as module
 
         patch.setattr(module._Child, "_idle", [])
         yield
@@ -78,7 +78,7 @@ def test_a_reader_that_dies_loops_or_fills_up_is_one_error():
 
 
 def test_a_reader_that_is_left_is_ended():
-    reading = contained(
+    reading = read_in_subprocess(
         "builtin_reader:read", "(Answer(os.getpid()) for _ in range(9))", b"", LIMITS
     )
     left = next(reading).data

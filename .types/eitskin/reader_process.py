@@ -1,0 +1,1 @@
+../../eitskin/reader_process.py
