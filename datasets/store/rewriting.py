@@ -163,8 +163,7 @@ def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     if one.protocol != other.protocol or one.impedance.shape[1] != other.impedance.shape[1]:
         yield (
             f"its frames are of {_describe_channels(other)}, expected {_describe_channels(one)} "
-            f"(measure with that "
-            "protocol, or say it with --protocol when importing)"
+            "(measure with that protocol, or say it with --protocol when importing)"
         )
     elif (ratio := _ratio(one, other)) is not None and not 1 / _MAX_RATIO < ratio < (_MAX_RATIO):
         yield (

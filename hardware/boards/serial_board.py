@@ -315,8 +315,7 @@ class SerialBoard(PortBoard[Message]):
         if len(line) > 3 and line.isascii() and line.decode().isprintable():
             return (
                 f" (it printed '{shorten_text(line.decode())}'; a board that prints lines is "
-                f"opened "
-                "by text:PORT?protocol=, such as protocol=adjacent:16)"
+                "opened by text:PORT?protocol=, such as protocol=adjacent:16)"
             )
         if drops[PacketDrop.VERSION]:
             return " (it speaks another version of the protocol: update eitskin or the firmware)"

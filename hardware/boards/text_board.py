@@ -135,8 +135,7 @@ class TextBoard(PortBoard[FrameLines]):
             received = (
                 f"the last line that was not read has {count} numbers where the protocol has "
                 f"{len(self.protocol)} measurements: '{shorten_text(unread.decode())}'; text: "
-                f"reads "
-                "one measurement a line, or all of a frame: correct protocol="
+                "reads one measurement a line, or all of a frame: correct protocol="
             )
         elif drops:
             received += f" (dropped: {drops}; a wrong baud rate looks like this)"

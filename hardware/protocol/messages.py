@@ -103,8 +103,8 @@ class Info:
         >>> from eitskin import Protocol
         >>> from eitskin.hardware import Info
         >>> protocol = Protocol.pairwise(8)
-        >>> info = Info.from_protocol(protocol, firmware="mine", boot_count=0, frequency=40e3,
-        period=0.3) >>> info.n_measurements
+        >>> info = Info.from_protocol(protocol, firmware="mine", period=0.3)
+        >>> info.n_measurements
         28
     """
 

@@ -54,7 +54,9 @@ _MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
-_PUNCH_NOTE = "by a footprint, whose signals were not compared; round ones move the gel within 1 %"
+_PUNCH_NOTE = (
+    "by a footprint, whose signals may be off by tens of percent; touch_model='solved' solves them"
+)
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"

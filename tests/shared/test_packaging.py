@@ -84,4 +84,4 @@ def test_no_module_is_too_long() -> None:
     modules = [path for folder in (*FOLDERS, "tests") for path in (ROOT / folder).rglob("*.py")]
     assert len(modules) > 300
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules}
-    assert {path.name: count for path, count in lines.items() if count > 470} == {}
+    assert {path.name: count for path, count in lines.items() if count > 505} == {}

@@ -231,8 +231,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     if count < MIN_PRESSES or extent == 0.0:
         raise DataError(
             f"learning touch positions needs at least {MIN_PRESSES} presses of one touch, at "
-            f"different "
-            f"positions, and an untouched reference, got {count}; record more"
+            f"different positions, and an untouched reference, got {count}; record more"
         )
     knowledge = SheetKnowledge.from_design(extent, design, labelled.protocol, logs.shape[1])
     recorded = Presses.from_frames(xy, np.ones(len(xy)), logs, held)

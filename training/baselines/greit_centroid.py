@@ -17,7 +17,6 @@ from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.stored_fields import GIVEN_FIELD, Arrays, field_arrays, restored_fields
 from eitskin.training.method.targets import STATE_NAMES, Targets, TrainingFrames
 from eitskin.training.paper.stages import find_touches
-from eitskin.training.reconstruction.reconstructor import Reconstructor
 
 Array = NDArray[np.float64]
 
@@ -65,10 +64,12 @@ class GreitMethod(Method):
         if "touch" not in frames.targets.states or not frames.targets.touches:
             raise DataError(
                 "the method greit finds touches, got no touched frames with places besides "
-                "untouched"
-                " ones; record or generate some"
+                "untouched ones; record or generate some"
             )
         progress(cls.KIND, 0, 1)
+        # Finite elements, which an estimate does without.
+        from eitskin.training.reconstruction.reconstructor import Reconstructor
+
         pictures = Reconstructor(spec.design, spec.protocol, "greit").images(
             np.eye(len(spec.protocol))
         )

@@ -237,9 +237,8 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
     specimens, judged = (len(np.unique(each.specimen)) for each in (data, evaluation.dataset))
     if specimens == 1:
         warnings.append(
-            "all frames are of one sensor: the figures hold for this one, another may be worse "
-            "by far "
-            "more; record or generate further specimens"
+            "all frames are of one sensor: the figures hold for this one, another may be worse by "
+            "far more; record or generate further specimens"
         )
     elif specimens < FEW_SPECIMENS:
         warnings.append(

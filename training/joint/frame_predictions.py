@@ -103,8 +103,7 @@ def calibration_problems(
     return (
         f"the flat sensor differs by {spread:.1%} from the one that this pipeline was calibrated "
         f"for (up to {SPECIMEN_SPREAD:.1%} are expected): calibrate again, or use the pipeline "
-        f"that "
-        "was not calibrated",
+        "that was not calibrated",
     )
 
 

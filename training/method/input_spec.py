@@ -226,8 +226,7 @@ class InputSpec:
         if not (0 < frequency < np.inf and 0 < float(spread) <= MAX_CHANNEL_SPREAD):
             raise DataError(
                 f"expected a frequency and a spread of up to {MAX_CHANNEL_SPREAD:g}, got "
-                f"{frequency:g} "
-                f"Hz and {float(spread):g}; train the pipeline again"
+                f"{frequency:g} Hz and {float(spread):g}; train the pipeline again"
             )
         return cls(design, protocol, frequency, reference.astype(float), float(spread))
 

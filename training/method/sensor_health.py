@@ -280,8 +280,7 @@ class SensorHealth:
             more = ", ..." if len(names) > MAX_NAMED_CHANNELS else ""
             messages.append(
                 f"channel {', '.join(names[:MAX_NAMED_CHANNELS])}{more} left the range of a "
-                f"healthy sensor "
-                "and is left out"
+                "healthy sensor and is left out"
             )
         return tuple(messages)
 

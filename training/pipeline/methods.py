@@ -74,9 +74,8 @@ def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
     module, colon, name = kind.rpartition(":")
     if not colon:
         raise DataError(
-            f"expected a method of {', '.join(SHIPPED_METHODS)}, got {quote_value(kind)}; "
-            f"install a "
-            "newer eitskin"
+            f"expected a method of {', '.join(SHIPPED_METHODS)}, got {quote_value(kind)}; install "
+            "a newer eitskin"
         )
     if not (module and module.isprintable() and _CLASS.fullmatch(name)):
         raise DataError(f"expected a method's name MODULE:CLASS, got {quote_value(kind)}")

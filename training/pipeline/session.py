@@ -36,8 +36,7 @@ SUSPICION_PROBABILITY = 1e-3
 STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
 START_REMEDY = (
     "angle, idle and bend are unknown; straighten and release it and begin again, or use its "
-    "stored "
-    "reference (eitskin tare, --reference)"
+    "stored reference (eitskin tare, --reference)"
 )
 
 

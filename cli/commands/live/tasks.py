@@ -377,8 +377,7 @@ class SessionTasks(Closeable, SessionCommands):
         if max(options.presses, options.frames) > MAX_FRAMES:
             raise ConfigurationError(
                 f"expected at most {MAX_FRAMES} presses, and frames in each pose, got "
-                f"{options.presses} "
-                f"and {options.frames}"
+                f"{options.presses} and {options.frames}"
             )
         out = self._fresh("setup", ".eitmodel")
         board = self._session.connection.board

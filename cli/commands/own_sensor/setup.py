@@ -75,8 +75,7 @@ def command(
     if setup.frames_folder.exists() and not replace:
         raise ConfigurationError(
             f"{setup.frames_folder} exists and is not replaced; {setup.next_command}, choose "
-            f"another --out, "
-            "or give --replace"
+            "another --out, or give --replace"
         )
     try:
         uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))

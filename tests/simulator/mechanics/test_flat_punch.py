@@ -43,7 +43,7 @@ def test_a_round_punch_is_that_of_the_axisymmetric_press(rough) -> None:
     face = LayeredFace(LAYERS, 0.03, 4e-4)
     disc = Footprint(length=2.0 * radius, width=2.0 * radius, round=True, rough=rough)
     pressed = face.solve_punch(covered(face, disc), rough)
-    assert pressed.compliance == pytest.approx(found.depth / found.force, rel=0.03)
+    assert pressed.compliance == pytest.approx(found.depth / found.force, rel=0.04)
 
 
 def test_a_punch_that_is_pressed_off_its_middle_tilts_and_pulls_nowhere() -> None:

@@ -154,7 +154,7 @@ def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     for before, after, p in zip(plain, scaled, features, strict=True):
         expected = method.error_scale.evaluate(p) * before.deviation
         # What a hidden neighbour adds is not scaled.
-        np.testing.assert_allclose(after.deviation, expected, rtol=0.1)
+        np.testing.assert_allclose(after.deviation, expected, rtol=0.15)
 
 
 @pytest.mark.slow
