@@ -211,7 +211,8 @@ class Footprint(Indenter):
     tilts, and may leave the contact in part.
 
     Attributes:
-        length, width: of a rectangle, or diameters of an ellipse [m].
+        length: extent of a rectangle, or diameter of an ellipse [m].
+        width: extent across the length, or the other diameter [m].
         angle_deg: angle from the sensor's x axis to the length.
         round: whether it is an ellipse.
         corners: corners of a polygon, (x, y) from where the force acts [m]; instead of the length
