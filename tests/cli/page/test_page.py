@@ -1,7 +1,10 @@
 """The live page: what is sent, and to whom. No browser is needed."""
 
+import contextlib
 import dataclasses
+import os
 import socket
+import stat
 import threading
 from contextlib import closing
 from importlib import resources
@@ -223,19 +226,25 @@ def test_only_so_many_browsers_may_watch(page) -> None:
     again.close()
 
 
-def open_files():
-    return len(list(Path("/dev/fd").iterdir()))
+def sockets_at(port):
+    count = 0
+    for entry in Path("/dev/fd").iterdir():
+        with contextlib.suppress(OSError):  # closed meanwhile
+            if stat.S_ISSOCK(os.fstat(int(entry.name)).st_mode):
+                with socket.socket(fileno=os.dup(int(entry.name))) as end:
+                    count += end.family == socket.AF_INET and end.getsockname()[1] == port
+    return count
 
 
 def test_closing_leaves_nothing_behind(connection) -> None:
-    with LivePage(connection, DESIGN):  # whatever a first one loads and keeps
-        pass
-    threads, descriptors = set(threading.enumerate()), open_files()
+    threads = set(threading.enumerate())
     page = LivePage(connection, DESIGN, limits=ClientLimits(receive=1e4))
     streams = [Stream(page) for _ in range(3)]
     silent = socket.create_connection(("127.0.0.1", port_of(page)))
     for stream in streams:
         stream.until("sensor")
+    port = port_of(page)
+    assert sockets_at(port) > 3  # the one that listens, and one a stream
     page.close()
     page.close()
     assert set(threading.enumerate()) <= threads  # one of an earlier test may have ended
@@ -244,9 +253,9 @@ def test_closing_leaves_nothing_behind(connection) -> None:
             pass
         stream.close()
     silent.close()
-    assert open_files() <= descriptors
+    assert sockets_at(port) == 0
     with pytest.raises(OSError, match="refused"):
-        socket.create_connection(("127.0.0.1", port_of(page)))
+        socket.create_connection(("127.0.0.1", port))
 
 
 def test_a_port_in_use_is_named(page, connection) -> None:
