@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 MIN_SILENCE = 1.0  # s; a machine that is busy for a moment is no silence
 HEARTBEAT = 1.0  # s
 MAX_UPDATE_RATE = 60  # more than a screen shows
+MEMORY_PACE = 0.2  # s between two frames of the page's past, which a browser that comes late gets
 
 
 class LivePage(Closeable):
@@ -117,15 +118,18 @@ class LivePage(Closeable):
     def _send_events(self) -> None:
         """Encode each newest reading once, and the connection's health while none comes."""
         sent = -1.0 / MAX_UPDATE_RATE
+        remembered = -MEMORY_PACE
         while True:
             snapshot = self._wait(sent)
             if self._closed:
                 return
             sent = self._clock()
-            if not self.server.watching:
+            memorable = snapshot is not None and sent - remembered >= MEMORY_PACE
+            if not self.server.watching and not memorable:
                 continue
             try:
-                self.server.send(self._message(snapshot))
+                self.server.send(self._message(snapshot), memorable)
+                remembered = sent if memorable else remembered
             except Exception:  # the page must outlive whatever a pipeline comes up with
                 log.exception("the page cannot show frame")
 

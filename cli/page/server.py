@@ -4,7 +4,7 @@ import asyncio
 import logging
 import socket
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -32,6 +32,7 @@ MAX_REPLIES = 4  # commands that are executed at once
 MAX_ARRIVING = 64  # connections whose requests are not whole yet
 MAX_HEAD = 16384  # bytes
 MAX_BODY = 4096  # bytes
+MAX_PAST = 3000  # frames that a browser which comes late gets: ten minutes, five a second
 _BACKLOG = 128
 _ADDRESS_MESSAGE = (
     "this page needs its whole address, as the terminal shows it, with what follows #"
@@ -94,6 +95,7 @@ class Server:
         self.port: int = listener.getsockname()[1]
         self.cookie = f"eitskin-{self.port}"  # cookies of one name are shared by all ports
         self._newest, self._number = b"", 0
+        self._past: deque[bytes] = deque(maxlen=MAX_PAST)
         self._changed, self._closed = asyncio.Event(), asyncio.Event()
         self._workers = ThreadPoolExecutor(MAX_REPLIES, "page command")
         self._routes = Starlette(
@@ -115,9 +117,12 @@ class Server:
         )
         self._thread.start()
 
-    def send(self, message: bytes) -> None:
-        """Make this event the next one of all streams, and return at once."""
-        self._loop.call_soon_threadsafe(self._replace, message)
+    def send(self, message: bytes, memorable: bool = False) -> None:
+        """Make this event the next one of all streams, a memorable one part of their past.
+
+        Returns at once.
+        """
+        self._loop.call_soon_threadsafe(self._replace, message, memorable)
 
     def close(self) -> None:
         """End every request and free the port."""
@@ -168,8 +173,10 @@ class Server:
             connection.transport.abort()
         await server.wait_closed()
 
-    def _replace(self, message: bytes) -> None:
+    def _replace(self, message: bytes, memorable: bool) -> None:
         self._newest, self._number = message, self._number + 1
+        if memorable:
+            self._past.append(message.replace(b"frame", b"past", 1))
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -229,9 +236,11 @@ class Server:
         return _Stream(self)
 
     async def events(self) -> AsyncIterator[bytes]:
-        """Events of a stream: the first one, then the newest each time, until the page closes."""
+        """Events of a stream: the first, the past, then the newest each time, until the end."""
         number = self._number
         yield self.hello
+        for message in tuple(self._past):
+            yield message
         while not self._closed.is_set():
             if self._number == number:
                 await self._changed.wait()

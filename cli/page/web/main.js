@@ -27,6 +27,7 @@ let fastest = Infinity;
 let waiting = false;
 let health = { stale: true, connection: "", age: null };
 let replayed = null; // name of the recording that is shown
+let past = []; // frames from before this page was opened, until the server's clock is known
 
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -264,6 +265,10 @@ function hear(event) {
   const last = heard;
   heard = data.heard = performance.now();
   const delay = heard - 1000 * data.sent;
+  if (parts) {
+    parts.timeline.recall(past.map((each) => ({ time: each.sent + delay / 1000, data: each })));
+    past = [];
+  }
   // Two clocks drift apart: what was fastest is forgotten, by a tenth of a millisecond a second.
   fastest = Math.min(fastest + 1e-4 * (heard - last), delay);
   if (parts && parts.tasks && data.tasks) parts.tasks.show(data.tasks);
@@ -297,7 +302,11 @@ function follow() {
   const source = new EventSource("/events");
   source.addEventListener("sensor", (event) => {
     fastest = Infinity; // a new connection, maybe of a new server with another clock
+    past = [];
     build(JSON.parse(event.data));
+  });
+  source.addEventListener("past", (event) => {
+    if (!newest) past.push(JSON.parse(event.data));
   });
   source.addEventListener("frame", hear);
   source.addEventListener("health", hear);

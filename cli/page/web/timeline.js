@@ -66,6 +66,13 @@ export class Timeline {
     this.surface.paint();
   }
 
+  // Take over moments of before, oldest first.
+  recall(moments) {
+    this.painted = Infinity; // once, by the next one
+    for (const { time, data } of moments) this.add(time, data);
+    this.painted = -PACE;
+  }
+
   note(time, kind, text) {
     this.live.events.push({ time, kind, text });
   }

@@ -161,6 +161,25 @@ def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> N
     assert len(numbers) < 300
 
 
+def test_a_browser_that_comes_late_gets_the_past(connection) -> None:
+    now = [0.0]
+    with LivePage(connection, DESIGN, clock=lambda: now[0]) as page, closing(Stream(page)) as early:
+        early.until("sensor")
+        for number in range(1, 7):
+            page.publish(reading(number))
+            assert early.until("frame")["number"] == number
+            now[0] += 0.15
+        with closing(Stream(page)) as late:
+            late.until("sensor")
+            past = [late.next() for _ in range(3)]
+            assert [(name, data["number"]) for name, data in past] == [
+                ("past", n) for n in (1, 3, 5)
+            ]
+            assert [data["sent"] for _, data in past] == [0.0, 0.3, 0.6]
+            page.publish(reading(7))
+            assert late.next()[1]["number"] == 7
+
+
 def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -> None:
     with LivePage(connection, DESIGN, limits=ClientLimits(send=0.2, buffer=4096)) as page:
         stalled = socket.socket()

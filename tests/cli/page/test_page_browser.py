@@ -214,6 +214,19 @@ def test_earlier_moments_and_recordings_are_shown_again(browser, served, session
         assert not browser.console_errors(served.url)
 
 
+def test_a_page_that_is_opened_late_shows_what_happened_before(browser, served, monkeypatch):
+    monkeypatch.setattr("eitskin.cli.page.live_page.MEMORY_PACE", 0.0)
+    idle = FakeEstimate(state=State.IDLE, touches=())
+    with opened(browser, served.url) as tab:
+        watched(tab)
+        for number, estimate in enumerate((idle, FakeEstimate(), FakeEstimate()), 1):
+            show(served, tab, reading(number, estimate))
+        tab.run("location.reload()")
+        tab.until("eitskin.timeline.source.events.length")
+        events = tab.run("eitskin.timeline.source.events.map(({ text }) => text)")
+        assert events == ["touch, 7.5 N"]
+
+
 def test_every_reading_that_is_waited_for_is_drawn_once(browser, served):
     with opened(browser, served.url) as tab:
         watched(tab)
