@@ -19,12 +19,7 @@ KEPT_MESHES = 8
 
 
 def pytest_addoption(parser):
-    """Options beside those of pytest.
-
-    `--crashes`: how often `tests/datasets/test_crashes.py` kills and starves a run; 200 for the
-    long run.
-    """
-    parser.addoption("--crashes", type=int, default=1, help="trials of each kind of crash")
+    """One option beside those of pytest."""
     parser.addoption(
         "--processor-times", action="store_true", help="files and tests that take most, at the end"
     )

@@ -96,27 +96,13 @@ def test_an_address_where_nothing_answers_leaves_no_folder(tmp_path, address):
 # and who completes a folder; tests of the command make a shard with a worker.
 
 
-@pytest.mark.slow
-def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path, monkeypatch):
-    in_this_process(monkeypatch)
-    folder = tmp_path / "set"
-    for shard in (2, 0):
-        assert generate(RECIPE, folder, shard=shard) is None
-    assert sorted(contents(folder)) == ["recipe.toml", *map(shard_name, (0, 2))]
-    reports = []
-    generate(RECIPE, folder, shard=2, progress=lambda *report: reports.append(report))
-    assert reports == [(8, 8)]  # finished already
-    (folder / shard_name(0)).write_bytes(b"damaged meanwhile")
-    assert generate(RECIPE, folder, shard=1) is None
-    manifest = generate(RECIPE, folder, shard=0)
-    assert manifest.frames == 24
-    assert contents(folder) == whole
-
-
-def test_single_shards_made_at_the_same_time(whole, tmp_path, monkeypatch):
+def test_single_shards_made_at_the_same_time_complete_the_set(whole, tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     # Each begins the folder, and sees the half-written files of the others.
     folder, failed = tmp_path / "set", []
+    folder.mkdir()
+    half = folder / ".writing-other"
+    half.write_bytes(b"half")
 
     def make(shard):
         try:
@@ -131,16 +117,15 @@ def test_single_shards_made_at_the_same_time(whole, tmp_path, monkeypatch):
     for thread in threads:
         thread.join()
     assert failed == []
+    half.unlink()
     assert contents(folder) == whole
-
-
-def test_half_written_files_of_others_are_left_alone(tmp_path, monkeypatch):
-    in_this_process(monkeypatch)
-    (tmp_path / ".writing-other").write_bytes(b"half")
-    generate(RECIPE, tmp_path, shard=1)
-    assert (tmp_path / ".writing-other").exists()
-    generate(RECIPE, tmp_path, resume=True)
-    assert not (tmp_path / ".writing-other").exists()
+    (folder / shard_name(0)).write_bytes(b"damaged meanwhile")
+    half.write_bytes(b"half")
+    reports = []
+    assert generate(RECIPE, folder, shard=1, progress=lambda *at: reports.append(at)) is None
+    assert reports == [(8, 8)]  # finished already
+    generate(RECIPE, folder, resume=True)
+    assert contents(folder) == whole
 
 
 def test_options_that_contradict_are_refused(tmp_path, monkeypatch):

@@ -31,11 +31,6 @@ def test_frame_is_what_a_board_would_give():
     assert np.array_equal(frame.status, data.status[13])
 
 
-def test_frames_need_a_protocol():
-    with pytest.raises(DataError, match="--protocol"):
-        dataclasses.replace(make(), protocol=None).frame(0)
-
-
 def test_select_keeps_order_and_specimens():
     data = make()
     part = data.select([5, 3])
@@ -57,21 +52,13 @@ def test_split_by_frames_where_specimens_are_few():
     assert not np.array_equal(parts[0], other[0])
 
 
-def test_split_by_specimens_where_they_are_enough():
+def test_a_split_is_by_specimens_where_they_are_enough():
     data = make(100, specimens=10)
     train, validate, test = (set(data.specimen[part]) for part in data.split((0.6, 0.2, 0.2), 0))
     assert (len(train), len(validate), len(test)) == (6, 2, 2)
     assert train | validate | test == set(range(10))
-
-
-def test_split_refuses_what_does_not_sum_to_one():
     with pytest.raises(ConfigurationError, match="sum to one"):
-        make().split((0.5, 0.2))
-
-
-def test_parts_that_do_not_belong_together_are_refused():
-    with pytest.raises(DataError, match="not made together"):
-        Dataset.concatenate([make(), make(recipe="other")])
+        data.split((0.5, 0.2))
 
 
 def test_parts_share_the_references_of_their_specimens():
@@ -90,17 +77,30 @@ def test_parts_share_the_references_of_their_specimens():
         Dataset.collect(parts, 59)
 
 
+def twice(name):
+    """A value beyond what can be in the last place of a column."""
+    values = np.array(make().columns[name])
+    values.flat[-1] = -1.1 * MAX_MAGNITUDES[name]
+    return {name: values}
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"time": np.zeros(3)}, r"time.*\(40,\)"),
         ({"protocol": Protocol.pairwise(4)}, "6 measurements, .* 28 channels"),
         ({"source": "guessed"}, "source must be"),
+        ({"clamp_span": np.zeros(40)}, "clamp_span must be .* got 0"),
+        ({"clamp_span": np.full(40, np.inf)}, "clamp_span must be .* got inf"),
+        ({"clamp_offset": np.full(40, -np.inf)}, "clamp_offset must be .* got -inf"),
+        ({"clamp_faces": np.full(40, 3.0)}, "clamp_faces must be .* got 3"),
+        ({"clamp_stiffness": np.full(40, -1.4)}, "clamp_stiffness must be .* got -1.4"),
+        *((twice(name), f"{name} must be at most .* in another unit") for name in MAX_MAGNITUDES),
     ],
 )
-def test_arrays_that_do_not_fit_are_refused(changes, message):
+def test_columns_that_cannot_be_are_refused(changes, message):
     with pytest.raises(DataError, match=message):
-        make(**changes)
+        dataclasses.replace(make(), **changes)
 
 
 # Touch maps
@@ -119,11 +119,7 @@ def test_touch_maps_are_discs_of_the_right_area_and_place():
     rows, columns = np.mgrid[:32, :80]
     assert (maps[0] * columns).sum() / maps[0].sum() == pytest.approx(0.05 / pixel - 0.5, abs=0.05)
     assert (maps[0] * rows).sum() / maps[0].sum() == pytest.approx(0.02 / pixel - 0.5, abs=0.05)
-
-
-def test_touch_maps_at_their_limits():
-    """Overlapping discs stay at one, no touches are empty, and radii are needed."""
-    assert touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]]).max() == 1.0
+    assert touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]]).max() == 1.0  # overlap
     assert not touch_maps(*np.full((3, 2, 4), np.nan)).any()
     with pytest.raises(DataError, match="radius"):
         touch_maps([[0.05]], [[0.02]], [[np.nan]])
@@ -144,6 +140,11 @@ def test_recorded_frames_come_back_with_their_labels(tmp_path):
     with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
         for frame in frames(8):
             writer.append(frame, state=State.TOUCH, bend_angle_deg=5.0, touches=(touch,))
+        assert len(open_dataset(tmp_path / "run")) == 6  # up to its last shard, were it killed
+        with pytest.raises(FrameError, match="own folder"):
+            writer.append(next(frames(1, Protocol.pairwise(5))))
+    with pytest.raises(ConfigurationError, match="not empty"):
+        ShardWriter(tmp_path / "run")
     data = open_dataset(tmp_path / "run")
     assert (len(data), data.source) == (8, "measured")
     assert len(list((tmp_path / "run").glob("shard-*.h5"))) == 3
@@ -169,50 +170,6 @@ def test_recording_keeps_numbers_and_marks_values_that_are_not_finite(tmp_path):
     assert np.isnan([data.frame(i).impedance[2] for i in range(3)]).tolist() == [True, True, False]
     assert data.status[:, 2].tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0, 0]
     assert data.reference[0, 2] == 7.0  # of the first frame that is whole
-
-
-def test_a_recording_that_was_killed_can_be_read_up_to_its_last_shard(tmp_path):
-    writer = ShardWriter(tmp_path / "run", frames_per_shard=3)
-    for frame in frames(8):
-        writer.append(frame)
-    assert len(open_dataset(tmp_path / "run")) == 6  # never closed
-
-
-def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
-    with ShardWriter(tmp_path / "run") as writer:
-        writer.append(next(frames(1)))
-        with pytest.raises(FrameError, match="own folder"):
-            writer.append(next(frames(1, Protocol.pairwise(5))))
-    with pytest.raises(ConfigurationError, match="not empty"):
-        ShardWriter(tmp_path / "run")
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("clamp_span", 0.0),
-        ("clamp_span", np.inf),
-        ("clamp_offset", -np.inf),
-        ("clamp_faces", 3.0),
-        ("clamp_stiffness", -1.4),
-    ],
-)
-def test_impossible_clamps_are_refused(name, value):
-    with pytest.raises(DataError, match=f"{name} must be .* got {value:g}"):
-        make(**{name: np.full(40, value)})
-
-
-def test_clamps_may_be_unknown_frame_by_frame():
-    span = np.where(np.arange(40) % 2, np.nan, 0.04)
-    assert np.array_equal(make(clamp_span=span).clamp_span, np.float32(span), equal_nan=True)
-
-
-@pytest.mark.parametrize("name", MAX_MAGNITUDES)
-def test_numbers_that_cannot_be_are_refused(name):
-    values = np.array(make().columns[name])
-    values.flat[-1] = -1.1 * MAX_MAGNITUDES[name]
-    with pytest.raises(DataError, match=f"{name} must be at most .* in another unit"):
-        dataclasses.replace(make(), **{name: values})
 
 
 # Large datasets, whose columns are read when they are first used

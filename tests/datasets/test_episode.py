@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.episode import (
     ScriptedEpisode,
     Timeline,
 )
-from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
@@ -91,13 +91,6 @@ def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
     forgotten = next(t for t in np.arange(3.0, 400.0) if not line.scene(t, REFERENCE).touches)
     assert elastic_force(REFERENCE, 1.0, 2.0, forgotten - 3.0) <= 1e-3
     assert elastic_force(REFERENCE, 1.0, 2.0, forgotten - 4.0) > 1e-3
-
-
-def test_without_relaxation_nothing_creeps_or_lingers():
-    line = Timeline((0.0,), (0.0,), (HeldTouch(HERE, 1.0, 3.0),))
-    assert line.scene(1.0) == line.scene(2.9)
-    assert line.scene(1.0).touches[0].held is None
-    assert line.scene(3.0) == Scene()
 
 
 def test_random_episodes_keep_their_ranges():
@@ -187,25 +180,6 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
 
 
-def test_where_nothing_moves_nothing_is_solved_twice(monkeypatch):
-    solved = []
-
-    def measure_all(self, scenes, **_options):
-        solved.extend(scene for scene in scenes if scene != Scene())
-        return linear_in_the_angle(self, scenes) + 1 / 3
-
-    monkeypatch.setattr(Simulator, "measure_all", measure_all)
-    pressed = Keyframe(5.0, 20.0, (HERE,))
-    still = script(Keyframe(0.0, 20.0), pressed, Keyframe(9.0, 20.0), relaxation=False)
-    data = simulate_shard(recipe(still, instrument=SCANNED), 0)
-    assert len(solved) == 2
-    assert len(np.unique(data.touch_reference, axis=0)) == 1
-    # Without skew nothing beyond the last frame is solved either.
-    solved.clear()
-    simulate_shard(recipe(script(*SWEEP, period=0.5), instrument=QUIET), 0)
-    assert len(solved) == 6  # the seventh is flat, which every specimen's reference is
-
-
 @pytest.mark.slow
 def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
@@ -224,33 +198,6 @@ def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     error = np.abs(data.impedance.real[:-1] / truth - 1.0).max()
     assert error < 2e-4  # as much as the noise; without interpolation 0.85 %
     assert np.abs(unmoved / truth - 1.0).max() > 40 * error
-
-
-def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
-    pressed = Keyframe(0.5, 0.0, (EpisodeTouch(0.0525, 0.03),))
-    told = script(Keyframe(0.0), pressed, Keyframe(3.0), Keyframe(5.0), period=0.25)
-    data = simulate_shard(recipe(told, instrument=QUIET, sensor=SMALL), 0)
-    change = np.abs(data.impedance - data.touch_reference)
-    before, held, released = np.split(change[:, change.max(axis=0).argmax()], [2, 12])
-    assert (before == 0.0).all()
-    assert (np.diff(held) > 0.0).all()  # it creeps, ever more slowly,
-    assert (np.diff(held, 2) < 0.0).all()
-    assert 1.02 < held[-1] / held[0] < 1.3  # by a tenth in 2.5 s,
-    assert released[0] < 0.2 * held[-1]  # and leaves a dent that fades
-    assert 0.0 < released[-1] < 0.5 * released[0]
-
-
-def test_gain_of_a_specimens_board_is_that_of_its_reference():
-    """All of a specimen is measured in one session, so a ratio to its reference is free of it."""
-    gains = Instrument(snr_db=0.0, gain=0.005, reciprocity=0.004)
-    told = script(Keyframe(0.0), Keyframe(1.0), period=0.5, count=2)
-    asked = recipe(told, instrument=gains, specimens=Specimens(2), sensor=SMALL, frames_per_shard=4)
-    data = simulate_shard(asked, 0)
-    flat = Simulator(specimen(asked, 0).design, "fast").measure(Scene()).impedance
-    assert np.array_equal(data.impedance[::2], data.reference)
-    error = np.abs(data.reference / flat - 1.0).max(axis=1)
-    assert (1e-4 < error.min(), error.max() < 0.03) == (True, True)
-    assert np.abs(data.reference[0] / data.reference[1] - 1.0).max() > 1e-4
 
 
 def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from command_line import printed_json, run
+from command_line import printed_json
 
 from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export.frame_table import SPLITS, parse_split, specimen_splits
@@ -76,6 +76,15 @@ class TestParquet:
         for name in ("bend_angle_deg", "time", "episode", "number"):
             np.testing.assert_array_equal(frames[name], getattr(data, name))
         np.testing.assert_array_equal(frames["specimen"], data.specimen_number[data.specimen])
+        names = {0: "idle", 1: "touch", 2: "bend", 255: None}
+        read = frames["state"].astype(object).where(frames["state"].notna(), None)
+        assert read.tolist() == [names[state] for state in data.state.tolist()]
+        assert frames.groupby("specimen")["split"].nunique().max() == 1
+        schema = pq.read_schema(next((parquet / "data").iterdir()))
+        assert schema.field("impedance_real").metadata[b"units"] == b"ohm"
+        about = json.loads(schema.metadata[b"eitskin"])
+        assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
+        assert about["protocol"][0] == [0, 1, 0, 1]
 
     def test_touches_are_lists_of_those_that_are_there(self, saved, parquet):
         data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
@@ -91,20 +100,6 @@ class TestParquet:
                     found = np.nan if touch[name] is None else np.float32(touch[name])
                     np.testing.assert_array_equal(found, true)
 
-    def test_states_are_words_and_unknown_is_null(self, saved, parquet):
-        data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
-        names = {0: "idle", 1: "touch", 2: "bend", 255: None}
-        read = frames["state"].astype(object).where(frames["state"].notna(), None)
-        assert read.tolist() == [names[state] for state in data.state.tolist()]
-
-    def test_lists_have_a_fixed_length_and_columns_their_units(self, parquet):
-        schema = pq.read_schema(next((parquet / "data").iterdir()))
-        assert schema.field("impedance_real").type.list_size == 28
-        assert schema.field("impedance_real").metadata[b"units"] == b"ohm"
-        about = json.loads(schema.metadata[b"eitskin"])
-        assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
-        assert about["protocol"][0] == [0, 1, 0, 1]
-
     def test_the_lines_of_the_guide_read_it_with_pandas(self, saved, parquet):
         page = Path(__file__).parents[2] / "docs" / "how-to" / "generate-data.md"
         (lines,) = re.findall(r"```python\n(import numpy.*?)```", page.read_text(), re.DOTALL)
@@ -115,16 +110,13 @@ class TestParquet:
         assert 0 < len(resistance) < len(data)
         assert {*resistance[:, 0]} < {*data.impedance.real[:, 0]}
 
-    def test_small_files_hold_the_same_rows_as_one(self, saved, parquet, tmp_path):
-        export_dataset(saved, tmp_path / "out", "parquet", file_bytes=20_000)
-        files = sorted((tmp_path / "out" / "data").iterdir())
+    def test_equal_sets_give_equal_bytes_and_sums_that_fit(self, saved, parquet, tmp_path):
+        export_dataset(saved, tmp_path / "small", "parquet", file_bytes=20_000)
+        files = sorted((tmp_path / "small" / "data").iterdir())
         assert len(files) > 2
         assert files[1].name == f"frames-00001-of-{len(files):05d}.parquet"
         assert all(pq.read_table(file).nbytes < 40_000 for file in files)
-        many, one = pq.read_table(tmp_path / "out" / "data"), pq.read_table(parquet / "data")
-        assert many.equals(one)
-
-    def test_equal_sets_give_equal_bytes_and_sums_that_fit(self, saved, parquet, tmp_path):
+        assert pq.read_table(tmp_path / "small" / "data").equals(pq.read_table(parquet / "data"))
         export_dataset(saved, tmp_path / "again", "parquet")
         sums = (parquet / "SHA256SUMS").read_text()
         assert (tmp_path / "again" / "SHA256SUMS").read_text() == sums
@@ -161,11 +153,6 @@ class TestHuggingFace:
         assert paths == [f"data/{name}-*" for name in SPLITS]
         assert 'name = "made for a test"' in text
 
-    def test_no_specimen_is_in_two_splits(self, parquet):
-        frames = pd.read_parquet(parquet / "data", columns=["specimen", "split"])
-        assert frames.groupby("specimen")["split"].nunique().max() == 1
-        assert set(frames["split"]) == set(SPLITS)
-
 
 class TestSplits:
     def test_a_name_or_a_seed_decides_and_no_other_specimen(self):
@@ -176,33 +163,26 @@ class TestSplits:
         named = specimen_splits([5, 6], Names({5: "left hand", 6: "right arm"}), 3)
         assert named == specimen_splits([5, 6], Names({5: "left hand", 6: "right arm"}), 9)
 
-    def test_they_stay_as_they_were_published(self):
+    def test_they_stay_as_they_were_published_and_one_alone_is_for_training(self):
         assert [parse_split(f"7:{n}") for n in range(12)] == PUBLISHED
+        assert specimen_splits([9], Names(), 7) == {9: "train"}
 
     def test_shares_are_as_told(self):
         found = [parse_split(f"0:{n}") for n in range(20_000)]
         shares = [found.count(name) / len(found) for name in SPLITS]
         assert shares == pytest.approx([0.8, 0.1, 0.1], abs=4 * 0.4 / 20_000**0.5)
 
-    def test_without_one_for_training_all_are(self):
-        lone = next(n for n in range(99) if parse_split(f"0:{n}") == "test")
-        assert specimen_splits([lone], Names(), 0) == {lone: "train"}
-
 
 class TestMistakes:
-    def test_what_is_there_stays(self, saved, parquet):
-        before = (parquet / "SHA256SUMS").read_bytes()
-        with pytest.raises(ConfigurationError, match="not empty"):
-            export_dataset(saved, parquet, "parquet")
-        assert (parquet / "SHA256SUMS").read_bytes() == before
-
     @pytest.mark.parametrize(
         ("form", "license_name"), [("csv", "mit"), ("parquet", "CC BY"), ("parquet", "a\nb: c")]
     )
-    def test_other_formats_and_licences_are_refused(self, saved, tmp_path, form, license_name):
+    def test_other_formats_licences_and_occupied_folders(self, saved, tmp_path, form, license_name):
         with pytest.raises(ConfigurationError):
             export_dataset(saved, tmp_path / "out", form, license_name)
         assert not (tmp_path / "out").exists()
+        with pytest.raises(ConfigurationError, match="not empty"):
+            export_dataset(saved, tmp_path.parent, "parquet")
 
     def test_damage_leaves_nothing(self, saved, tmp_path):
         copy = tmp_path / "copy"
@@ -223,17 +203,12 @@ class TestMistakes:
         assert not list(tmp_path.iterdir())
 
 
-class TestCommand:
-    def test_it_tells_frames_of_each_split(self, saved, tmp_path):
-        told = printed_json("dataset", "export", saved, "--out", tmp_path / "out")
-        assert sum(told["frames"].values()) == FRAMES
-        assert list(told["frames"]) == list(SPLITS)
-
-    def test_measured_voltages_say_so(self, tmp_path):
-        data = dataclasses.replace(make(6), source="measured", recipe="", quantity="voltage")
-        save_dataset(data, tmp_path / "set")
-        words = ["--out", tmp_path / "out", "--format", "huggingface"]
-        assert run("dataset", "export", tmp_path / "set", *words).exit_code == 0
-        text = (tmp_path / "out" / "README.md").read_text()
-        assert "| `impedance_real` | float32 x 28 | V |" in text
-        assert not (tmp_path / "out" / "recipe.toml").exists()
+def test_the_command_tells_frames_and_units(tmp_path):
+    data = dataclasses.replace(make(6), source="measured", recipe="", quantity="voltage")
+    save_dataset(data, tmp_path / "set")
+    words = ["--out", tmp_path / "out", "--format", "huggingface"]
+    said = printed_json("dataset", "export", tmp_path / "set", *words)
+    assert said["frames"] == {"train": 6}
+    text = (tmp_path / "out" / "README.md").read_text()
+    assert "| `impedance_real` | float32 x 28 | V |" in text
+    assert not (tmp_path / "out" / "recipe.toml").exists()

@@ -1,29 +1,23 @@
-"""Forms in which people keep recordings, each imported by the command line: one truth in all.
-
-`python tests/datasets/test_forms.py` prints the table of sources, commands and results.
-"""
+"""Forms in which people keep recordings, each imported by the command line: one truth in all."""
 
 import json
 import shlex
 import struct
-import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import command_line
 import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
-from eitskin.datasets import open_dataset
+from eitskin.datasets import open_dataset, read_recording
 from eitskin.datasets.recordings.orders import in_order
+from eitskin.errors import DataError
 from eitskin.protocol import Protocol
-
-sys.path.append(str(Path(__file__).parent.parent / "support"))
-import command_line
 
 N = 8
 RNG = np.random.default_rng(5)
@@ -307,17 +301,8 @@ def test_a_preview_says_the_command_that_reads_the_same(tmp_path):
     assert said["protocol"].startswith("unknown")
 
 
-def main():
-    """Print the table of sources, commands and results."""
-    table = ["| source | command | result |", "|---|---|---|"]
-    for form in FORMS:
-        with tempfile.TemporaryDirectory() as folder:
-            words = imported(form, Path(folder))
-            ran = command_line.run(*words)
-            result = ran.stdout.strip().partition(" in ")[0] or ran.stderr.strip()
-        table.append(f"| {form.source} | `import {form.file} {form.options}` | {result} |")
-    sys.stdout.write("\n".join([*table, ""]))
-
-
-if __name__ == "__main__":
-    main()
+def test_a_protocol_that_is_not_that_of_the_names_is_refused(tmp_path):
+    text([",".join(NAMED), *rows()])(tmp_path / "a.csv")
+    other = Protocol.from_rows(ADJACENT.table[::-1], N)
+    with pytest.raises(DataError, match=r"measurement 0 .* leave --protocol out"):
+        read_recording(tmp_path / "a.csv", protocol=other)

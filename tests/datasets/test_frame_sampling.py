@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Recipe, State
-from eitskin.datasets.generation.shard_simulation import simulate_shard, without_touches
 from eitskin.datasets.recipe.episode import RandomEpisodes
 from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen_numbers
 from eitskin.datasets.recipe.recipe import with_seed
-from eitskin.datasets.recipe.scene_group import SceneGroup, draw_positions
+from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.simulator import Scene, Simulator
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
@@ -47,17 +45,6 @@ def test_any_first_part_is_a_balanced_mix():
     for length in range(1, len(states) + 1):
         for state, share in shares.items():
             assert abs((states[:length] == state).sum() - share * length) <= 2.0
-
-
-def test_groups_are_not_tied_to_specimens():
-    recipe = dataclasses.replace(
-        MIXED,
-        scenes=(SceneGroup("idle", count=100), SceneGroup("bend", count=100, angle_deg=(1.0, 2.0))),
-        specimens=Specimens(count=2),
-    )
-    drawn = [sample(recipe, index) for index in range(recipe.frames)]
-    idle_of_first = sum(s.state == State.IDLE and s.specimen == 0 for s in drawn)
-    assert 25 < idle_of_first < 75
 
 
 def test_frames_hold_what_their_group_says():
@@ -104,15 +91,6 @@ def test_listed_positions_are_pressed_repeats_times_each(per_bend):
     assert recipe.frames == 12
     assert all(len(touches) == 1 for touches in pressed)
     assert sorted((t.x, t.y) for (t,) in pressed) == sorted(places * 4)
-
-
-def test_places_are_spread_evenly():
-    rng = np.random.default_rng(0)
-    outline = Rectangle(0.150, 0.060)
-    places = np.array([draw_positions(1, outline, 0.010, 0.030, rng)[0] for _ in range(2000)])
-    # Uniform over 130 x 40 mm: means in the middle, standard deviations length / sqrt(12).
-    assert np.allclose(places.mean(axis=0), [0.075, 0.030], atol=3 * 0.0375 / np.sqrt(2000))
-    assert np.allclose(places.std(axis=0), np.array([0.130, 0.040]) / np.sqrt(12), rtol=0.05)
 
 
 def test_touches_lie_on_the_sensor_whatever_its_outline():
@@ -171,12 +149,6 @@ def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
         assert specimen_numbers(recipe, frames) == sorted(drawn)
 
 
-def test_more_specimens_than_blocks_leave_some_out():
-    drawn = all_samples(dataclasses.replace(GROUPED, specimens=Specimens(100)))
-    assert len({each.specimen for each in drawn}) == 30 + 12
-    assert all(each.session_time < 8 * 0.297 for each in drawn)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("per_bend", [1, 4])
 def test_angles_forces_and_numbers_of_touches_are_spread_evenly(per_bend):
@@ -197,41 +169,3 @@ def test_angles_forces_and_numbers_of_touches_are_spread_evenly(per_bend):
     shares = [0.0, 0.25, 0.25, 0.25, 0.25]
     assert counts / len(scenes) == pytest.approx(shares, abs=4 * np.sqrt(0.25 * 0.75 / 2000))
     assert counts[0] == 0
-
-
-def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkeypatch):
-    """All distinct scenes of a specimen in one call, so that their bends are factorised once."""
-    asked = []
-
-    def measure_all(self, scenes, **_options):
-        if scenes != [Scene()]:  # the flat specimen, which has factors of its own
-            asked.append(scenes)
-        return np.full((len(scenes), len(self.protocol)), 100.0 + 0.0j)
-
-    monkeypatch.setattr(Simulator, "measure_all", measure_all)
-    shard = range(25, 50)
-    simulate_shard(GROUPED, 1)
-    drawn = [sample(GROUPED, index) for index in shard]
-    assert len(asked) == len({each.specimen for each in drawn})
-    flat = [scene for scenes in asked for scene in scenes]
-    assert len(flat) == len(set(flat))
-    wanted = {each.scene for each in drawn} | {without_touches(each.scene) for each in drawn}
-    assert set(flat) == wanted - {Scene()}
-    bends = {each.scene.bend for each in drawn if each.state == State.TOUCH}
-    assert sum(not scene.touches for scene in flat) == len(bends) < 6
-
-
-@pytest.mark.slow
-def test_a_shard_may_begin_in_the_middle_of_a_block():
-    """But for the 1e-2 of a touch's signal that the engine may leave where touches share a bend."""
-    short = dataclasses.replace(GROUPED, frames_per_shard=6)
-    before, after = (sample(short, index).scene for index in (5, 6))
-    assert before.bend == after.bend
-    assert before.touches
-    assert after.touches
-    one, other = simulate_shard(short, 0), simulate_shard(short, 1)
-    whole = simulate_shard(dataclasses.replace(GROUPED, frames_per_shard=12), 0)
-    for name in ("impedance", "touch_reference", "touch_x", "bend_angle_deg", "specimen"):
-        joined = np.concatenate([getattr(one, name), getattr(other, name)])
-        assert getattr(whole, name) == pytest.approx(joined, rel=5e-5, nan_ok=True), name
-    assert np.array_equal(whole.reference, one.reference)

@@ -1,12 +1,13 @@
-"""Generating: the same bytes whatever happens, and no work done twice."""
+"""Generating: the same bytes whatever happens, on whatever disk, and no work done twice."""
 
 import dataclasses
+import errno
+import itertools
 import os
 import shutil
 import subprocess
 import sys
 from collections import namedtuple
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ import pytest
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
-from eitskin.datasets.generation import preparation
 from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
 from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -23,9 +23,8 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.shard import shard_name, verify_checksum
-from eitskin.datasets.store.worker_processes import run_tasks
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.geometry import Free, Plates
+from eitskin.geometry import Free, Hinge, Plates
 from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
 from eitskin.threads import one_thread
 
@@ -36,6 +35,8 @@ RECIPE = Recipe(
     "small",
     seed=11,
     frames_per_shard=4,
+    resolution="coarse",
+    fixture=Hinge(),  # whose bends need no tables
     specimens=Specimens(count=2, conductivity=0.05, contact_impedance=0.1, hinge_offset=2e-4),
     scenes=(
         SceneGroup("idle", count=5),
@@ -73,7 +74,8 @@ def test_two_workers_of_which_one_is_killed_while_writing_make_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_dataset_holds_what_the_recipe_says(whole):
+def test_frames_are_what_the_recipe_says_and_the_simulator_measures(whole):
+    """With white noise of the instrument's size in frames and references, each by itself."""
     data = open_dataset(whole)
     samples = [sample(RECIPE, index) for index in range(RECIPE.frames)]
     assert len(data) == 14
@@ -94,21 +96,14 @@ def test_dataset_holds_what_the_recipe_says(whole):
         assert data.touch_count[index] == len(touches)
         assert np.allclose(data.touch_x[index, : len(touches)], [t.x for t in touches])
         assert np.allclose(data.touch_force[index, : len(touches)], [t.force for t in touches])
-
-
-@pytest.mark.slow
-def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
-    data = open_dataset(whole)
-    noise, reference_noise = [], []
-    simulators = []
+    simulators, noise, reference_noise = [], [], []
     for number in range(2):
         made = specimen(RECIPE, number)
-        simulators.append(Simulator(made.design, resolution="fast", fixture=made.fixture))
+        simulators.append(Simulator(made.design, "coarse", made.fixture))
         flat = simulators[number].measure(Scene()).impedance
         assert np.allclose(data.reference[number], flat, rtol=1e-6)
-    for index in range(len(data)):
-        drawn = sample(RECIPE, index)
-        simulator, scene = simulators[drawn.specimen], drawn.scene
+    for index, each in enumerate(samples):
+        simulator, scene = simulators[each.specimen], each.scene
         deviation = Instrument(75.0).deviation(simulator.full_scale)
         clean = simulator.measure(scene).impedance
         untouched = simulator.measure(Scene(bend=scene.bend)).impedance
@@ -152,16 +147,6 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     ]  # HDF5 sees sound files alone
 
 
-def test_finished_dataset_is_not_made_again(whole, monkeypatch):
-    def refuse(*_arguments, **_named):
-        raise AssertionError("there was nothing to make")
-
-    monkeypatch.setattr(generation, "make_shards", refuse)
-    before = contents(whole)
-    generate(RECIPE, whole, resume=True)
-    assert contents(whole) == before
-
-
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
     whole, tmp_path, monkeypatch
 ):
@@ -169,16 +154,10 @@ def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
     shutil.copytree(whole, folder)
     monkeypatch.setattr(generation, "ENGINE", 1 + generation.ENGINE)
     generate(RECIPE, folder, resume=True)
+    assert contents(folder) == contents(whole)
     (folder / shard_name(0)).unlink()
     with pytest.raises(ConfigurationError, match="is of simulation"):
         generate(RECIPE, folder, resume=True)
-
-
-def test_finished_shards_are_read_in_a_child_whatever_seal_they_have(whole, monkeypatch):
-    tried = []
-    monkeypatch.setattr(shard_reader, "read_in_subprocess", lambda *task: tried.append(task) or ())
-    generate(RECIPE, whole, resume=True)
-    assert len(tried) == RECIPE.shards
 
 
 def test_occupied_folders_are_refused(whole, tmp_path):
@@ -203,22 +182,13 @@ def test_presses_on_a_membrane_are_solved_beside_tabulated_ones(monkeypatch):
     monkeypatch.setattr(Simulator, "measure_all", measured)
     group = SceneGroup("touch", count=1)
     others = [dataclasses.replace(group, support=each) for each in (Plates(), Free())]
-    simulate_shard(Recipe("supports", scenes=(group, *others)), 0)
+    recipe = Recipe("supports", scenes=(group, *others))
+    simulate_shard(recipe, 0)
+    assert solved_frames(recipe) == 1
     assert asked == {(None, "tabulated"), (Plates(), "tabulated"), (Free(), "solved")}
 
 
 # Worker processes that read shards: order, errors, Ctrl-C
-
-
-@pytest.mark.slow
-def test_results_come_in_order_and_an_error_of_a_task_is_raised():
-    assert list(run_tasks(abs, [-3, 2, -1], 0)) == [(-3, 3), (2, 2), (-1, 1)]
-    results = run_tasks(len, ["three", "to", 5, "four"], 2)
-    assert [next(results), next(results)] == [("three", 5), ("to", 2)]
-    with pytest.raises(TypeError):
-        next(results)
-    with pytest.raises(PartialError, match="fewer workers"):
-        list(run_tasks(os._exit, [1, 1, 1], 2))
 
 
 # A script that generates without a main guard, which several workers would run again
@@ -290,24 +260,29 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkey
         generate(CHEAP, tmp_path / "set")
 
 
-def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_path, monkeypatch):
-    """Sixteen frames, twice, would take half an hour."""
-    touched = SceneGroup("touch", count=30, support=Free())
-    recipe = Recipe("slow", scenes=(SceneGroup("touch", count=30), touched))
-    assert solved_frames(recipe) == 30
-    clock, runs = [0.0], []
+@pytest.mark.slow
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO], ids=["full", "broken"])
+@pytest.mark.parametrize("first_refused", [2, 5])
+def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, monkeypatch, code, first_refused):
+    """Any of the writes but those of the first files is refused, and all after it."""
+    in_this_process(monkeypatch)
+    out, writes = tmp_path / "set", itertools.count()
 
-    def simulated(_recipe, numbers):
-        runs.append(len(numbers))
-        clock[0] += 50.0 * len(numbers)
+    def fsync(handle, sync=os.fsync):
+        if next(writes) >= first_refused:
+            raise OSError(code, os.strerror(code))
+        sync(handle)
 
-    monkeypatch.setattr(preparation, "prepare", lambda *_, **__: None)
-    monkeypatch.setattr(preparation, "simulate_frames", simulated)
-    monkeypatch.setattr(preparation, "shard_bytes", lambda _: b"data")
-    monkeypatch.setattr(preparation, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
-    found = estimate_cost(recipe, tmp_path, workers=1)
-    assert runs == [2]
-    assert (found.measured_frames, found.seconds) == (2, pytest.approx(60 * 50.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", fsync)
+        with pytest.raises(PartialError) as caught:
+            generate(RECIPE, out)
+    assert caught.value.exit_code == 5
+    kept, sound = contents(out), contents(whole)
+    assert len(kept) < len(sound)
+    assert all(sound[name] == content for name, content in kept.items())
+    generate(RECIPE, out, resume=True)
+    assert contents(out) == sound
 
 
 # Generating by any protocol and board: what the recipe names is what is measured
@@ -333,49 +308,3 @@ def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
     leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
     with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
         dataclasses.replace(recipe, instrument=leaking)
-
-
-def test_frames_of_the_ad5940_may_be_of_neighbours():
-    """Its current is that of the drive pair, which no measurement of the protocol senses."""
-    recipe = Recipe(
-        "adjacent",
-        resolution="coarse",
-        protocol=Protocol.adjacent(8),
-        instrument=dataclasses.replace(Instrument.ad5940(), snr_db=0.0, floor=0.0, drift=0.0),
-        scenes=(SceneGroup("idle", count=1),),
-    )
-    data = simulate_frames(recipe, [0])
-    made = specimen(recipe, 0)
-    ideal = recipe.protocol.measure(
-        Simulator(made.design, "coarse", made.fixture).model.impedance()
-    )
-    assert data.impedance[0].real == pytest.approx(ideal, rel=0.02)
-    assert (np.abs(data.impedance[0].imag) > 1e-4 * np.abs(ideal)).all()  # of stray capacitance
-    assert data.reference[0] == pytest.approx(data.impedance[0])
-    assert not data.status.any()
-
-
-def test_frames_are_measured_by_the_protocol_of_the_recipe():
-    plain = Recipe(
-        "own",
-        scenes=(SceneGroup("idle", count=1),),
-        resolution="coarse",
-        instrument=Instrument(0.0),
-    )
-    adjacent = dataclasses.replace(plain, protocol=Protocol.adjacent(8))
-    pairs, found = simulate_shard(plain, 0), simulate_shard(adjacent, 0)
-    assert found.protocol == Protocol.adjacent(8)
-    assert found.reference.shape == found.impedance.shape == (1, 40)
-    z = dict(zip(((a, b) for a, b, *_ in pairs.protocol.table), pairs.impedance[0], strict=True))
-    # Impedance of pairs, z_ab = Z_aa + Z_bb - 2 Z_ab; four terminals by superposition.
-    expected = [
-        (
-            z[min(a, d), max(a, d)]
-            + z[min(b, c), max(b, c)]
-            - z[min(a, c), max(a, c)]
-            - z[min(b, d), max(b, d)]
-        )
-        / 2.0
-        for a, b, c, d in found.protocol.table
-    ]
-    assert found.impedance[0] == pytest.approx(expected, abs=1e-3)  # single precision

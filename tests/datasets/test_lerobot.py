@@ -66,7 +66,7 @@ def frames(out):
 
 
 @pytest.mark.slow
-def test_frames_are_numbered_from_zero_and_episodes_whole(info, episodes, frames):
+def test_the_files_are_as_the_layout_says(out, info, episodes, frames):
     assert info["total_frames"] == len(frames) == EPISODES * LENGTH
     assert info["total_episodes"] == len(episodes) == EPISODES
     assert frames["index"].tolist() == list(range(len(frames)))
@@ -74,6 +74,20 @@ def test_frames_are_numbered_from_zero_and_episodes_whole(info, episodes, frames
         mine = frames.iloc[each.dataset_from_index : each.dataset_to_index]
         assert set(mine["episode_index"]) == {each.episode_index}
         assert mine["frame_index"].tolist() == list(range(each.length))
+    assert info["fps"] == pytest.approx(4.0)
+    assert list(info["features"]) == list(frames.columns)
+    for name, feature in info["features"].items():
+        assert np.size(frames[name][0]) == feature["shape"][0], name
+        assert np.asarray(frames[name][0]).dtype == feature["dtype"], name
+    tasks = pd.read_parquet(out / "meta" / "tasks.parquet")
+    assert (tasks.index.tolist(), tasks["task_index"].tolist()) == ([lerobot.TASK], [0])
+    assert episodes["data/chunk_index"].max() > 0
+    for each in episodes.to_dict("records"):
+        path = info["data_path"].format(
+            chunk_index=each["data/chunk_index"], file_index=each["data/file_index"]
+        )
+        held = pd.read_parquet(out / path, columns=["episode_index"])["episode_index"]
+        assert (held == each["episode_index"]).sum() == each["length"]
 
 
 def test_each_frame_is_the_datasets_own(saved, episodes, frames):
@@ -97,16 +111,6 @@ def test_each_frame_is_the_datasets_own(saved, episodes, frames):
             np.testing.assert_array_equal(touches[..., place], getattr(true, f"touch_{name}"))
 
 
-def test_an_episode_is_in_the_file_that_its_row_names(out, info, episodes):
-    assert episodes["data/chunk_index"].max() > 0
-    for each in episodes.to_dict("records"):
-        path = info["data_path"].format(
-            chunk_index=each["data/chunk_index"], file_index=each["data/file_index"]
-        )
-        held = pd.read_parquet(out / path, columns=["episode_index"])["episode_index"]
-        assert (held == each["episode_index"]).sum() == each["length"]
-
-
 def test_splits_are_ranges_of_episodes(info, episodes, saved):
     data = open_dataset(saved)
     splits = specimen_splits(data.specimen_number.tolist(), data.names, data.seed)
@@ -119,18 +123,6 @@ def test_splits_are_ranges_of_episodes(info, episodes, saved):
     assert end == EPISODES
 
 
-def test_features_are_as_long_as_their_lists(info, frames):
-    assert list(info["features"]) == list(frames.columns)
-    for name, feature in info["features"].items():
-        assert np.size(frames[name][0]) == feature["shape"][0], name
-        assert np.asarray(frames[name][0]).dtype == feature["dtype"], name
-        assert feature["names"] is None or len(feature["names"]) == feature["shape"][0]
-
-
-def test_the_rate_is_that_of_the_frames(info):
-    assert info["fps"] == pytest.approx(4.0)
-
-
 def test_statistics_are_those_of_all_exported_frames(out, frames):
     told = json.loads((out / "meta" / "stats.json").read_text())
     for name, each in told.items():
@@ -141,23 +133,15 @@ def test_statistics_are_those_of_all_exported_frames(out, frames):
     assert set(told) == {name for name in frames.columns if not name.startswith("label.")}
 
 
-def test_pandas_finds_tasks_by_their_words(out):
-    tasks = pd.read_parquet(out / "meta" / "tasks.parquet")
-    assert tasks.index.tolist() == [lerobot.TASK]
-    assert tasks["task_index"].tolist() == [0]
-
-
-def test_single_frames_alone_are_refused(tmp_path):
-    save_dataset(make(12, episode=np.arange(12)), tmp_path / "set")
-    with pytest.raises(DataError, match="huggingface"):
-        export_dataset(tmp_path / "set", tmp_path / "out", "lerobot")
-    assert not (tmp_path / "out").exists()
-
-
-def test_frames_without_times_are_refused():
-    data = make(20, specimens=1, time=np.zeros(20))
-    with pytest.raises(DataError, match="times"):
-        lerobot.Episodes(data, {0: "train"})
+def test_frames_without_episodes_or_times_are_refused(tmp_path):
+    for name, changes, message in (
+        ("single", {"episode": np.arange(12)}, "huggingface"),
+        ("still", {"specimens": 1, "time": np.zeros(12)}, "times"),
+    ):
+        save_dataset(make(12, **changes), tmp_path / name)
+        with pytest.raises(DataError, match=message):
+            export_dataset(tmp_path / name, tmp_path / "out", "lerobot")
+        assert not (tmp_path / "out").exists()
 
 
 def test_another_sensor_begins_another_episode():

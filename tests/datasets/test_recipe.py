@@ -1,7 +1,6 @@
 """Recipes: what is refused, what is drawn, and that a frame depends on its number alone."""
 
 import dataclasses
-import tomllib
 
 import numpy as np
 import pytest
@@ -16,13 +15,11 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Mounts, Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import (
-    Electrode,
     Free,
     FreeArc,
     Hinge,
     Plates,
     SensorDesign,
-    Surface,
 )
 from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics, Protocol
 from eitskin.simulator.mechanics.materials import Ogden
@@ -92,17 +89,6 @@ def test_paper_recipes_hold_the_numbers_of_the_paper():
     assert demo.period == 0.303
 
 
-def test_shipped_recipes_have_episodes_or_terms_of_a_board_for_those_who_ask():
-    for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
-        recipe = Recipe.from_shipped(name)
-        assert (recipe.episodes, recipe.specimens.count) == ((), 1)
-        assert recipe.instrument == Instrument(75.0)
-    training = Recipe.from_shipped("training")
-    assert training.specimens.count >= 50
-    assert training.instrument.measurement_time > 0.0
-    assert any(group.per_bend > 1 for group in training.scenes)
-
-
 def test_episodes_are_not_cut():
     recipe = Recipe(
         "uncut",
@@ -117,130 +103,31 @@ def test_episodes_are_not_cut():
     assert joined == list(range(160))
 
 
-def test_sensor_may_be_a_file_beside_the_recipe(tmp_path):
-    design = dataclasses.replace(SensorDesign.reference(), conductivity=0.5)
-    (tmp_path / "sensor.toml").write_text(design.to_toml(), encoding="utf-8")
-    text = 'name = "a"\nsensor = "sensor.toml"\n[[scenes]]\nstate = "idle"\ncount = 1\n'
-    assert Recipe.from_toml(write(tmp_path, text)).sensor == design
-
-
-def test_all_contradictions_are_listed_at_once():
-    with pytest.raises(ConfigurationError) as caught:
-        Recipe(
-            "bad",
-            seed=-1,
-            frames_per_shard=0,
-            specimens=Specimens(count=0, conductivity=2.0),
-            scenes=(
-                SceneGroup("idle", count=1, touches=(2, 3), angle_deg=(0.0, 10.0)),
-                SceneGroup("bend", count=0),
-                SceneGroup("touch", count=1, force=(-5.0, 50.0), touches=(0, 9)),
-                SceneGroup("touch", count=1, touches=(4, 4), spacing=0.1),
-                SceneGroup("touch", count=2, positions=((15.0, 0.1),), repeats=0),
-                SceneGroup("bend", count=1, angle_deg=(-400.0, 0.0)),
-                SceneGroup("touch", count=1, per_bend=0),
-            ),
-            episodes=(
-                ScriptedEpisode((Keyframe(1.0), Keyframe(2.0))),
-                ScriptedEpisode(
-                    (Keyframe(0.0, touches=(EpisodeTouch(0.2, 0.0, -1.0),)), Keyframe(2.0))
-                ),
-                ScriptedEpisode((Keyframe(0.0), Keyframe(1.0, 400.0)), count=0, period=-1.0),
-                RandomEpisodes(1, 0, angle_deg=(9.0, 3.0), hold_s=(0.0, 1.0), touches=(5, 5)),
-                RandomEpisodes(1, 1, angle_deg=(0.0, 300.0), period=0.2),
-            ),
-            instrument=Instrument.ad5940(),
-        )
-    message = str(caught.value)
-    for expected in (
-        "seed must be",
-        "frames_per_shard must be",
-        "specimens: count",
-        "specimens: conductivity",
-        "scenes[0] (idle): state 'idle' has no touches, so leave out touches",
-        "scenes[0] (idle): an idle sensor is flat",
-        "scenes[1] (bend): count must be at least 1",
-        "scenes[1] (bend): state 'bend' needs a range",
-        "scenes[2] (touch): force must be a rising range [lowest, highest], above 0",
-        "scenes[2] (touch): touches must be from 1 to 4",
-        "scenes[3] (touch): 4 touches 0.1 m apart",
-        "scenes[4] (touch): count follows from positions",
-        "scenes[4] (touch): repeats must be at least 1",
-        "scenes[4] (touch): position (15, 0.1) m is off",
-        "scenes[5] (bend): a bend of -400 deg is beyond the clamp",
-        "scenes[6] (touch): per_bend must be at least 1",
-        "episodes[0]: keyframes must be at least two, rising in time from 0 s, got",
-        "episodes[1]: position (0.2, 0) m is off",
-        "episodes[1]: keyframes[0] has a force that is not above 0 N",
-        "episodes[2]: count must be at least 1",
-        "episodes[2]: period must be a time above 0 s",
-        "episodes[3]: frames must be from 1",
-        "episodes[3]: angle_deg must be a rising range [lowest, highest]",
-        "episodes[3]: hold_s must be a rising range [lowest, highest], above 0",
-        "episodes[3]: touches must be from 1 to 4",
-        "episodes[4]: a bend of 300 deg is beyond the clamp",
-        "episodes[4]: period must be at least the 0.2862 s",
-    ):
-        assert expected in message
+DESIGN = dataclasses.replace(SensorDesign.reference(), conductivity=0.5)
+REVERSED = Protocol(Protocol.adjacent(8).table[::-1], 8)
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "name", "value"),
     [
-        ('name = "a"\n[[scenes]]\nstate = "idle"\ncuont = 1\n', r"'cuont';.*'count'"),
-        ("name = ", "recipe"),
+        ('sensor = "sensor.toml"', "sensor", DESIGN),
+        ('protocol = "adjacent"', "protocol", Protocol.adjacent(8)),
+        ('protocol = "adjacent:8"', "protocol", Protocol.adjacent(8)),
+        ('protocol = "pairs.csv"', "protocol", REVERSED),
+        (
+            '[instrument]\nboard = "ad5940"\nsnr_db = 80',
+            "instrument",
+            dataclasses.replace(Instrument.ad5940(), snr_db=80.0),
+        ),
     ],
 )
-def test_misspelt_keys_and_broken_and_missing_files_are_refused(tmp_path, text, message):
-    with pytest.raises(ConfigurationError, match="recipe"):
-        Recipe.from_toml(tmp_path / "recipe.toml")
-    with pytest.raises(ConfigurationError, match=message):
-        Recipe.from_toml(write(tmp_path, text))
-
-
-ADJACENT = 'name = "a"\nprotocol = "{}"\n[[scenes]]\nstate = "idle"\ncount = 1\n'
-
-
-@pytest.mark.parametrize("name", ["adjacent", "adjacent:8", "pairs.csv"])
-def test_a_recipe_names_its_protocol_and_is_written_with_it(tmp_path, name):
-    Protocol.adjacent(8).to_file(tmp_path / "pairs.csv")
-    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format(name)))
-    assert recipe.measured_protocol == Protocol.adjacent(8)
-    assert 'protocol = "adjacent:8"' in recipe.to_toml()
+def test_a_recipe_may_name_what_lies_beside_it_and_is_written_whole(tmp_path, text, name, value):
+    (tmp_path / "sensor.toml").write_text(DESIGN.to_toml(), encoding="utf-8")
+    REVERSED.to_file(tmp_path / "pairs.csv")
+    whole = f'name = "a"\n{text}\n[[scenes]]\nstate = "idle"\ncount = 1\n'
+    recipe = Recipe.from_toml(write(tmp_path, whole))
+    assert getattr(recipe, name) == value
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
-
-
-def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
-    table = Protocol(Protocol.adjacent(8).table[::-1], 8)
-    table.to_file(tmp_path / "pairs.csv")
-    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format("pairs.csv")))
-    assert recipe.protocol == parse_toml(Recipe, recipe.to_toml()).protocol == table
-
-
-def test_a_recipe_names_its_board(tmp_path):
-    text = 'name = "a"\n[instrument]\nboard = "ad5940"\nsnr_db = 80\n[[scenes]]\nstate = "idle"\n'
-    recipe = Recipe.from_toml(write(tmp_path, text + "count = 1\n"))
-    assert recipe.instrument == dataclasses.replace(Instrument.ad5940(), snr_db=80.0)
-
-
-def test_a_group_writes_what_it_wrote_before_it_could_do_more():
-    """Sets that were begun then are resumed by their recipe's text."""
-    (group,) = tomllib.loads(Recipe("one", scenes=(IDLE,)).to_toml())["scenes"]
-    assert list(group) == [
-        *("state", "count", "angle_deg", "touches", "force", "margin", "spacing", "positions"),
-        *("repeats", "per_bend"),
-    ]
-
-
-ON_PLATES = SceneGroup("touch", positions=((0.02, 0.03), (0.13, 0.03)), support=Plates())
-
-
-def test_a_group_of_scenes_may_have_a_support_of_its_own(tmp_path):
-    recipe = dataclasses.replace(MIXED, scenes=(IDLE, ON_PLATES))
-    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
-    found = [sample(recipe, index).scene.support for index in range(recipe.frames)]
-    assert found.count(Plates()) == 2
-    assert found.count(None) == IDLE.count
 
 
 def test_plates_are_as_far_apart_as_each_specimen_s_hinge():
@@ -293,8 +180,18 @@ def scenes(group, **changes):
     return {"scenes": (dataclasses.replace(group, **changes),)}
 
 
-def unending(**changes):
-    return {"episodes": (ScriptedEpisode((Keyframe(0.0), Keyframe(1e300)), **changes),)}
+def scripted(*keyframes, **changes):
+    return {"episodes": (ScriptedEpisode(keyframes, **changes),)}
+
+
+def random(**changes):
+    usual = {"count": 1, "frames": 1, "angle_deg": (0.0, 30.0)}
+    return {"episodes": (RandomEpisodes(**(usual | changes)),)}
+
+
+UNENDING = Keyframe(0.0), Keyframe(1e300)
+OFF = Keyframe(0.0, touches=(EpisodeTouch(0.2, 0.0),))
+PULLED = Keyframe(0.0, touches=(EpisodeTouch(0.1, 0.03, -1.0),))
 
 
 def spread(**changes):
@@ -320,9 +217,34 @@ LEAKS = Instrument(meter=FourTerminalMeter(leaks=(1e-6, 1e-6)))
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (unending(period=1e-308), "frames"),
-        (unending(period=0.0), "frames"),
-        (unending(repeats=2**62), "frames"),
+        ({"seed": -1}, "seed must be"),
+        ({"frames_per_shard": 0}, "frames_per_shard must be"),
+        (scenes(IDLE, touches=(2, 3)), "state 'idle' has no touches, so leave out touches"),
+        (scenes(IDLE, angle_deg=(0.0, 10.0)), "an idle sensor is flat"),
+        (scenes(BENT, count=0), "count must be at least 1"),
+        (scenes(BENT, angle_deg=(0.0, 0.0)), "state 'bend' needs a range"),
+        (scenes(BENT, angle_deg=(-400.0, 0.0)), "a bend of -400 deg is beyond the clamp"),
+        (scenes(TOUCHED, force=(-5.0, 50.0)), "force must be a rising range.* above 0"),
+        (scenes(TOUCHED, touches=(0, 9)), "touches must be from 1 to 4"),
+        (scenes(TOUCHED, touches=(4, 4), spacing=0.1), "4 touches 0.1 m apart"),
+        (scenes(TOUCHED, positions=((0.02, 0.02),)), "count follows from positions"),
+        (scenes(TOUCHED, positions=((0.02, 0.02),), repeats=0), "repeats must be at least 1"),
+        (scenes(TOUCHED, positions=((15.0, 0.1),)), r"position \(15, 0.1\) m is off"),
+        (scenes(TOUCHED, per_bend=0), "per_bend must be at least 1"),
+        (scripted(Keyframe(1.0), Keyframe(2.0)), "at least two, rising in time from 0 s"),
+        (scripted(OFF, Keyframe(2.0)), r"position \(0.2, 0\) m is off"),
+        (scripted(PULLED, Keyframe(2.0)), "a force that is not above 0 N"),
+        (scripted(Keyframe(0.0), Keyframe(1.0), count=0), "count must be at least 1"),
+        (scripted(Keyframe(0.0), Keyframe(1.0), period=-1.0), "period must be a time above 0 s"),
+        (scripted(*UNENDING, period=1e-308), "frames"),
+        (scripted(*UNENDING, period=0.0), "frames"),
+        (scripted(*UNENDING, repeats=2**62), "frames"),
+        (random(frames=0), "frames must be from 1"),
+        (random(angle_deg=(9.0, 3.0)), "angle_deg must be a rising range"),
+        (random(hold_s=(0.0, 1.0)), "hold_s must be a rising range.* above 0"),
+        (random(touches=(5, 5)), "touches must be from 1 to 4"),
+        (random(angle_deg=(0.0, 300.0)), "a bend of 300 deg is beyond the clamp"),
+        (random(period=0.2) | {"instrument": Instrument.ad5940()}, "at least the 0.2862 s"),
         ({"protocol": Protocol.adjacent(16)}, "for 16 electrodes, the sensor has 8"),
         ({"protocol": Protocol.adjacent(8), "instrument": LEAKS}, "instrument: leaks"),
         (scenes(TOUCHED, support=Free()), r"scenes\[0\] \(touch\): a free membrane"),
@@ -355,16 +277,7 @@ LEAKS = Instrument(meter=FourTerminalMeter(leaks=(1e-6, 1e-6)))
         (mounts() | {"fixture": Hinge()}, "mounts take the place"),
     ],
 )
-def test_recipes_that_cannot_be_made_are_refused(changes, message):
-    with pytest.raises(ConfigurationError, match=message):
-        dataclasses.replace(MIXED, **changes)
-
-
-def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
-    import trimesh
-
-    trimesh.creation.box(bounds=[[0, 0, 0], [0.15, 0.06, 0.005]]).export(tmp_path / "box.stl")
-    pads = tuple(Electrode(x, 0.03, z=0.005, on="surface") for x in (0.02, 0.12))
-    design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
-    with pytest.raises(ConfigurationError, match="rectangle, disc or polygon"):
-        dataclasses.replace(MIXED, sensor=design)
+def test_recipes_that_cannot_be_made_are_refused_with_all_reasons(changes, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        dataclasses.replace(MIXED, name="", **changes)
+    assert "name must not be empty" in str(caught.value)

@@ -10,6 +10,7 @@ from scipy.io import savemat
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
 from eitskin.datasets.recordings import recorded_file
 from eitskin.datasets.recordings.labels import Place
+from eitskin.datasets.recordings.orders import in_order
 from eitskin.datasets.recordings.source import open_reader
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
@@ -27,11 +28,6 @@ needs_parquet = pytest.mark.skipif(not find_spec("pyarrow"), reason="pyarrow is 
 def csv_file(path, header=HEADER, rows=ROWS, delimiter=","):
     lines = [delimiter.join(str(cell) for cell in line) for line in (header, *rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def german_file(path):
-    rows = [[str(cell).replace(".", ",") for cell in row] for row in ROWS]
-    csv_file(path, HEADER, rows, ";")
 
 
 def excel_file(path, sheet=None):
@@ -76,7 +72,6 @@ def newest_mat_file(path):
     ("name", "write"),
     [
         ("a.csv", csv_file),
-        ("b.csv", german_file),
         ("a.tsv", lambda path: csv_file(path, delimiter="\t")),
         ("a.h5", array_file),
         ("a.mat", newest_mat_file),
@@ -149,16 +144,13 @@ def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
     assert data.number.tolist() == list(range(8))
 
 
-@pytest.mark.slow
-def test_rows_without_a_partner_and_in_the_other_order_are_refused(tmp_path):
-    header = ["v0", "x", "y"]
-    csv_file(tmp_path / "odd.csv", header, [[1, "", ""], [2, 0.1, 0.1], [3, "", ""]])
-    csv_file(tmp_path / "order.csv", header, [[1, "", ""], [2, 0.1, 0.1]])
+def test_rows_that_do_not_alternate_are_refused(tmp_path):
     form = RecordingForm("during-before")
-    with pytest.raises(DataError, match="odd number of rows"):
-        read_recording(tmp_path / "odd.csv", form=form)
-    with pytest.raises(DataError, match="--rows before-during"):
-        read_recording(tmp_path / "order.csv", form=form)
+    for rows, message in ((3, "odd number of rows"), (2, "--rows before-during")):
+        lines = [[1, "", ""], [2, 0.1, 0.1], [3, "", ""]][:rows]
+        csv_file(tmp_path / "a.csv", ["v0", "x", "y"], lines)
+        with pytest.raises(DataError, match=message):
+            read_recording(tmp_path / "a.csv", form=form)
 
 
 # Labels and units
@@ -215,7 +207,9 @@ def test_positions_count_from_the_centre(tmp_path):
     data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
     assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
     assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
-    assert data.design == SensorDesign.reference()
+    np.savez(tmp_path / "a.npz", v=np.ones((2, 40)))
+    with pytest.raises(DataError, match=r"28 measurements.*40 channels.*such as adjacent:8"):
+        read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
 
 
 @pytest.mark.parametrize(
@@ -290,8 +284,7 @@ def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, e
     [
         "% by a robot\n1 2 3  .1\n4 5 6  .2 \n",
         "# v0,v1,v2,t\n1,2,3,.1\n4,5,6,.2\n",
-        "%\n1, 2, 3, .1, \n4, 5, 6, .2, \n",
-        "%\n[1, 2, 3, .1]\n[4, 5, 6, .2]\n",
+        "%\n[1, 2, 3, .1],\n[4, 5, 6, .2],\n",
     ],
 )
 def test_files_without_a_header_have_numbered_columns_or_those_of_a_comment(tmp_path, text):
@@ -315,18 +308,6 @@ def test_dates_are_seconds(tmp_path):
         read_recording(tmp_path / "a.csv")
 
 
-def test_columns_from_one_to_another_are_the_values(tmp_path):
-    csv_file(tmp_path / "a.csv", ["t", "0-1", "0-2", "1-2", "x"], [[0, 1, 2, 3, ""]])
-    data = read_recording(tmp_path / "a.csv", RecordingNames("0-1..1-2", columns={"y": "x"}))
-    assert data.impedance.tolist() == [[1, 2, 3]]
-
-
-def test_another_protocol_is_refused_with_one_that_fits(tmp_path):
-    np.savez(tmp_path / "a.npz", v=np.ones((2, 40)))
-    with pytest.raises(DataError, match=r"28 measurements.*40 channels.*such as adjacent:8"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
-
-
 def test_frequencies_and_factors_are_numbers_that_can_be(tmp_path):
     (tmp_path / "a.csv").write_text("v0,v1,x\n1,2,3\n")
     for frequency in (0.0, -1.0, float("nan"), float("inf"), 1e300):
@@ -344,3 +325,177 @@ def test_columns_of_text_are_never_more_than_names(tmp_path):
     (tmp_path / "b.csv").write_text('""\n')
     with pytest.raises(DataError, match="got no row"):
         open_reader(tmp_path / "b.csv")
+
+
+# Tables in the forms that loggers and boards write them
+
+
+CELLS = [[-1.5, 2.25, 3, 4], [5, 6.5, 7, 8]]
+LINES = "-1.5,2.25,3,4\n5,6.5,7,8\n"
+NAMED = "v0,v1,v2,v3\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        NAMED + LINES.replace("\n", ", \n"),  # separators behind the rows alone,
+        NAMED.replace("\n", ",,\n") + LINES,  # the header alone,
+        (NAMED + LINES).replace("\n", ";\n").replace(",", ";"),  # or both
+        "UTC:,2026-03-01 10:00:00.123\nIsrc [A]:,0.001\n" + NAMED + LINES,
+        "a logger\n" * 30 + "\n" + NAMED + LINES,
+        "a logger,,,\n\n" + NAMED + LINES,  # as spreadsheets save it
+        NAMED + "(V),(V),(mV),[ohm]\n\n" + LINES,
+        "v0 [ohm],v1 [ohm],v2 [ohm],v3 [ohm]\n" + LINES,
+        "Zeit: 3\n" + (NAMED + LINES).replace(",", "\t").replace(".", ","),
+        (NAMED + LINES).replace(",", " ").replace(".", ","),
+        "\ufeff" + NAMED.replace(",", ";") + LINES.replace(",", ";").replace(".", ","),
+    ],
+)
+def test_a_header_is_found_above_rows_of_any_form(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    assert np.array_equal(read_recording(tmp_path / "a.csv").impedance, CELLS)
+
+
+def test_a_row_of_names_is_given_and_refusals_quote_and_help(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("w0,w1,w2,w3\nof,two,volt,meters\n" + NAMED + LINES)
+    assert np.array_equal(read_recording(path, RecordingNames(header_row=3)).impedance, CELLS)
+    with pytest.raises(DataError, match="--header-row"):
+        read_recording(path, RecordingNames(header_row=7))
+    path.write_text(NAMED.replace("v", "ch") + LINES)
+    with pytest.raises(ConfigurationError, match="--values ch"):
+        read_recording(path)
+    path.write_text(NAMED + "1,2,3\n")
+    with pytest.raises(DataError, match="'1,2,3'"):
+        read_recording(path)
+
+
+# Complex values in columns of two parts
+
+
+COMPLEX = np.array([[1 + 2j, -3 + 0.5j, -2j], [2 - 1j, 4, -1 + 1j]])
+
+
+def written(path, first, second, values=COMPLEX, degrees=None, apart=False):
+    """File with two columns for each value, beside each other or the second ones behind all."""
+    parts = np.stack([values.real, values.imag], axis=-1)
+    if degrees is not None:
+        angle = np.angle(values, deg=degrees)
+        parts = np.stack([np.abs(values), angle], axis=-1)
+    names = [(first.format(k), second.format(k)) for k in range(values.shape[1])]
+    columns = np.array([*zip(*names, strict=True)] if apart else [n for p in names for n in p])
+    cells = parts.transpose(0, 2, 1) if apart else parts
+    lines = [columns.ravel(), *cells.reshape(len(values), -1).astype(str)]
+    path.write_text("\n".join(",".join(line) for line in lines))
+    return path
+
+
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize(
+    ("first", "second", "degrees"),
+    [
+        ("ch{}_Magnitude", "ch{}_Phase", True),
+        ("RzMag{} [Ohm]", "RzPhase{} [deg]", True),
+        ("abs({})", "arg({}) [rad]", False),
+        ("amp{}", "phase{}_rad", False),
+        ("v{}.re", "v{}.im", None),
+        ("Real {}", "Imag {}", None),
+        ("ch{} I [V]", "ch{} Q [V]", None),
+    ],
+)
+def test_two_parts_are_joined_by_their_names(tmp_path, first, second, degrees, apart):
+    path = written(tmp_path / "a.csv", first, second, degrees=degrees, apart=apart)
+    assert np.allclose(read_recording(path).impedance, COMPLEX)
+
+
+def test_parts_of_other_names_are_given(tmp_path):
+    np.savez(
+        tmp_path / "a.npz", u=COMPLEX.real, phi=COMPLEX.imag, w_im=COMPLEX.imag, w=COMPLEX.real
+    )
+    read = read_recording(tmp_path / "a.npz", RecordingNames("u,w_im"))
+    assert np.allclose(read.impedance, COMPLEX)
+    form = RecordingForm(phase_unit="rad")
+    polar = read_recording(tmp_path / "a.npz", RecordingNames("u,phi"), form=form)
+    assert np.allclose(polar.impedance, COMPLEX.real * np.exp(1j * COMPLEX.imag))
+    with pytest.raises(DataError, match="--phase-unit"):
+        read_recording(tmp_path / "a.npz", RecordingNames("u,phi"))
+    with pytest.raises(ConfigurationError, match=r"magnitude,phase or real,imag"):
+        read_recording(tmp_path / "a.npz", RecordingNames("u,w"))
+
+
+# Orders of the readings of a frame, by reciprocity and sums around loops
+
+
+ADJACENT = Protocol.adjacent(8)
+
+
+# Magnitudes have reciprocity alone; opposite drives have no reciprocal ones, but sums around loops.
+@pytest.mark.parametrize(
+    ("order", "protocol", "size"),
+    [
+        ("rotated", ADJACENT, np.abs),
+        ("reversed", ADJACENT, np.abs),
+        ("rotated", ADJACENT, np.asarray),
+        ("sense-first", Protocol.opposite(8, shared=True), np.asarray),
+    ],
+)
+def test_the_order_that_fits_the_laws_is_named(tmp_path, order, protocol, size):
+    """A dead channel in the frame changes nothing."""
+    root = np.random.default_rng(0).normal(size=(8, 8))
+    other = in_order(protocol, order)
+    frame = size(other.measure(root @ root.T))
+    frame[5] = 0.0
+    np.savez(tmp_path / "a.npz", v=frame[None])
+    names, path = RecordingNames("v"), tmp_path / "a.npz"
+    with pytest.raises(DataError, match=rf"0.00% in the order '{order}': .*--order {order}"):
+        read_recording(path, names, protocol)
+    assert read_recording(path, names, other).protocol == other
+    for chosen, expected in (("given", protocol), (order, other)):
+        form = RecordingForm(order=chosen)
+        assert read_recording(path, names, protocol, form=form).protocol == expected
+
+
+# Times on the clocks that loggers have
+
+
+def times_of(tmp_path, times, unit="", session=None, **names):
+    rows = [f"1,2,{t},{session[i] if session else 0}" for i, t in enumerate(times)]
+    (tmp_path / "a.csv").write_text("\n".join(["v0,v1,t,session", *rows]))
+    form = RecordingForm(time_unit=unit)
+    return read_recording(tmp_path / "a.csv", RecordingNames(**names), form=form).time
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "steps"),
+    [
+        ([1763906400000, 1763906400300, 1763906400600], "ms", [0.3, 0.3]),
+        ([0, 60, 120], "s", [60, 60]),
+        ([100, 400, 700], "us", [3e-4, 3e-4]),
+        ([4294966.995, 4294967.295, 0.299, 0.599], "", [0.3] * 3),  # s of a wrapping millis()
+        ([2**32 - 301, 2**32 - 1, 299, 599], "ms", [0.3] * 3),
+        ([2**32 - 400001, 2**32 - 200001, 2**32 - 1, 199999], "us", [0.2] * 3),
+        ([f"2026-11-23T14:0{minute}:00Z" for minute in range(3)], "", [60, 60]),
+    ],
+)
+def test_clocks_go_on_in_seconds(tmp_path, monkeypatch, times, unit, steps):
+    monkeypatch.setattr(recorded_file, "BLOCK_ROWS", 3 if len(times) > 3 else 2)
+    assert np.allclose(np.diff(times_of(tmp_path, times, unit)), steps, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "message"),
+    [
+        ([1763906400000, 1763906400300], "", "--time-unit ms"),
+        ([1234, 1534, 1834], "", "--time-unit ms"),
+        ([0, 1, 2, 1], "", "backwards, from 2 to 1 s; .*--column session"),
+        ([0, 1, 2, 1], "ms", "backwards"),
+    ],
+)
+def test_times_that_cannot_be_seconds_are_refused(tmp_path, times, unit, message):
+    with pytest.raises(DataError, match=message):
+        times_of(tmp_path, times, unit)
+
+
+def test_each_session_has_its_own_clock_and_a_factor_is_a_unit(tmp_path):
+    assert times_of(tmp_path, [5, 6, 0, 1], session=[0, 0, 1, 1]).tolist() == [5, 6, 0, 1]
+    assert np.allclose(times_of(tmp_path, [0, 40000], columns={"t": "t*0.001"}), [0, 40])

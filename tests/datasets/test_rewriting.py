@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import combine, compact, open_dataset, read_shard, save_dataset, verify
-from eitskin.datasets.store import folder as folders
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.summary import specimens_in_words
@@ -36,7 +35,7 @@ def own(tmp_path, **changes):
     known = {"source": "measured", "recipe": "", "seed": 0, "quantity": ""} | changes
     data = dataclasses.replace(make(12, specimens=2), **known)
     values = {name: 1.2 * getattr(data, name) for name in ("impedance", "reference")}
-    save_dataset(dataclasses.replace(data, **values), tmp_path / "own")
+    save_dataset(dataclasses.replace(data, **(values | changes)), tmp_path / "own")
     return tmp_path / "own"
 
 
@@ -56,10 +55,7 @@ def test_own_presses_follow_simulated_ones(simulated, tmp_path):
 
 
 def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path):
-    folder = own(tmp_path, quantity="magnitude")
-    with pytest.raises(DataError, match=r"magnitude, expected impedance.*--magnitudes"):
-        combine([simulated, folder], tmp_path / "both")
-    combine([simulated, folder], tmp_path / "both", magnitudes=True)
+    combine([simulated, own(tmp_path, quantity="magnitude")], tmp_path / "both", magnitudes=True)
     both = open_dataset(tmp_path / "both")
     assert both.quantity == "magnitude"
     assert np.allclose(both.impedance[:40], np.abs(open_dataset(simulated).impedance))
@@ -68,6 +64,8 @@ def test_magnitudes_go_with_impedances_where_that_is_wanted(simulated, tmp_path)
 @pytest.mark.parametrize(
     ("changes", "messages"),
     [
+        ({"quantity": "magnitude"}, ["magnitude, expected impedance", "--magnitudes"]),
+        ({"reference": 48 * make(12).reference, "quantity": ""}, ["times the expected"]),
         ({"protocol": None}, ["no known protocol", "pairwise:8", "--protocol"]),
         ({"protocol": Protocol.from_rows(Protocol.pairwise(8).table[::-1], 8)}, ["table"]),
         ({"design": None}, ["--sensor"]),
@@ -83,15 +81,6 @@ def test_differences_are_named_with_remedies(simulated, tmp_path, changes, messa
         combine([simulated, own(tmp_path, **changes)], tmp_path / "both")
     assert all(message in str(caught.value) for message in messages)
     assert not (tmp_path / "both").exists()
-
-
-def test_values_of_another_unit_the_same_frames_and_lone_sets_are_refused(simulated, tmp_path):
-    data = make(10)
-    save_dataset(
-        dataclasses.replace(data, reference=40 * data.reference, quantity=""), tmp_path / "counts"
-    )
-    with pytest.raises(DataError, match=r"\d\d\.?\d* times the expected"):
-        combine([simulated, tmp_path / "counts"], tmp_path / "both")
     with pytest.raises(DataError, match="same frames"):
         combine([simulated, simulated], tmp_path / "both")
     with pytest.raises(ConfigurationError, match="at least two"):
@@ -110,6 +99,9 @@ def data():
 def test_a_set_of_version_one_becomes_one_of_version_two(tmp_path, data):
     cut, counts = 20, [20, 20, 7]
     folder, seen = save_version_one(data, tmp_path / "old", frames_per_shard=12), []
+    save_dataset(data, tmp_path / "direct", frames_per_shard=12)
+    compact(folder, tmp_path / "as cut", None)
+    assert contents(tmp_path / "as cut") == contents(tmp_path / "direct")
     manifest = compact(folder, tmp_path / "new", cut, lambda *counts: seen.append(counts))
     assert manifest.format_version == 2
     assert [entry.count for entry in manifest.shards] == counts
@@ -118,13 +110,6 @@ def test_a_set_of_version_one_becomes_one_of_version_two(tmp_path, data):
     assert verify(tmp_path / "new").damage == ()
     last = read_shard(tmp_path / "new" / manifest.shards[-1].name)
     assert last.specimen_number.tolist() == sorted({*(data.specimen[-counts[-1] :].tolist())})
-
-
-def test_shards_may_be_kept_as_they_are_cut(tmp_path, data):
-    save_dataset(data, tmp_path / "direct", frames_per_shard=12)
-    save_version_one(data, tmp_path / "old", frames_per_shard=12)
-    compact(tmp_path / "old", tmp_path / "new", None)
-    assert contents(tmp_path / "new") == contents(tmp_path / "direct")
 
 
 @pytest.mark.slow
@@ -202,33 +187,16 @@ def named(tmp_path):
     return out
 
 
-def test_names_of_an_import_stay_with_the_dataset(named):
+def test_names_of_an_import_stay_with_the_dataset(named, tmp_path):
     data = open_dataset(named)
-    assert data.names == Names(SPECIMENS, SESSIONS)
+    compact(named, tmp_path / "compact")
+    assert open_dataset(tmp_path / "compact").names == data.names == Names(SPECIMENS, SESSIONS)
+    info = json.loads(run("dataset", "info", named, "--json", "-q"))
+    assert info["specimen_names"] == {str(k): name for k, name in SPECIMENS.items()}
+    assert info["session_names"] == {str(k): name for k, name in SESSIONS.items()}
     assert data.specimen_names == tuple(SPECIMENS.values())
     assert data.select([1, 3]).specimen_names == ("gel A left", "gel A right")
     assert specimens_in_words(data.select([3])) == "1 specimen (gel A right)"
-
-
-def test_a_large_dataset_knows_them_without_reading_its_columns(named, monkeypatch):
-    monkeypatch.setattr(folders, "READ_AT_ONCE", 0)
-    data = open_dataset(named)
-    assert data.names == Names(SPECIMENS, SESSIONS)
-    assert data.select([0]).specimen_names == ("gel B left",)
-
-
-def test_info_shows_them(named):
-    printed = run("dataset", "info", named)
-    assert "gel A right" in printed
-    assert "tuesday" in printed
-    told = json.loads(run("dataset", "info", named, "--json", "-q"))
-    assert told["specimen_names"] == {str(k): name for k, name in SPECIMENS.items()}
-    assert told["session_names"] == {str(k): name for k, name in SESSIONS.items()}
-
-
-def test_compacting_keeps_them(named, tmp_path):
-    compact(named, tmp_path / "compact")
-    assert open_dataset(tmp_path / "compact").names == Names(SPECIMENS, SESSIONS)
 
 
 def test_combined_sets_keep_them_with_their_new_numbers(named, tmp_path):
@@ -249,9 +217,3 @@ def test_simulated_specimens_have_numbers_alone(tmp_path):
     assert not data.names
     assert data.specimen_names == ("0", "1", "2")
     assert specimens_in_words(data) == "3 specimens"
-
-
-def test_many_names_are_told_by_the_first_few():
-    data = dataclasses.replace(make(40, specimens=20), names=Names({3: "mine"}))
-    told = specimens_in_words(data)
-    assert told == "20 specimens (0, 1, 2, mine, 4, 5, 6, 7 and 12 more)"

@@ -12,7 +12,6 @@ from eitskin.simulator import Protocol
 from eitskin.training.adaptation import sheet
 from eitskin.training.adaptation.channel_maps import (
     ChannelMaps,
-    KernelFeatures,
     PlaceKernel,
     Presses,
 )
@@ -77,21 +76,6 @@ def test_left_out_presses_are_predicted_as_by_a_fit_without_them():
         np.testing.assert_allclose(predicted, s**2 * covariance + noise, atol=1e-5)
 
 
-def test_learned_noise_is_that_of_the_presses():
-    learned = presses(400)
-    maps = ChannelMaps.fit(KERNEL, learned, 0.05)
-    back = np.linalg.inv(maps.whitening)
-    np.testing.assert_allclose(np.diag(back.T @ back), 0.01, rtol=0.3)
-
-
-def test_features_are_bounded_and_give_the_kernel_back():
-    places = np.random.default_rng(0).uniform(0.0, 0.1, (900, 2))
-    features = KernelFeatures.choose(PlaceKernel(0.05), places, most=150)
-    assert len(features.chosen) <= 150
-    phi = features(places[:50])
-    np.testing.assert_allclose(phi @ phi.T, PlaceKernel(0.05)(places[:50], places[:50]), atol=0.02)
-
-
 # ---- sheet ----
 
 
@@ -150,16 +134,6 @@ def test_gains_and_signs_are_found_from_few_presses():
         relative = gains[orbit] / (signs * sizes)[orbit]
         assert len(set(np.sign(relative))) == 1
         assert np.std(np.log(np.abs(relative))) < 0.25
-
-
-def test_copies_keep_their_owner():
-    sectors = Sectors.from_design(ring(), RING)
-    places = RADIUS + np.array([[0.01, 0.0], [0.0, 0.02]])
-    presses = sectors.copy_to_sectors(Presses.from_frames(places, np.ones(2), answers(places)), 0.1)
-    assert len(presses.strength) == 2 * N
-    np.testing.assert_array_equal(presses.owner, np.tile([0, 1], N))
-    np.testing.assert_array_equal(presses.weight, np.repeat([1.0, 0.1], [2, 2 * (N - 1)]))
-    np.testing.assert_allclose(presses.answers, answers(presses.places), atol=1e-12)
 
 
 @pytest.mark.slow

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from touched_dataset import touched_dataset
 from toy_skin import toy_presses
 
-from eitskin.datasets import RecordingNames, State, read_recording
-from eitskin.errors import DataError, FrameError
-from eitskin.geometry import SensorDesign
-from eitskin.simulator import Protocol
+from eitskin.datasets import RecordingNames, read_recording
+from eitskin.errors import DataError
 from eitskin.training import Pipeline, PositionScore, TrainingSettings
 from eitskin.training.adaptation.locator import (
     MapGrid,
@@ -44,16 +41,6 @@ def test_places_strength_and_standard_errors(learned):
     assert abs(learned.law.exponent - 1.5) < 0.1
     inner = np.abs(places).max(axis=1) < 0.04
     np.testing.assert_allclose(found.strength[inner], learned.law.strength(depth[inner]), rtol=0.1)
-
-
-@pytest.mark.slow
-def test_strength_is_learned_where_no_depth_is_known():
-    ratio, places, _ = toy_presses()
-    other, where, _ = toy_presses(60, seed=1)
-    blind = learn_places(LabelledPresses(ratio, places))
-    assert blind.law is None
-    error = np.linalg.norm(blind.locator.apply(other) - where, axis=1)
-    assert np.median(error) < 1.5e-3
 
 
 def test_a_channel_that_jumps_is_left_out(learned):
@@ -106,34 +93,6 @@ def test_frames_of_a_held_touch_are_one_press():
     assert held["mean_error_mm"] > 0.5 * once["mean_error_mm"]
     with pytest.raises(DataError, match=r"at least 5 presses.*got 4"):
         learn_places(LabelledPresses(ratio[:16], places[:16], depth[:16]))
-
-
-@pytest.mark.parametrize("times", [1, 8])
-def test_few_presses_in_a_corner_leave_much_of_the_sheet_of_a_design(times):
-    design = SensorDesign.reference()
-    ratio, places, depth = toy_presses(5)
-    corner = 0.02 + 0.2 * (places - places.min(axis=0))
-    known = (np.repeat(each, times, axis=0) for each in (ratio, corner, depth))
-    grid = learn_places(LabelledPresses(*known, design=design)).locator.grid
-    rows, columns = grid.log_prior.shape
-    far = grid.low + grid.step * np.array([columns - 1, rows - 1])
-    reach = 1.5 * np.sqrt(0.15 * 0.06 / 5)  # whatever the presses themselves span
-    np.testing.assert_allclose(far, [corner[:, 0].max() + reach, 0.06], atol=grid.step)
-
-
-@pytest.mark.slow
-def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
-    ratio, places, _ = toy_presses(40)
-    table = Protocol(Protocol.skip(8, 1).table[:8], 8)
-    touched = np.full(40, State.TOUCH)
-    recording = touched_dataset(ratio, np.ones(8), places, protocol=table, state=touched)
-    loaded = Pipeline.load(Pipeline.fit(recording, POSITIONS).save(tmp_path / "a.eitmodel"))
-    assert loaded.layout.protocol == table
-    unknown = dataclasses.replace(recording, protocol=None)
-    assert PositionScore.from_dataset(loaded, unknown).frames == 8
-    other = dataclasses.replace(recording, protocol=Protocol(table.table[::-1], 8))
-    with pytest.raises(FrameError, match=r"trained for .* the frames have"):
-        PositionScore.from_dataset(loaded, other)
 
 
 @pytest.mark.slow

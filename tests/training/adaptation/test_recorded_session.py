@@ -9,7 +9,6 @@ from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
 from eitskin.cli.commands.live import command as live
-from eitskin.cli.page.plan import sensor_or_region
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
@@ -71,14 +70,6 @@ def test_a_press_has_a_position_and_nothing_else(learned):
     assert learned.process(frame(FLAT, 6)).touches == ()
 
 
-def test_a_new_session_has_a_new_reference(learned):
-    learned.process(frame(FLAT, 0))
-    assert len(learned.process(frame(pressed(PRESS), 1)).touches) == 1
-    assert learned.process(frame(pressed(PRESS), 0, session=1)).touches == ()
-    learned.reset()
-    assert learned.process(frame(pressed(PRESS), 2)).touches == ()
-
-
 def test_bad_channels_are_left_out_and_other_frames_refused(learned):
     learned.process(frame(FLAT, 0))
     values = pressed(PRESS)
@@ -115,18 +106,6 @@ def test_commands_run_it_live_and_evaluate_it(folder, capsys):
 
 def knowing(learned, **known):
     return dataclasses.replace(learned, layout=dataclasses.replace(learned.layout, **known))
-
-
-def test_the_page_shows_the_region_of_the_positions(learned):
-    sheet = sensor_or_region(learned)
-    assert sheet.low[0] < -0.03
-    assert sheet.high[1] > 0.03
-    assert sheet.contains(np.array([0.0, 0.0]))
-    assert not sheet.contains(np.array([0.2, 0.0]))
-    design = SensorDesign.reference()
-    assert sensor_or_region(knowing(learned, known_design=design)) is design
-    with pytest.raises(Exception, match="leave out --page"):
-        sensor_or_region(knowing(learned, extent=None))
 
 
 def test_what_is_known_of_the_sensor_is_saved(learned, tmp_path):

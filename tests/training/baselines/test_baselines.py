@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.training import InputSpec, Observations, Pipeline, TrainingSettings, evaluate
+from eitskin.training import Pipeline, TrainingSettings, evaluate
 from eitskin.training.baselines.greit_centroid import best_threshold
 from eitskin.training.baselines.regressions import (
     PARAMETERS,
@@ -16,12 +16,10 @@ from eitskin.training.baselines.regressions import (
     RidgeOptions,
     TreeOptions,
 )
-from eitskin.training.baselines.table import Features
 from eitskin.training.method.settings import silent
-from eitskin.training.method.targets import TrainingFrames
 
 from linear_sensor import linear_sensor
-from made_up_sensor import FLAT, frames, touch_change
+from made_up_sensor import frames
 from on_demand import OnDemand
 
 ensemble, linear_model = OnDemand("sklearn.ensemble"), OnDemand("sklearn.linear_model")
@@ -70,18 +68,6 @@ def test_it_estimates_only_what_has_labels_and_fills_in_a_bad_channel(dataset):
     status = np.broadcast_to(np.uint8(np.arange(28) == 5), untouched.status.shape)
     angles = pipeline.perceive(replace(untouched, status=status)).bend_angle_deg
     assert np.sqrt(np.mean((angles - untouched.bend_angle_deg) ** 2)) < 5.0
-
-
-def test_force_changes_the_direction_of_a_touch_little(dataset):
-    spec = InputSpec(dataset.design, dataset.protocol, dataset.frequency, FLAT)
-    fitted = Features.fit(TrainingFrames.from_dataset(dataset, spec))
-    light, firm = (touch_change([[0.05, 0.03]], force) for force in (0.5, 2.0))
-    one = np.ones(2)
-    dV = np.stack([light, firm])
-    table = fitted.apply(Observations(dV, dV, np.stack([FLAT, FLAT]), one, one, one, one, one))
-    raw = table * fitted.scale + fitted.mean
-    np.testing.assert_allclose(raw[0, 28:56], raw[1, 28:56], atol=1e-3)
-    assert raw[1, -1] - raw[0, -1] == pytest.approx(np.log(4.0), rel=0.01)
 
 
 @pytest.fixture

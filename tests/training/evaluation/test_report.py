@@ -12,11 +12,10 @@ from touched_dataset import touched_dataset
 
 from eitskin.datasets import State, touch_maps
 from eitskin.errors import ConfigurationError, DataError, PartialError
-from eitskin.geometry import Disc, Electrode, SensorDesign
+from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation import report as report_folder
-from eitskin.training.evaluation.drawing import draw_sensor, new_figure
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import (
     PICTURES,
@@ -169,22 +168,6 @@ def test_scores(evaluation):
     assert dataclasses.astuple(force) == pytest.approx((2, 1.5, 0.5))
 
 
-def test_spread_of_errors():
-    """Ten touches 0.1, 0.4, 0.9 ... 10 mm off."""
-    ten = [4] * 10
-    places = tuple(
-        FoundTouches.from_arrays([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11)
-    )
-    says = dataclasses.replace(chosen(perceived(), ten), touches=places)
-    report = Evaluation.from_dataset(pipeline(says), frames().select(ten)).report
-    score = report.touches["1"]
-    assert score.mean_error_mm == pytest.approx(3.85, rel=1e-4)
-    assert score.median_error_mm == pytest.approx(3.05, rel=1e-4)
-    assert score.deviation_mm == pytest.approx(np.std(np.arange(1, 11) ** 2 / 10), rel=1e-4)
-    assert score.p95_error_mm == pytest.approx(8.1 + 0.55 * 1.9, rel=1e-4)
-    assert (report.force, report.place_calibration, report.untouched) == (None, None, None)
-
-
 @pytest.mark.slow
 def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_path):
     folder = write_report(evaluation, tmp_path / "a" / "report", {"machine": "an abacus"})
@@ -217,18 +200,6 @@ def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path, monkey
     document = json.loads((folder / "report.json").read_text())
     assert set(document["left_out"]) == {"training_curves.png"}
     assert "28 frames" in document["pictures"]["bend_sequence.png"]
-
-
-def test_sensors_of_any_outline_are_drawn_to_scale():
-    """A disc of 50 mm radius; its electrodes, 10 mm long, are drawn along the rim."""
-    axes = new_figure(3.0, 3.0).subplots()
-    electrodes = tuple(Electrode(x, 0.05, width=0.010) for x in (0.0, 0.1))
-    draw_sensor(axes, SensorDesign(Disc(0.05), 0.005, electrodes))
-    rim, _, electrode = (np.column_stack(line.get_data()) for line in axes.lines)
-    for line in (rim, electrode):
-        assert np.hypot(*(line - 50.0).T) == pytest.approx(50.0)
-    assert np.linalg.norm(np.diff(electrode, axis=0), axis=1).sum() == pytest.approx(10.0, rel=1e-3)
-    assert np.mean(electrode, axis=0) == pytest.approx([100.0, 50.0], abs=0.5)
 
 
 def test_an_earlier_report_is_replaced_whole_or_not_at_all(evaluation, tmp_path, monkeypatch):

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from known_frames import known_frames
 from made_up_frames import made_up_frames
-from smooth_joint import LAYOUT, smooth_method
+from smooth_joint import smooth_method
 
 from eitskin.datasets import State
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import angle_training, specimen_model
-from eitskin.training.joint.angle_training import fit_angles, groups_of_specimens
+from eitskin.training.joint.angle_training import fit_angles
 from eitskin.training.joint.bend_curve import BEYOND_DEG, BendCurvePrior
 from eitskin.training.joint.combinations import Combinations, SpecimenFeatures
-from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.networks import (
     UNIT_DEG,
     AngleNetworks,
@@ -182,28 +181,6 @@ def test_the_curve_tells_flat_from_bent_where_networks_tell_the_angle():
     assert said.state.tolist() == [State.BEND, State.IDLE]
 
 
-def test_networks_are_told_features_of_their_own():
-    """Also by a method that was saved; `features` where they have none."""
-    method = smooth_method()
-    channels, flat = len(FLAT), FLAT * np.exp(0.02 * np.random.default_rng(4).standard_normal(28))
-    further = SpecimenFeatures(method.features.middle, 10.0 * np.eye(3, channels))
-
-    def angle(method, told):
-        slope = 0.1 * np.arange(1, len(told) + 1)
-        networks = constant_networks(method, 20.0, UNIT_DEG * np.exp(-2.0), slope)
-        change = method.bend_prior.predict([0.0]).value([20.0])
-        seen = known_frames(flat, 8, change, [20.0], before=change).observations
-        own = JointMethod.from_arrays(replace(method, angles=networks).arrays(), LAYOUT)
-        said = own.predict(seen).bend_angle_deg[0]
-        return said, 20.0 + UNIT_DEG * float(slope @ told)
-
-    own = angle(replace(method, angle_features=further), further.apply(flat))
-    without = angle(method, method.features.apply(flat))
-    assert own[0] == pytest.approx(own[1])
-    assert without[0] == pytest.approx(without[1])
-    assert abs(own[1] - without[1]) > 0.1
-
-
 # Learned
 
 
@@ -219,45 +196,6 @@ def test_networks_tell_angles_of_clamps_never_seen(trained):
     assert np.sqrt(np.mean((error / found[:, 1]) ** 2)) < 1.4
     assert curve.validation[-1] < curve.validation[0]
     assert said[-1] == ("angles", 90, 90)
-
-
-@pytest.mark.slow
-def test_networks_learn_clamps_between_those_of_the_training_set():
-    """Sensors whose curves are means of those of two clamps, of which alone networks learned."""
-
-    def between(shares, seed):
-        rng, number = np.random.default_rng(seed), np.repeat(np.arange(100), 6)
-        angle = rng.uniform(-20.0, 50.0, len(number))
-        share, u = np.resize(shares, 100)[number, None], angle[:, None] / 50.0
-        ways = np.random.default_rng(0).standard_normal((2, 3, CHANNELS)) * 0.02
-        one, other = (np.hstack([np.tanh(k * u), u**2, u]) @ way for k, way in enumerate(ways, 1))
-        change = (1.0 - share) * one + share * other + NOISE * rng.standard_normal(one.shape)
-        return replace(frames(100), change=change, angle_deg=angle, specimen=number)
-
-    def error(mixed):
-        networks, _ = fitted(between([0.0, 1.0], 1), mixed=mixed)
-        unseen = between([0.5], 2)
-        found = [networks.estimate(each, np.zeros(0), 1e-4)[0] for each in unseen.change]
-        return np.sqrt(np.mean((found - unseen.angle_deg) ** 2))
-
-    mixed, apart = error(angle_training.MIX_RANGE), error((0.0, 0.0))
-    assert mixed < 0.75 * apart, (mixed, apart)
-
-
-def test_specimens_of_one_clamp_are_left_out_together():
-    """Groups gather specimens that bend alike: far fewer factors in each than over all."""
-    data = frames(100, tightness=0.5)
-    factors = np.array(
-        [
-            np.abs(
-                data.change[data.specimen == k] / data.angle_deg[data.specimen == k, None]
-            ).mean()
-            for k in range(100)
-        ]
-    )
-    group = groups_of_specimens(data, 0)
-    within = [factors[group == g].std() for g in np.unique(group) if (group == g).sum() > 2]
-    assert np.mean(within) < 0.5 * factors.std()
 
 
 def test_known_clamps_teach_those_between_them():

@@ -150,15 +150,6 @@ def estimated(curve, change):
     return estimate_angle(curve, combined.change, combined.noise)
 
 
-def test_clean_frame_gives_its_angle(curve):
-    for angle in (-23.0, -20.0, -1.0, 0.0, 17.3, 50.0, 53.0):
-        found, error = estimated(curve, curve.value(angle))
-        assert found == pytest.approx(angle, abs=1e-3)
-        assert error > 0
-    beyond, _ = estimate_angle(curve, curve.value(80.0), NOISE)
-    assert beyond == 55.0
-
-
 def test_stated_error_is_that_of_many_frames(curve, rng):
     """Standardised errors over specimens and noise, with a bad channel in half of the frames."""
     for angle in (-15.0, 10.0, 40.0):
@@ -210,19 +201,6 @@ def test_mixed_model_finds_covariance_and_mean(rng):
         np.testing.assert_allclose(
             curves.predict(()).value(angle), truth.value(angle), atol=4 * np.sqrt(scale.max() / 400)
         )
-
-
-def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
-    true = own_covariance(rng, 3e-4)
-    effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
-    data = made_up(rng, 200, 8, true, effect)
-    curves = BendCurvePrior.fit(data)
-    blind = BendCurvePrior.fit(replace(data, features=data.features[:, :0]))
-    assert np.trace(blind.covariance) > 5 * np.trace(curves.covariance)
-    one = curves.predict([1.0, -0.5]).value(40.0)
-    expected = powers(40.0, MEAN_POWERS) @ (mean_curve() + effect[0] - 0.5 * effect[1])
-    np.testing.assert_allclose(one, expected, atol=3e-4)
-    assert np.abs(curves.predict([0.0, 0.0]).value(40.0) - expected).max() > 1e-3
 
 
 def test_expected_curves_are_those_conditioned_on_all_frames(rng):

@@ -1,11 +1,9 @@
 """Combinations of measurements, to which nothing is lost, and features of specimens."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made_up_frames import made_up_frames
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
@@ -14,7 +12,6 @@ from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import (
     ANGLE_FEATURES,
     CLIP_SIGMA,
-    RESPONSE_FEATURES,
     Combinations,
     SpecimenFeatures,
 )
@@ -100,25 +97,6 @@ def test_measurements_that_are_left_out_are_left_out_of_their_combinations():
     np.testing.assert_allclose(combined.change, FEW.combine(change, 2.0, 0.0).change, atol=1e-12)
 
 
-@pytest.mark.parametrize("fault", ["measurement", "contact"])
-def test_faults_that_no_combination_shows_are_found(fault):
-    """The remainder tells them: a changed contact, or one measurement unlike its reciprocal."""
-    expected = {"measurement": "does not fit", "contact": "contact of electrode 3"}[fault]
-    members = [17] if fault == "measurement" else contact_members(3)
-    change = measured()
-    share = np.ones(len(members)) if fault == "measurement" else np.median(FLAT) / FLAT[members]
-    change[members] += 0.005 * share
-    few = fitted(FEW, change)
-    assert [expected in each.name for each in few.faults] == [True]
-    assert_same(few, fitted(ALL, change))
-
-
-def contact_members(electrode):
-    faults = possible_faults(PROTOCOL, FLAT).faults
-    name = f"the contact of electrode {electrode} "
-    return list(next(each.members for each in faults if name in each.name))
-
-
 def test_combinations_that_nothing_tells_are_unknown():
     """With fewer good measurements than combinations; where they tell, they are least squares."""
     good = np.arange(COUNT) % 28 > 9
@@ -128,16 +106,6 @@ def test_combinations_that_nothing_tells_are_unknown():
     assert not forward[:, ~good].any()
     few = np.arange(COUNT) < 10
     assert np.linalg.eigvalsh(FEW.restrict(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
-
-
-def test_noise_of_frames_in_combinations_is_that_of_their_measurements():
-    """White noise of the measurements, and a drift of all."""
-    alone = made_up_frames(np.zeros((2, COUNT)), np.zeros(2), np.arange(2), np.diag(NOISES**2))
-    frames = replace(alone, variance=1.5)
-    features = SimpleNamespace(apply=lambda flat: flat[:, :2])
-    found = frames.combine(features, FEW, drift=4e-8)
-    expected = FEW.forward.T @ (1.5 * np.diag(NOISES**2) + 4e-8) @ FEW.forward
-    np.testing.assert_allclose(found.noise, expected, atol=1e-12)
 
 
 def test_signals_are_told_from_noise():
@@ -170,14 +138,6 @@ def rng():
     return np.random.default_rng(3)
 
 
-def test_common_factor_does_not_matter(rng):
-    flat = specimens(50, rng)
-    features = SpecimenFeatures.fit(flat, IMAGES)
-    np.testing.assert_allclose(features.apply(3.0 * flat), features.apply(flat), atol=1e-9)
-    scaled = SpecimenFeatures.fit(flat * rng.uniform(0.2, 5.0, (50, 1)), IMAGES)
-    np.testing.assert_allclose(scaled.apply(flat), features.apply(flat), atol=1e-9)
-
-
 def test_features_are_uncorrelated_and_of_variance_one(rng):
     """Unit variance over the specimens and their mirror images."""
     flat = specimens(120, rng)
@@ -186,24 +146,6 @@ def test_features_are_uncorrelated_and_of_variance_one(rng):
     assert said.shape == (480, ANGLE_FEATURES)
     np.testing.assert_allclose(said.mean(axis=0), 0.0, atol=1e-9)
     np.testing.assert_allclose(said.T @ said / 480, np.eye(ANGLE_FEATURES), atol=1e-9)
-
-
-def test_the_first_features_are_those_of_an_analysis_of_fewer(rng):
-    flat = specimens(200, rng)
-    few, every = SpecimenFeatures.fit(flat, IMAGES, 5), SpecimenFeatures.fit(flat, IMAGES)
-    assert len(every.directions) == ANGLE_FEATURES
-    np.testing.assert_array_equal(every.first(5).apply(flat), few.apply(flat))
-    assert every.first().apply(flat).shape == (200, RESPONSE_FEATURES)
-
-
-def test_mirrors_make_specimens(rng):
-    """The mean is mirror symmetric, though no specimen is."""
-    flat = specimens(10, rng)
-    features = SpecimenFeatures.fit(flat, IMAGES)
-    for mirror in IMAGES:
-        np.testing.assert_allclose(features.middle[mirror.order], features.middle, atol=1e-12)
-    alone = SpecimenFeatures.fit(flat, TRIVIAL)
-    assert not np.allclose(alone.middle[IMAGES[1].order], alone.middle, atol=1e-3)
 
 
 def test_bad_channel_says_nothing(rng):

@@ -110,16 +110,6 @@ def test_touches_that_no_sensor_explains_tell_less(method):
     assert wide > 2.0 * usual
 
 
-def test_frames_of_one_held_touch_count_as_one(method):
-    """Errors of the response are the same in all of them."""
-    rng = np.random.default_rng(7)
-    one = sensor(method, rng.standard_normal(LATENT))
-    known = pressed(one, 6, rng)
-    held = known[np.repeat(np.arange(6), 8)]
-    sizes = [np.linalg.norm(method.adapt(each)[0].own_latent) for each in (known, held)]
-    assert sizes[1] > 0.5 * sizes[0]  # 1 / sqrt 8 of it, did each count
-
-
 def test_touches_that_contradict_each_other_leave_the_response_as_it_is(method):
     """Each touch has another sensor's response: what some tell makes others worse."""
     rng = np.random.default_rng(8)
@@ -131,13 +121,3 @@ def test_touches_that_contradict_each_other_leave_the_response_as_it_is(method):
     assert left(method.adapt(known)[0], middle, rng) < 0.5 * np.median(
         [left(method.adapt(each)[0], middle, rng) for each in frames]
     )
-
-
-def test_bad_measurements_count_for_nothing(method):
-    rng = np.random.default_rng(5)
-    one = sensor(method, rng.standard_normal(LATENT))
-    known = pressed(one, 15, rng)
-    dynamic = known.observations.dynamic.copy()
-    dynamic[:, 3] = np.nan
-    part = replace(known, observations=replace(known.observations, dynamic=dynamic))
-    assert left(method.adapt(part)[0], one, rng) < 0.3 * left(method, one, rng)

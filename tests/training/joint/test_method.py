@@ -9,8 +9,6 @@ from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
 from eitskin.simulator.instrument.session import DRIFT_TIME
-from eitskin.training.joint.combinations import CLIP_SIGMA
-from eitskin.training.joint.frame_predictions import ErrorScale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.observations import Observations
 
@@ -86,22 +84,6 @@ def test_idle_bent_and_touched_frames(method):
         assert said.problems == ((),)
 
 
-def test_curves_do_not_extrapolate_to_sensors_far_from_all_that_were_learned(method):
-    direction = np.linalg.pinv(method.features.directions)[:, 0]
-    flat = (np.exp(method.features.middle + size * direction) for size in (12.0, CLIP_SIGMA))
-    far, bound = (method._specimen(each).features for each in flat)
-    np.testing.assert_allclose(far, bound, atol=1e-9)
-
-
-def test_saved_copies_are_checked_by_places_and_standard_errors(method):
-    """`scaled` states other standard errors of places, which its checks undo."""
-    frame = observed(method, [TOUCH], rng=np.random.default_rng(0))
-    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5), own_error_scale=1.5)
-    once, again = (each.outputs(frame)["touch_map"] for each in (method, scaled))
-    np.testing.assert_allclose(once, again, atol=1e-6)
-    assert not np.array_equal(once, method.predict(frame).touch_map)  # blurred
-
-
 def test_probabilities_add_up_and_follow_the_evidence(method):
     """Probabilities rise with the force of a touch and with the angle of a bend."""
     still = method.predict(observed(method)).probabilities[0]
@@ -113,18 +95,6 @@ def test_probabilities_add_up_and_follow_the_evidence(method):
     assert bends == sorted(bends)
     assert bends[0] < 0.1
     assert bends[-1] > 0.99
-
-
-def test_state_and_touches_agree(method):
-    """Touched frames alone have touches, also near the threshold of detection."""
-    rng = np.random.default_rng(2)
-    for factor in (0.02, 0.05, 0.1, 0.2):
-        one = method.response.for_specimen(method.features.apply(FLAT))
-        wrong = factor * one(np.array([TOUCH]), 0.0)[0]
-        for _ in range(5):
-            said = method.predict(observed(method, rng=rng, wrong=wrong))
-            assert (said.state[0] == State.TOUCH) == (len(said.touches[0]) > 0)
-            assert said.touch_map.any() == (len(said.touches[0]) > 0)
 
 
 def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
@@ -155,26 +125,6 @@ def test_bad_channels_are_done_without(method, bad):
         (found,) = touched.touches
         assert len(found) == 1
         assert np.hypot(*(found.place[0] - TOUCH[:2])) < 5 * found.deviation[0]
-
-
-def test_channel_that_was_bad_in_the_flat_sensor_is_done_without(method):
-    flat = FLAT.copy()
-    flat[7] = np.nan
-    said = method.predict(broken(observed(method, [TOUCH], 20.0, flat=flat), [7]))
-    assert said.state[0] == State.TOUCH
-    assert len(said.touches[0]) == 1
-    assert np.isfinite(said.probabilities).all()
-
-
-def test_values_without_a_logarithm_are_bad_channels(method):
-    good = observed(method, [TOUCH], 20.0)
-    static, dynamic = good.static.copy(), good.dynamic.copy()
-    static[0, 3] = dynamic[0, 3] = -1.0  # nothing measured
-    static[0, 9] = dynamic[0, 9] = -2.5  # the other sign
-    said = method.predict(replace(good, static=static, dynamic=dynamic))
-    expected = method.predict(broken(good, [3, 9]))
-    np.testing.assert_array_equal(said.touches[0].place, expected.touches[0].place)
-    np.testing.assert_array_equal(said.bend_angle_deg, expected.bend_angle_deg)
 
 
 @pytest.mark.parametrize("size", [0.003, 0.3])
@@ -261,18 +211,6 @@ def test_calibration_makes_angles_right_and_surer(method):
     assert told.residual_deg < 0.3
 
 
-def test_drift_during_calibration_is_not_taken_for_the_curve(method):
-    """A common change of half a percent after four hours hardly moves the curve."""
-    angles = np.full(6, 30.0)
-    change = method.bend_prior.predict([0.0]).value(angles) + 5e-3
-    bend = {}
-    for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
-        known = known_frames(FLAT, 4, change, angles, age=age)
-        curve = method.adapt(known)[0].calibrated
-        bend[name] = np.abs(curve.effects).max()
-    assert bend["old"] < 0.3 * bend["fresh"]
-
-
 def test_known_frames_of_unknown_times_share_no_drift(method):
     """Standard errors hold, though each frame has drifted by itself."""
     rng, angles = np.random.default_rng(6), np.array([-15.0, 10.0, 20.0, 30.0, 45.0])
@@ -313,19 +251,6 @@ def test_other_sensor_than_the_calibrated_one_is_told(method):
     assert "calibrated for" in one.predict(other).problems[0][0]
     gain = observed(method, flat=1.3 * FLAT)
     assert one.predict(gain).problems == ((),)
-
-
-def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
-    """A fault since the static reference is left out of the angle."""
-    size = 0.005
-    wrong = np.zeros(28)
-    wrong[ELECTRODE] = np.log1p(size * np.median(FLAT) / FLAT[ELECTRODE])
-    right = observed(method, angle_deg=30.0, rng=np.random.default_rng(5))
-    shifted = replace(right, static=np.expm1(np.log1p(right.static) + wrong))
-    said = method.predict(shifted)
-    assert said.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * said.bend_deviation_deg[0])
-    assert any("electrode 3" in problem for problem in said.problems[0])
-    assert method.predict(right).problems == ((),)
 
 
 def test_a_static_reference_that_nothing_explains_is_told(method):

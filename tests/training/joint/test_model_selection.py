@@ -20,14 +20,13 @@ from one_frame import (
     residual,
 )
 
-from eitskin.training.joint import fit_kernels, model_selection
+from eitskin.training.joint import model_selection
 from eitskin.training.joint.model_selection import fit_frame, misfit_rise
 from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
-from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates, prune
+from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates
 
 from smooth_sensor import (
     RANGES,
-    TOUCH_PRIOR,
     places,
     response,
 )
@@ -67,39 +66,6 @@ def test_gradient_is_that_of_finite_differences(kind):
         assert quadratic.products[0, 1:][i] == pytest.approx(expected, rel=1e-4, abs=1e-6 * size)
 
 
-def test_two_touches_at_one_place_can_be_told_apart():
-    """Coincident touches in a corner part again; the Hessian stays regular."""
-    objective = frame(TOUCHES[2])
-    corner = np.array([TOUCH_PRIOR.low, TOUCH_PRIOR.low])
-    found = levenberg_marquardt(objective, objective.linearise(Unknowns(corner, 0.0)), 30, 1e-6)
-    assert np.linalg.eigvalsh(found.hessian).min() > 0
-    apart = np.linalg.norm(found.unknowns.touches[0, :2] - found.unknowns.touches[1, :2])
-    assert apart > 0.5 * TOUCH_PRIOR.separation
-
-
-def test_fits_end_where_their_goal_is_out_of_reach_and_nowhere_else(monkeypatch):
-    """One touch cannot explain two; two that start a few millimetres off can."""
-    objective = frame(TOUCHES[2], 0.0, 0.0, np.random.default_rng(12))
-    counted, linearise = [], fit_kernels.linearise
-
-    def counting(*told):
-        counted.append(told)
-        return linearise(*told)
-
-    monkeypatch.setattr(fit_kernels, "linearise", counting)
-    for touches, reached in ((TOUCHES[2][:1], False), (np.array(TOUCHES[2]) + 0.003, True)):
-        start = objective.linearise(Unknowns(np.array(touches), 0.0))
-        counted.clear()
-        free = levenberg_marquardt(objective, start, 8, 0.03)
-        steps, goal = len(counted), free.misfit + 10.0 if reached else 100.0
-        counted.clear()
-        found = levenberg_marquardt(objective, start, 8, 0.03, objective.whitening(start), goal)
-        assert (found.misfit < goal) == reached == (free.misfit < goal)
-        assert (len(counted) == steps) if reached else (len(counted) < steps)
-        if reached:
-            np.testing.assert_array_equal(found.unknowns.touches, free.unknowns.touches)
-
-
 def test_residuals_are_whitened_with_noise_bend_and_response():
     """Whitened residuals of many specimens are uncorrelated, with unit variance."""
     rng = np.random.default_rng(4)
@@ -119,16 +85,6 @@ def test_residuals_are_whitened_with_noise_bend_and_response():
     change = objective.combined.change
     left = np.array([whitening @ residual(changed(objective, change + w), unknowns) for w in wrong])
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
-
-
-def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
-    """Channels of one frame see the sensor move from 24 to 36 deg; the reference was at 18."""
-    angles = np.linspace(24.0, 36.0, 28)
-    scanned = np.array([CURVE.value(angle)[i] for i, angle in enumerate(angles)])
-    still = frame([], 30.0, 18.0)
-    moving = changed(still, scanned - CURVE.value(18.0))
-    assert len(fit_frame(moving, candidates(18.0)).touches) == 0
-    assert fit_frame(moving, candidates(18.0)).angle_deg == pytest.approx(30.0, abs=2.0)
 
 
 # Recovery
@@ -160,28 +116,6 @@ def test_a_fit_that_ends_far_from_the_bend_begins_again_at_an_angle_given(monkey
     assert len(touched.touches) == 1  # well explained, without another angle
 
 
-@pytest.mark.parametrize(("angle_deg", "reference_deg"), [(22.0, 15.0), (-5.0, 4.0), (40.0, 10.0)])
-def test_touch_and_bend_since_the_reference_are_found_together(angle_deg, reference_deg):
-    rng = np.random.default_rng(2)
-    found = explained(frame(TOUCHES[2], angle_deg, reference_deg, rng))
-    assert len(found.touches) == 2
-    order = matched(found.touches, TOUCHES[2])
-    away = np.linalg.norm(found.touches[order, :2] - np.array(TOUCHES[2])[:, :2], axis=1)
-    assert away.max() < 0.006
-    assert found.angle_deg == pytest.approx(angle_deg, abs=4 * found.angle_deviation_deg + 0.2)
-
-
-def test_a_second_look_ends_where_it_comes_to_what_the_first_found(monkeypatch):
-    ends = []
-    monkeypatch.setattr(
-        model_selection, "prune", lambda *args: ends.append(prune(*args)) or ends[-1]
-    )
-    objective = frame(TOUCHES[3], 24.0, 15.0, np.random.default_rng(1))  # far: looked at again
-    found = explained(objective, np.array(TOUCHES[3])[::-1, :2])
-    assert len(found.touches) == 3
-    assert len(ends) == 1
-
-
 def test_estimates_are_compared_whatever_the_order_of_their_touches():
     objective = frame(TOUCHES[3])
 
@@ -196,21 +130,6 @@ def test_estimates_are_compared_whatever_the_order_of_their_touches():
     moved = np.add(other, [[0.0, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 0.0]])
     rise = at(moved, 0.02).misfit - one.misfit
     assert misfit_rise(one, at(moved, 0.02)) == pytest.approx(rise, rel=0.1)
-
-
-def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():
-    rng = np.random.default_rng(3)
-    objective = frame(TOUCHES[2], 0.0, 0.0, rng)
-    alone = explained(objective)
-    for proposed in (
-        [[0.032, 0.038], [0.105, 0.022]],
-        [[0.130, 0.045]],
-        [[0.075, 0.030], [0.02, 0.01], [0.14, 0.05]],
-    ):
-        said = explained(objective, np.array(proposed))
-        assert len(said.touches) == 2
-        order = matched(said.touches, alone.touches)
-        np.testing.assert_allclose(said.touches[order, :2], alone.touches[:, :2], atol=5e-4)
 
 
 # Errors, and false alarms
@@ -262,22 +181,6 @@ def test_weak_touch_is_found_from_the_threshold_on():
         said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
         assert len(said.touches) == count
         assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
-
-
-def test_a_touch_beside_another_needs_less_evidence_than_one_alone():
-    """The weakest that is found: its misfit goes with the square of its change."""
-    weak, tried = faint(0.05)
-    strong, other = weak(np.array(TOUCHES[2]), 0.0)
-
-    def weakest(beside):
-        for share in np.arange(0.1, 1.5, 0.005):
-            seen = replace(changed(frame(), beside + share * other), response=weak)
-            if len(fit_frame(seen, tried).touches) > bool(beside.any()):
-                return share
-        return np.inf
-
-    alone, beside = weakest(np.zeros(28)), weakest(2.0 * strong)
-    assert beside < alone
 
 
 def test_errors_beyond_the_model_are_no_further_touches():

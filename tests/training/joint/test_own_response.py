@@ -106,24 +106,3 @@ def test_known_touches_keep_the_twin_of_the_sensor_and_refuse_that_of_another(
     refused, told = method.adapt(replace(known, twin=other))
     assert not told.twin.accepts_twin
     np.testing.assert_array_equal(refused.own_output, method.adapt(known)[0].own_output)
-
-
-def test_candidates_of_the_search_have_the_twins_response(method, learned):
-    twin = Twin(learned, 0.15)
-    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    one = method.adapt(replace(flat, twin=twin))[0]
-    candidates = one._specimen(FLAT).candidates(0.0, method.places, method._rows)
-    seen = np.column_stack([candidates.places, np.full(len(candidates.places), candidates.force)])
-    inside = (seen[:, 0] < 0.115) & (seen[:, 0] > 0.012) & (np.abs(seen[:, 1] - 0.030) < 0.017)
-    exact = twin.changes(seen, 0.0, RADIUS)
-    left = candidates.change[inside] - exact[inside]
-    assert rms(left) < 0.04 * rms(exact[inside])
-
-
-def test_a_method_without_forces_leaves_a_twin_alone(method, learned):
-    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    twin = Twin(learned, 0.1)
-    one, told = replace(method, forces=False).adapt(replace(flat, twin=twin))
-    assert told.twin is None
-    assert one.own_output is None
-    assert not twin.pressed

@@ -1,20 +1,15 @@
 """Standard errors of places: scales by known touches, and the picture that checks copies."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.stats import norm
-from smooth_joint import LAYOUT, smooth_method
 
-from eitskin.errors import DataError
 from eitskin.training.joint.frame_predictions import (
     STRANGEST,
     ErrorScale,
     disc_map,
     own_error_scale,
 )
-from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.predictions import FoundTouches
 
 
@@ -65,24 +60,6 @@ def test_a_scale_of_few_or_no_touches_stays_near_one():
     assert ErrorScale.fit(touches, found, features).evaluate(np.zeros(2)) > 0.1
 
 
-def test_a_sensor_without_features_has_the_usual_scale():
-    touches, found, _ = many(ErrorScale(2.0))
-    scale = ErrorScale.fit(touches, found, np.zeros((len(touches), 0)))
-    assert scale.evaluate(np.zeros(0)) ** 2 == pytest.approx(2.0, rel=0.1)
-
-
-def test_pipelines_saved_with_one_scale_of_standard_errors_keep_it():
-    method = smooth_method()
-    scaled = replace(method, error_scale=ErrorScale(3.0, 0.5))
-    arrays = scaled.arrays()
-    assert JointMethod.from_arrays(arrays, LAYOUT).error_scale == scaled.error_scale
-    before = JointMethod.from_arrays(arrays | {"error_scale": np.array(2.0)}, LAYOUT)
-    assert before.error_scale.evaluate(np.array([1.5])) == 2.0
-    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
-        with pytest.raises(DataError, match="standard errors"):
-            JointMethod.from_arrays(arrays | {"error_scale": np.array(wrong)}, LAYOUT)
-
-
 SIZE, RADIUS = (0.150, 0.060), 0.0075
 FINE = (240, 600)  # pixels of 0.25 mm
 
@@ -103,9 +80,3 @@ def test_map_is_that_of_the_plain_formula(deviation):
         free *= norm.sf((RADIUS - away) / max(deviation, 1e-6))
     said = drawn(places, [deviation] * 3, shape)
     np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)
-
-
-def test_no_touch_is_an_empty_map_of_the_shape_asked_for():
-    empty = disc_map(np.zeros((0, 2)), np.zeros(0), RADIUS, SIZE, (32, 80))
-    assert empty.shape == (32, 80)
-    assert not empty.any()

@@ -110,13 +110,6 @@ def test_places_are_the_peaks_likeliest_first():
     np.testing.assert_allclose(found, [[0.112, 0.037], [0.032, 0.023]], atol=1.5e-3)
 
 
-def test_one_peak_is_one_place_and_there_are_four_at_most():
-    near = picture((0.050, 0.030, 0.9), (0.056, 0.030, 0.8)).places(np.zeros(3), 0.030)
-    assert len(near) == 1
-    many = [(0.02 + 0.022 * i, 0.03, 0.5) for i in range(6)]
-    assert len(picture(*many).places(np.zeros(3), 0.030)) == MAX_TOUCHES
-
-
 def test_inputs_take_what_is_not_finite_for_no_change():
     noise = np.full(3, 1e-4)
     said = network_inputs(np.array([np.nan, -np.inf, 2e-4]), noise, 15.0, np.array([0.5, -1.0]))

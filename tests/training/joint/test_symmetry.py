@@ -51,18 +51,6 @@ def test_touch_in_the_mirror_measures_what_the_mirror_says():
         np.testing.assert_allclose(there, here[mirror.order], rtol=1e-8)
 
 
-def test_places_in_the_mirrors():
-    found = mirrors(SensorDesign.reference(), PAIRWISE)
-    x, y = np.array([0.0, 0.03]), np.array([0.06, 0.01])
-    said = {mirror.flips: np.round(np.array(mirror.places(x, y)), 9).tolist() for mirror in found}
-    assert said == {
-        NONE: [[0.0, 0.03], [0.06, 0.01]],
-        ACROSS_X: [[0.15, 0.12], [0.06, 0.01]],
-        ACROSS_Y: [[0.0, 0.03], [0.0, 0.05]],
-        TURNED: [[0.15, 0.12], [0.0, 0.05]],
-    }
-
-
 CORNERS = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.06), (0.0, 0.06))
 CUT = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.048), (0.14, 0.06), (0.0, 0.06))
 REFERENCE = SensorDesign.reference()

@@ -9,7 +9,6 @@ from made_up_frames import made_up_frames
 
 from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
-from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.touch_response import TouchPrior, TouchResponse
 from eitskin.training.joint.touch_training import (
     ResponseNetwork,
@@ -19,9 +18,7 @@ from eitskin.training.joint.touch_training import (
 )
 from eitskin.training.method.settings import NetworkSettings, silent
 
-from smooth_sensor import MEASUREMENTS, RANGES, SIZE, TOUCH_PRIOR, curve, response, touch_change
-
-STEPS = np.array([1e-6, 1e-6, 1e-4])  # m, m, N
+from smooth_sensor import RANGES, SIZE, TOUCH_PRIOR, response, touch_change
 
 
 @pytest.fixture(scope="module")
@@ -32,21 +29,6 @@ def learned():
 @pytest.fixture
 def touches():
     return np.random.default_rng(1).uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (6, 3))
-
-
-def test_derivatives_are_those_of_finite_differences(learned, touches):
-    one = learned.for_specimen([0.5, -1.0])
-    said = one.with_derivatives(touches, 20.0)
-    values, slopes = said[0], said[1:]
-    np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
-    assert slopes.shape == (3, 6, 28)
-    for axis in range(3):
-        step = np.eye(3)[axis] * STEPS[axis]
-        rise = one(touches + step, 20.0) - one(touches - step, 20.0)
-        numeric = rise / (2 * STEPS[axis])
-        np.testing.assert_allclose(
-            slopes[axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
-        )
 
 
 def plain(learned, p, touches, angle_deg):
@@ -76,13 +58,6 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
     np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
     said = one.with_derivatives(touches, 33.0)
     np.testing.assert_allclose(said[0], expected, rtol=0, atol=1e-12 * size)
-
-
-def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
-    one = learned.for_specimen([1.0, 1.0])
-    np.testing.assert_array_equal(one(touches * [1.0, 1.0, 0.0], 30.0), 0.0)
-    assert np.abs(one(touches, 30.0) / one(touches, 0.0) - 1.0).max() > 0.01
-    assert one(touches[:0], 0.0).shape == (0, 28)
 
 
 def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
@@ -202,24 +177,3 @@ def test_prior_is_estimated_from_touches():
     mean = known.mean()
     assert prior.force == pytest.approx((mean, np.hypot(known.std(), 0.15 * mean)))
     np.testing.assert_allclose(prior.box[0], [0.0615, 0.030, mean])
-
-
-def test_single_touches_keep_the_indenters_apart():
-    single = np.stack([X, Y, FORCE], axis=-1)
-    single[:, 1:] = NAN
-    prior = TouchPrior.fit(single, SIZE, 0.0075)
-    assert prior.separation == 0.015
-
-
-@pytest.mark.parametrize("mean", [5.0, 8.0, 11.0])
-def test_changed_prior_pulls_forces(mean):
-    """The estimate of an 8 N touch in large noise approaches the prior's mean force."""
-    prior = replace(TOUCH_PRIOR, force=(mean, 0.2))
-    assert prior.box[0, 2] == mean
-    one = response().for_specimen(())
-    true = Unknowns(np.array([[0.060, 0.030, 8.0]]), 0.0)
-    change = one(true.touches, 0.0)[0]
-    combined = MEASUREMENTS.combine(change, 2.0 * 30**2, 0.0)
-    objective = TouchObjective(combined, 0.0, one, curve(), prior)
-    found = levenberg_marquardt(objective, objective.linearise(true), 30, 1e-9)
-    assert found.unknowns.touches[0, 2] == pytest.approx(mean, abs=0.3)

@@ -16,7 +16,6 @@ from eitskin.training.joint.touch_search import (
     MIN_DISTANCE,
     PAIR_STRIDE,
     TouchCandidates,
-    initial_touches,
     pair_starts,
 )
 
@@ -77,20 +76,6 @@ def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
         assert promise == pytest.approx(best[0], rel=1e-6)
         np.testing.assert_allclose(pair.touches[-2:, :2], tried[list(best[1])])
         np.testing.assert_allclose(pair.touches[-2:, 2], best[2], rtol=1e-6)
-
-
-def test_forces_are_the_least_squares_with_their_prior(objective):
-    untouched = objective.linearise(Unknowns(np.zeros((0, 3)), 13.0))
-    said = initial_touches(objective, TWO[:, :2], untouched).touches
-    whitening = objective.whitening(untouched)
-    mean, deviation = TOUCH_PRIOR.force
-    unit = np.column_stack([TWO[:, :2], np.full(2, mean)])
-    shapes = whitening @ ONE(unit, 13.0).T / mean
-    A = np.vstack([shapes, np.eye(2) / deviation])
-    b = np.concatenate(
-        [whitening @ residual(objective, untouched.unknowns), np.full(2, mean / deviation)]
-    )
-    np.testing.assert_allclose(said[:, 2], np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-8)
 
 
 def test_possible_faults_are_every_channel_and_every_contact():
@@ -198,20 +183,3 @@ def test_a_fit_beyond_a_bound_is_the_best_within(force):
     assert found.misfit == pytest.approx(best.fun, abs=0.1 if weak else 1e-5 * best.fun)
     away = np.abs(found.unknowns.touches[0, :2] - 0.01 * best.x[1:3]).max()
     assert away < (1e-3 if weak else 2e-5)
-
-
-def test_the_step_at_which_a_fit_ends_leads_on_to_its_minimum():
-    objective = frame(TOUCHES[2], 15.0, 10.0, np.random.default_rng(4))
-    start = objective.linearise(Unknowns(np.array(TOUCHES[2]) + 0.004, 12.0))
-    whitening = objective.whitening(start)
-    coarse, fine = (
-        levenberg_marquardt(objective, start, 30, tolerance, whitening)
-        for tolerance in (20.0, 1e-10)
-    )
-    off, on = (
-        np.abs(unknowns.touches - fine.unknowns.touches)[:, :2].max()
-        for unknowns in (coarse.unknowns, coarse.minimum(20.0))
-    )
-    assert on < 0.3 * off
-    early = levenberg_marquardt(objective, start, 1, 20.0, whitening)
-    assert early.minimum(20.0).touches is early.at.touches  # it ended before its minimum

@@ -4,11 +4,10 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from touched_dataset import touched_dataset
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.datasets import State, save_dataset
+from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame
 from eitskin.training import Pipeline
@@ -76,17 +75,6 @@ def test_angles_that_cannot_be_are_refused(saved, sensor):
 
 def run(*arguments, **options):
     return CliRunner().invoke(app, [str(a) for a in ("calibrate", *arguments)], **options)
-
-
-@pytest.mark.slow
-def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
-    folder, out, angles = tmp_path / "bends", tmp_path / "mine.eitmodel", ANGLES[1:]
-    known = {"state": np.full(len(angles), State.BEND), "bend_angle_deg": np.array(angles)}
-    values = [frame.impedance for frame in frames(sensor, angles)]
-    save_dataset(touched_dataset(values, sensor.flat, protocol=sensor.protocol, **known), folder)
-    done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
-    assert done.exit_code == 0, done.output
-    assert rmse(Pipeline.load(out), sensor) < 0.5
 
 
 @pytest.mark.slow

@@ -60,13 +60,6 @@ def test_frames_that_a_touch_is_compared_with(labels, levels, row, change, refer
     np.testing.assert_allclose(found.touches[row, 0], [0.05, 0.03, 8.0])
 
 
-def test_what_is_unknown_is_neither_touched_nor_bent():
-    found = known([REST, FrameLabel(20.0, None), UNKNOWN], [0.0, 0.1, 0.1])
-    assert not (found.has_touches | found.is_bent).any()
-    light = FrameLabel(0.0, (TouchLabel(0.1, 0.03),))
-    assert np.isnan(known([REST, light], [0, 0]).touches[1, 0, 2])
-
-
 def dataset():
     """Frames idle, bent, and touched flat and bent, of one specimen."""
     levels = np.array([0.0, 0.01, 0.03, 0.04])

@@ -7,7 +7,7 @@ import torch
 from eitskin.errors import ConfigurationError
 from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings
-from eitskin.training.method.network_training import Samples, mean_loss, train_network
+from eitskin.training.method.network_training import Samples, train_network
 
 INPUTS = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
 TARGETS = INPUTS @ np.float32([[1.0], [-2.0], [0.5]])
@@ -34,15 +34,6 @@ def fit(validation=None, rate=0.1, epochs=12):
         network, given.batch, loss, given.count, settings, 0, lambda *_: None, validation
     )
     return history, network.weight.detach().numpy()
-
-
-def test_mean_loss_weighs_samples_and_not_pieces():
-    """300 samples in batches of 256 and 44, with the squared target as loss."""
-    targets = np.arange(300, dtype=np.float32)[:, None]
-    found = mean_loss(
-        torch.nn.Identity(), samples(0 * targets, targets), torch.nn.functional.mse_loss
-    )
-    assert found == pytest.approx(np.mean(np.arange(300.0) ** 2), rel=1e-6)
 
 
 @pytest.mark.slow

@@ -10,15 +10,11 @@ from touched_dataset import touched_dataset
 from eitskin.datasets import Dataset, State
 from eitskin.datasets.store.schema import UNKNOWN_STATE
 from eitskin.errors import DataError
-from eitskin.geometry import SensorDesign
-from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
-from eitskin.training.method.settings import NetworkSettings, TrainingSettings, hold_out
+from eitskin.training.method.settings import TrainingSettings, hold_out
 from eitskin.training.method.targets import (
-    NOMINAL_RADIUS,
     Targets,
-    learnable,
     most_probable,
     require_targets,
     with_implied_labels,
@@ -48,14 +44,6 @@ def test_noise_of_each_channel():
     noise, overall = found(data), frame_noise(data, Observations.from_dataset(data))
     assert (noise[:6] > 0).all()
     assert (noise[:6] < 1e-3 * (noise[6:].min() + overall)).all()
-
-
-def test_there_are_more_epochs_where_frames_are_few():
-    settings = NetworkSettings(1e-3, epochs=40, batch=32, fewest_steps=800)
-    epochs = [settings.count_epochs(count) for count in (5, 40, 240, 640, 6400)]
-    assert epochs == [800, 400, 100, 40, 40]
-    assert NetworkSettings(1e-3, epochs=40, batch=32).count_epochs(5) == 40
-    assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.count_epochs(5) == 3
 
 
 UNKNOWN = UNKNOWN_STATE
@@ -116,18 +104,6 @@ def test_states_and_angles_follow_from_other_labels():
     assert data.bend_angle_deg.tolist() == [0.0] * 3  # of a sensor that is never bent
     bent = frames([0, 2], [np.nan, np.nan])
     assert np.isnan(with_implied_labels(bent).bend_angle_deg).all()
-
-
-def test_an_unknown_radius_is_the_usual_one():
-    design, protocol = SensorDesign.reference(), Protocol.pairwise(4)
-    data = frames([1, 1, 1, 0], touched=[0, 1, 2], design=design, protocol=protocol)
-    complete = learnable(data)[0]
-    assert complete.touch_radius[:3, 0] == pytest.approx([NOMINAL_RADIUS] * 3)
-    radius = data.touch_radius.copy()
-    radius[0, 0] = 0.003
-    known = learnable(dataclasses.replace(data, touch_radius=radius))[0]
-    assert known.touch_radius[:3, 0] == pytest.approx([0.003] * 3)
-    assert np.isnan(known.touch_radius[:, 1:]).all()
 
 
 def test_a_state_that_is_not_told_apart_is_never_the_most_probable():

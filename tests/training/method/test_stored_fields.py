@@ -1,19 +1,16 @@
 """Dataclasses that are saved as arrays by the names of their fields."""
 
-from dataclasses import dataclass, field, make_dataclass
-from typing import Annotated, Any, TypeVar
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typing_extensions import TypeAliasType
 
 from eitskin.training.method.stored_fields import (
     GIVEN_FIELD,
     StoredField,
     StoredFields,
-    field_arrays,
-    restored_fields,
 )
 
 Array = NDArray[np.float64]
@@ -64,12 +61,3 @@ def test_what_is_missing_has_its_default_or_is_refused():
     del arrays["part.values"]
     with pytest.raises(KeyError):
         Whole.from_arrays(arrays, sensor="")
-
-
-def test_arrays_may_be_declared_by_an_alias_as_in_newer_numpy():
-    scalar = TypeVar("scalar", bound=np.generic)
-    alias = TypeAliasType("alias", np.ndarray[Any, np.dtype[scalar]], type_params=(scalar,))
-    made = make_dataclass("made", [("x", alias[np.float64])], bases=(StoredFields,), frozen=True)
-    stored = field_arrays(made(np.array([1.0, 2.0])))
-    assert stored["x"].tolist() == [1.0, 2.0]
-    assert made(**restored_fields(made, stored)).x.dtype == float

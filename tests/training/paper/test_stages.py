@@ -21,7 +21,6 @@ from eitskin.training.paper.stages import (
 )
 
 SHAPE = (8, 16)
-OUTLINE = (0.16, 0.08)
 X, Y = np.meshgrid((np.arange(16) + 0.5) * 0.01, (np.arange(8) + 0.5) * 0.01)
 
 
@@ -140,23 +139,6 @@ def test_classifier_learns_and_generalises(states, embedding):
     np.testing.assert_allclose(plain.apply(dV[:240]), expected, atol=1e-6)
 
 
-def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embedding):
-    dV, state = (array[:64] for array in states)
-
-    def weights(seed):
-        settings = NetworkSettings(1e-3, epochs=1, one_cycle=False, noise=1.0)
-        return Classifier.fit(dV, state, embedding, SHAPE, settings, noise=0.01, seed=seed).weights
-
-    torch.manual_seed(5)
-    before = torch.random.get_rng_state()
-    first = weights(1)
-    assert torch.equal(torch.random.get_rng_state(), before)
-    torch.rand(3)
-    for name, again in weights(1).items():
-        np.testing.assert_array_equal(again, first[name])
-    assert not np.array_equal(weights(2)["0.0.weight"], first["0.0.weight"])
-
-
 def by_torch(network, weights, maps):
     """Logits of torch's own evaluation of a network."""
     network.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
@@ -180,21 +162,6 @@ def test_networks_evaluated_by_numpy_are_torchs(layers):
     found = Network.from_arrays("network", layers, weights).logits(inputs)
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-def test_postprocessor_sharpens(presses, reconstruction):
-    dV, maps, centres = presses
-    stage = PostProcessor.fit(dV[:240], maps[:240], reconstruction, BRIEF)
-    made = stage.apply(reconstruction.apply(dV[240:]))
-    assert made.shape == (60, *SHAPE)
-    assert made.min() >= 0
-    assert made.max() <= 1
-    assert np.mean((made - maps[240:]) ** 2) < 0.2 * maps[240:].var()
-    places = [
-        find_touches(touch_map, OUTLINE, threshold=0.2, smallest=1)[0][:2] for touch_map in made
-    ]
-    assert np.mean(np.linalg.norm(places - centres[240:], axis=1)) < 0.006
 
 
 def test_mirror_images_are_drawn_with_their_targets():

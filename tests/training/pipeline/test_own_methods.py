@@ -1,10 +1,8 @@
 """Methods of a user's own: fitted, saved, and opened by code that the user names."""
 
 import dataclasses
-import importlib.metadata
 import json
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +20,9 @@ from eitskin.training import (
     evaluate,
     open_pipeline,
 )
-from eitskin.training.method.settings import METHODS
 from eitskin.training.pipeline import methods
 from eitskin.training.pipeline.methods import (
-    SHIPPED_METHODS,
     MethodCodeError,
-    method_class,
     named_method,
 )
 
@@ -92,12 +87,6 @@ def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, datase
     loaded = open_pipeline(folder, Strongest)
     assert np.array_equal(loaded.method.known, pipeline.method.known)
     assert evaluate(loaded, dataset).touches == evaluate(pipeline, dataset).touches
-
-
-@pytest.mark.parametrize("kind", ["$(touch X):M", "a b:M", "m;ls:M"])
-def test_a_name_in_a_command_to_be_pasted_is_quoted(kind):
-    with pytest.raises(ConfigurationError, match=re.escape(shlex.quote(f"{kind[:-2]}.py:M"))):
-        methods.method_class(kind)
 
 
 @pytest.mark.parametrize("kind", ["m:M;ls", "m\n:M", ":M", "m:"])
@@ -206,36 +195,6 @@ def test_code_that_is_no_method_is_told(tmp_path):
         named_method(str(tmp_path / "none.py:Net"))
     with pytest.raises(MethodCodeError, match=r"FILE\.py:CLASS or an installed method \(none"):
         named_method("Net")
-
-
-def test_a_file_sees_what_lies_beside_it(tmp_path):
-    (tmp_path / "beside_it.py").write_text("from eitskin.training import Method as Base")
-    (tmp_path / "my.py").write_text(
-        "from beside_it import Base\nclass Net(Base): fit = predict = arrays = from_arrays = None"
-    )
-    assert named_method(f"{tmp_path / 'my.py'}:Net").KIND == "my:Net"
-
-
-def test_an_installed_method_is_imported_only_when_it_is_named(monkeypatch):
-    entries = [
-        importlib.metadata.EntryPoint("net", f"{__name__}:Strongest", methods.GROUP),
-        importlib.metadata.EntryPoint("evil", "not.there:Bomb", methods.GROUP),
-    ]
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_group: entries)
-    monkeypatch.setattr(
-        importlib.metadata.EntryPoint, "load", lambda entry: {"net": Strongest}[entry.name]
-    )
-    assert named_method("net") is Strongest
-    with pytest.raises(MethodCodeError, match="evil, net here"):
-        named_method("nett")
-
-
-def test_names_of_shipped_methods_are_those_of_the_settings():
-    assert set(SHIPPED_METHODS) == set(METHODS)
-    with pytest.raises(DataError, match="newer"):
-        method_class("newest")
-    with pytest.raises(ConfigurationError, match="no options"):
-        TrainingSettings(method="joint", options={"a": 1})
 
 
 @pytest.mark.slow

@@ -11,14 +11,14 @@ import pytest
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
 from eitskin.datasets.store.manifest import Names
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import ConfigurationError
 from eitskin.simulator import Frame
 from eitskin.threads import one_torch_thread
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evaluate, open_pipeline
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import table_rows
-from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, quantity_losses
+from eitskin.training.evaluation.selection import Selection, Trial, data_warnings
 from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
@@ -118,18 +118,6 @@ def test_a_gel_that_is_never_touched(never_touched):
     assert (report.touches, report.untouched) == ({}, None)
 
 
-def test_angles_alone(tmp_path):
-    unknown = np.full(16, 255)
-    pipeline = trained(frames([State.BEND], state=unknown), tmp_path)
-    assert pipeline.targets == Targets((), touches=False, force=False)
-    estimate = session(pipeline, frames([State.BEND]))[1]
-    assert estimate.state is None
-    assert np.isnan(estimate.probabilities).all()
-    assert estimate.bend_angle_deg is not None
-    with pytest.raises(DataError, match="angles, or with positions"):
-        Pipeline.fit(frames([State.IDLE]), SETTINGS)
-
-
 def test_the_method_is_chosen_by_held_out_specimens():
     """The joint method is refused for so few frames; what is left is chosen, and doubted."""
     data, told = frames([State.IDLE, State.TOUCH]), []
@@ -171,25 +159,6 @@ def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monke
     assert found.trials[2].as_dict()["stopped"]
     brief["quick"], whole["joint"] = 0.5, 0.3
     assert Selection.from_dataset(data).preset == "joint"
-
-
-def test_what_is_not_estimated_counts_as_guessed(never_touched):
-    data = frames(list(State))
-    losses = quantity_losses(
-        Evaluation.from_dataset(never_touched, data), Targets.from_dataset(data)
-    )
-    assert losses["touches"] == 1.0
-    assert losses["angle"] < 0.2
-    assert losses["state"] >= 1 / 3  # no touch is recognised
-
-
-def test_no_method_for_a_set_is_told(monkeypatch):
-    def refused(*_):
-        raise DataError("too few")
-
-    monkeypatch.setattr(Pipeline, "fit", refused)
-    with pytest.raises(DataError, match="joint: too few; quick: too few"):
-        Selection.from_dataset(frames([State.IDLE, State.TOUCH]))
 
 
 def test_the_command_compares_and_warns(tmp_path, capsys):

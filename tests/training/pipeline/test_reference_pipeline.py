@@ -81,13 +81,6 @@ def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(se
         assert error < min(2.0, 3 * said.bend_deviation_deg), angle_deg
 
 
-def test_a_held_touch_becomes_surer(session):
-    scene = Scene(touches=(Touch(0.060, 0.030, 10.0),))
-    first, *_, last = (session(scene).touches[0] for _ in range(6))
-    assert last.deviation < 0.7 * first.deviation
-    assert np.hypot(last.x - 0.060, last.y - 0.030) < 3 * last.deviation
-
-
 def test_faults_of_electrodes_are_told_and_are_no_touches(session, simulator):
     """An open one; one whose contact changes."""
     flat = session.frame(Scene()).impedance
@@ -132,19 +125,6 @@ def test_a_step_of_the_boards_gain_or_phase_is_taken_back(session, simulator, ga
         assert [bool(each.problems) for each in said] == [False, False, True, False, False]
 
 
-@pytest.mark.parametrize("changed", [(3,), (1, 4), (0, 2, 5)])
-def test_contacts_that_changed_together_are_neither_touches_nor_a_bend(session, changed):
-    table = np.array(session.pipeline.layout.protocol.table)
-    added = sum(4.0 * (table == electrode).any(axis=1) for electrode in changed)
-    noise, flat = 1e-4, session.simulator.measure(Scene()).impedance
-    for _ in range(4):
-        scatter = noise * session.rng.standard_normal(len(flat))
-        said = session(Scene(), impedance=flat * (1.0 + scatter) + added)
-        assert (said.state, said.touches) == (State.IDLE, ())
-        told = " ".join(said.problems)
-        assert all(f"contact of electrode {number} " in told for number in changed)
-
-
 def test_a_loud_board_hides_no_touch_in_its_references(simulator):
     """Three times the noise of training: frames are still, and a touch stays one for long."""
     session, loud = Session(simulator), Instrument(snr_db=65.5)
@@ -178,15 +158,6 @@ def test_a_palm_is_no_touch_that_it_knows(session):
         assert said.problems or said.touches[0].deviation > 5e-3
 
 
-def test_a_line_is_no_row_of_touches(session):
-    line = Scene(touches=tuple(Touch(0.044 + 0.0155 * k, 0.032, 4.5) for k in range(5)))
-    said = [session(line) for _ in range(6)][1:]
-    assert all("a large contact of" in " ".join(each.problems) for each in said)
-    apart = Scene(touches=tuple(Touch(x, y, 9.0) for x, y in ((0.03, 0.02), (0.08, 0.04))))
-    session(Scene())
-    assert not any(session(apart).problems for _ in range(3))
-
-
 def test_unequal_touches_are_two_or_one_that_covers_both(session):
     places = np.array([[0.060, 0.030], [0.084, 0.030]])
     pair = Scene(touches=(Touch(*places[0], 8.0), Touch(*places[1], 4.9)))
@@ -212,15 +183,6 @@ def test_a_faint_touch_is_told_by_its_frames_together(simulator):
     said = [session(faint).state for _ in range(14)]
     assert said[0] is not State.TOUCH
     assert set(said[8:]) == {State.TOUCH}
-
-
-def test_a_force_that_fades_is_followed_or_said_to_linger(session):
-    forces = [*[9.0] * 3, *np.linspace(9.0, 2.0, 10)]
-    for force in forces:
-        said = session(Scene(touches=(Touch(0.040, 0.020, force),)))
-        assert said.state is State.TOUCH or said.problems
-    assert session(Scene()).state is State.IDLE
-    assert not session(Scene()).problems
 
 
 def test_a_capacitance_across_electrodes_is_told_by_phases(session):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from eitskin.simulator import Frame, Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.flat_sensors import FALSE_ALARM, MIN_SPECIMENS, FlatSensors
-from eitskin.training.pipeline.frame_order import MAX_ELAPSED_TIME, MAX_GAP, SessionOrder
+from eitskin.training.pipeline.frame_order import MAX_ELAPSED_TIME, SessionOrder
 from eitskin.training.pipeline.held_touch import HeldTouch
 from eitskin.training.pipeline.references import MAX_MEAN_FRAMES
 from eitskin.training.pipeline.session import Session
@@ -135,12 +135,6 @@ def test_order_of_frames(given, begins, problem, elapsed):
     assert order.elapsed_time == pytest.approx(elapsed)
 
 
-@pytest.mark.parametrize("wrong", AHEAD)
-def test_one_frame_far_ahead_is_told(wrong):
-    step = last_step(*STEADY, wrong)[1]
-    assert (step.new_session, len(step.problems)) == (False, 1)
-
-
 def shown(places, noise=1e-4, seed=0):
     """Places that frames of a moving touch show in a session, and how many frames each is of."""
     rng, flat, turn = np.random.default_rng(seed), np.full(28, 500.0), np.arange(28)
@@ -176,26 +170,9 @@ def test_a_touch_that_slides_is_not_dragged_behind(speed):
     assert np.sqrt(np.mean((seen - places)[4:] ** 2)) < 0.9
 
 
-def test_a_touch_that_stops_is_averaged_again():
-    _, counts = shown([*np.arange(10.0, 22.0), *[22.0] * 12])
-    assert max(counts[5:12]) <= 2
-    assert counts[-1] == 8
-
-
 @pytest.mark.parametrize("noise", [0.5e-4, 1e-4, 6e-4])
 def test_the_noise_that_motion_is_told_from_is_that_of_the_session(noise):
     assert np.mean(shown([20.0] * 30, noise)[1][8:]) > 7.0
-
-
-@pytest.mark.parametrize("bends", [True, False])
-def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
-    protocol, values = Protocol.pairwise(4), np.ones(6)
-    session = Session(1e-4, averages=False, bends=bends)
-    for number, time in enumerate((0.0, 1.0, 2.0 + MAX_GAP)):
-        session.follow(Frame(values, protocol, number=number, time=time))
-        session.average(values)
-        session.renew(values, touched=number == 2)
-    assert bool(session.problems(protocol.labels)) == bends
 
 
 # ---- flat sensors ----
@@ -275,19 +252,6 @@ def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     assert not known().for_sensor(partly).judge(strange).doubt
 
 
-def test_a_step_of_all_channels_is_taken_back_unless_the_sensor_may_take_it():
-    steps = {}
-    for common in (0.3, 0.0):
-        session = Session(1e-4, common=common)
-        session.without_gain_step(FLAT)
-        steps[common] = session.without_gain_step(0.99 * FLAT)
-    (V, said), (unchanged, nothing) = steps.values()
-    assert np.allclose(V, FLAT)
-    assert len(said) == 1
-    assert np.allclose(unchanged, 0.99 * FLAT)
-    assert not nothing
-
-
 def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
     """The method weighs its frames by that noise already."""
     rng, weights = np.random.default_rng(0), []
@@ -297,20 +261,6 @@ def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
             held.add(FLAT * (1 + 1e-4 * rng.standard_normal(28)), FLAT, held=False)
         weights.append(held.weight)
     assert weights == pytest.approx([2.0, 0.5], rel=0.25)
-
-
-def test_a_motion_along_the_directions_of_a_touch_is_seen_though_noise_hides_it_elsewhere():
-    """A force that fades by less than the noise of a channel at every frame."""
-    rng, along = np.random.default_rng(1), np.zeros(28)
-    along[3:6] = 1.0
-    counts = []
-    for directions in (np.zeros((0, 28)), along[None]):
-        held = HeldTouch(3e-4, directions=directions)
-        frames = FLAT * (1.0 + 2e-4 * rng.standard_normal((40, 28)))
-        frames[20:] *= 1.0 + 1e-4 * np.arange(20)[:, None] * along
-        counts.append([held.add(V, FLAT, held=n > 0)[1] for n, V in enumerate(frames)])
-    assert [max(each[15:20]) for each in counts] == [8, 8]
-    assert np.mean(counts[1][26:]) < 0.7 * np.mean(counts[0][26:])
 
 
 def test_a_standard_error_covers_a_motion_that_the_mean_of_frames_hides():

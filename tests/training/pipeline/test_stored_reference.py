@@ -78,15 +78,6 @@ def test_with_a_reference_any_start_is_estimated(pipeline, truth, name, state, t
         assert estimate.touches[0][:2] == pytest.approx((0.05, 0.02), abs=5e-3)
 
 
-def test_a_new_session_keeps_the_reference(pipeline, truth):
-    pipeline.tare(frames(truth["flat"]))
-    first, second = frames(truth["bent"], 2)
-    pipeline.process(first)
-    assert pipeline.process(dataclasses.replace(second, session=1)).state is State.BEND
-    pipeline.reset()
-    assert pipeline.process(first).state is State.BEND
-
-
 def test_a_mounted_sensor_is_estimated_from_its_own_shape(pipeline, truth):
     with pytest.raises(DataError, match="--mounted"):
         pipeline.tare(frames(truth["bent"]))

@@ -27,15 +27,6 @@ def test_mask_has_the_area_of_the_outline(outline, area):
     assert (picture[grid.inside] == np.arange(len(grid))).all()
 
 
-def test_cut_pixels_add_to_their_nearest_ones():
-    grid = PixelGrid.from_outline(Disc(0.05), 400)
-    values = np.random.default_rng(0).normal(size=(3, 400))
-    gathered = grid.sum_pixels(values)
-    assert gathered.sum(axis=1) == pytest.approx(values.sum(axis=1))
-    deep = Disc(0.05).contains(grid.centres, margin=0.015)
-    assert (gathered[:, deep] == values[:, grid.inside.ravel()][:, deep]).all()
-
-
 def test_differences_of_a_slope_are_its_gradient_and_none_crosses_the_rim():
     grid = PixelGrid.from_outline(L_SHAPE, 300)
     x, y = grid.centres.T
@@ -43,13 +34,6 @@ def test_differences_of_a_slope_are_its_gradient_and_none_crosses_the_rim():
     for values, expected in ((along_x, 3.0 * grid.sides[0]), (along_y, -2.0 * grid.sides[1])):
         assert values[values != 0.0] == pytest.approx(expected)
     assert (along_x == 0.0).sum() == grid.shape[0]  # the last pixel of every row
-
-
-def test_discs_have_their_area():
-    grid = PixelGrid.from_outline(Rectangle(0.150, 0.060))
-    for radius in (0.004, 0.0075, 0.02):
-        shares = grid.discs([(0.0731, 0.0302), (0.075, 0.030)], radius)
-        assert shares.sum(axis=1) * grid.area == pytest.approx(np.pi * radius**2, rel=0.05)
 
 
 # ---- figures of merit ----
@@ -68,14 +52,6 @@ def test_disc_at_its_place(sign):
     assert found.resolution == pytest.approx(0.2, rel=0.03)
     assert found.shape_deformation < 0.02
     assert found.ringing == 0.0
-
-
-def test_disc_that_is_moved_and_halved():
-    values = 0.5 * DISC.discs([(0.10, 0.13)], RADIUS)[0]
-    found = figures_of_merit(values, DISC, CENTRE, INTEGRAL)
-    assert found.amplitude == pytest.approx(0.5, rel=0.01)
-    assert found.shift == pytest.approx((-0.03, 0.04), abs=2e-4)
-    assert found.position_error == pytest.approx(0.05, abs=2e-4)
 
 
 def test_square_sticks_out_of_its_circle():

@@ -232,13 +232,3 @@ def test_changes_are_those_of_the_simulator_with_the_twins_instrument(folder, an
     reading, _ = METER.reading(METER.transfer_impedance(Z, PAIRWISE))
     logs = np.log(np.abs(reading))
     np.testing.assert_allclose(found, logs[1:] - logs[0], atol=6e-4 * np.abs(found).max())
-
-
-def test_what_is_no_twin_of_the_pipelines_sensor_is_refused(folder):
-    twin = PressedTwin.read(folder, PAIRWISE)
-    assert twin.inside(np.array([[0.03, 0.02], [0.03, 0.07]])).tolist() == [True, False]
-    with pytest.raises(ConfigurationError, match="16"):
-        PressedTwin.read(folder, Protocol.pairwise(16))
-    (folder / "rig.toml").unlink()
-    with pytest.raises(ConfigurationError, match=r"rig\.toml"):
-        PressedTwin.read(folder, PAIRWISE)
