@@ -12,9 +12,7 @@ from toy_skin import toy_presses
 
 from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.datasets.store.schema import UNKNOWN_STATE
-from eitskin.errors import ConfigurationError, DataError
-from eitskin.frame import Status
+from eitskin.errors import ConfigurationError
 from eitskin.training import Pipeline, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
@@ -139,39 +137,9 @@ def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_p
     assert "touch positions from 25 frames" in run(*words, "--replace").stdout
 
 
-def test_frames_of_which_nothing_is_known_are_refused(bends, pipeline):
-    unknown = np.full(len(bends), UNKNOWN_STATE)
-    unlabelled = dataclasses.replace(
-        bends, state=unknown, bend_angle_deg=np.full(len(bends), np.nan, np.float32)
-    )
-    with pytest.raises(DataError, match="none among 21"):
-        pipeline.adapt(unlabelled)
-    assert pipeline.adaptation == {}
-
-
 def test_the_sentence_tells_whether_the_twin_was_taken():
     alone, better, worse = TwinTrial(0), TwinTrial(6, 0.15, 0.08), TwinTrial(6, 0.10, 0.12)
     assert "no known touch" in twin_in_words(dataclasses.asdict(alone))
     assert "15.0%" in twin_in_words(dataclasses.asdict(better))
     assert "not taken" not in twin_in_words(dataclasses.asdict(better))
     assert "not taken" in twin_in_words(dataclasses.asdict(worse))
-
-
-def test_a_channel_that_dies_or_drifts_after_the_adaptation_is_left_out(bends, pipeline):
-    adapted = dataclasses.replace(pipeline)
-    adapted.adapt(bends)
-    asked = bends.select(np.flatnonzero(np.abs(bends.bend_angle_deg - 20.0) < 15.0)[:3])
-    asked = dataclasses.replace(asked, touch_reference=asked.impedance)  # before the fault
-    whole = adapted.perceive(asked)
-    drifted, dead = asked.impedance.copy(), asked.impedance.copy()
-    drifted[:, 5] *= 1.05
-    dead[:, 9] = 0.0
-    lost = asked.status.copy()
-    lost[:, 9] = Status.NOT_FINITE
-    label = pipeline.layout.protocol.labels[5]
-    for values, status in ((drifted, asked.status), (dead, lost)):
-        said = adapted.perceive(dataclasses.replace(asked, impedance=values, status=status))
-        np.testing.assert_allclose(said.bend_angle_deg, whole.bend_angle_deg, atol=1.0)
-        assert not any(len(touches) for touches in said.touches)
-        if values is drifted:
-            assert all(any(label in text for text in each) for each in said.problems)

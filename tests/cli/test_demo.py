@@ -177,22 +177,18 @@ def test_a_demo_that_was_interrupted_goes_on_to_the_same_report(finished, tmp_pa
 
 
 @pytest.mark.slow
-def test_a_pipeline_that_was_removed_or_trained_otherwise_is_trained_again(finished, tmp_path):
-    folder = shutil.copytree(finished, tmp_path / "demo")
+def test_text_of_files_is_escaped(finished, tmp_path):
+    """And a pipeline that was removed, or trained otherwise, is trained again."""
+    folder = shutil.copytree(finished, tmp_path / "<script>")
     assert space(folder).is_trained()
     assert not space(folder, epochs=2).is_trained()
-    shutil.rmtree(folder / "demo.eitmodel")
-    assert not space(folder).is_trained()
-
-
-@pytest.mark.slow
-def test_text_of_files_is_escaped(finished, tmp_path):
-    folder = shutil.copytree(finished, tmp_path / "<script>")
     run(folder, data=tmp_path / "<b>&recordings")
     page = (folder / "report.html").read_text()
     assert not re.search("<b>&|<script", page)
     assert "&lt;b&gt;&amp;recordings" in page
     assert "&lt;script&gt;/demo.eitmodel" in page
+    shutil.rmtree(folder / "demo.eitmodel")
+    assert not space(folder).is_trained()
 
 
 @pytest.mark.parametrize("cause", [KeyboardInterrupt, PartialError])

@@ -4,6 +4,7 @@ import json
 import time
 import types
 from functools import partial
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,10 +16,9 @@ from eitskin import files as files_module
 from eitskin.cli.commands.live.session import LiveSession, Recording, touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
-from eitskin.errors import DeviceError, PartialError
+from eitskin.errors import PartialError
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.ros2 import skin_node
-from eitskin.hardware.streams import reading_record
 from eitskin.simulator import Status
 from eitskin.training.method.predictions import Zero
 
@@ -57,6 +57,8 @@ def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
         assert shown in result.stdout
     assert result.stdout.endswith("\n"), "what is said next begins a line"
     assert "3 frames processed" in result.stderr
+    quiet = run(FakePipeline(), *BOARD, "--frames", "3", "-q")
+    assert (quiet.exit_code, quiet.output) == (0, "")
 
 
 def test_what_a_pipeline_does_not_estimate_is_null_and_said(run):
@@ -68,12 +70,6 @@ def test_what_a_pipeline_does_not_estimate_is_null_and_said(run):
     shown = run(pipeline, *board).stdout
     assert shown.count("not estimated") == 3
     assert "touch map" not in shown
-
-
-def test_quiet_says_nothing_but_works(run):
-    pipeline = FakePipeline()
-    result = run(pipeline, "--board", "virtual:?speed=max", "--frames", "3", "-q")
-    assert (result.exit_code, result.output, len(pipeline.seen)) == (0, "", 3)
 
 
 def test_the_seed_is_the_virtual_boards(run, tmp_path):
@@ -121,19 +117,6 @@ def test_what_is_old_is_never_shown_as_new():
     session.connection.board.info = types.SimpleNamespace(period=float("nan"))
     session.clock = lambda: 1e6
     assert "nothing for" not in shown(session)  # of a board whose period is unknown
-
-
-def test_a_frame_without_estimate_says_why():
-    session = session_of(QuietBoard())
-    session.take(Reading(frame(), None, 0.001, 3.0, 4, "all channels are open"))
-    assert "unknown" in shown(session)
-    data = reading_record(session.newest, Counts())
-    assert (data["state"], data["problems"]) == (None, ["all channels are open"])
-    estimate = Estimate(state="idle", bend_angle_deg=float("nan"), problems=("no reference",))
-    unknown = reading_record(Reading(frame(), estimate, 0.001, float("nan")), Counts())
-    for each in (data, unknown):
-        assert json.loads(json.dumps(each, allow_nan=False))["bend_angle_deg"] is None
-    assert (unknown["state"], unknown["problems"]) == ("idle", ["no reference"])
 
 
 def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
@@ -191,27 +174,6 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk,
         assert len(open_dataset(tmp_path / "r")) == readable
 
 
-def test_a_disk_that_has_room_again_gets_what_was_held_back(tmp_path, full_disk, monkeypatch):
-    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
-    full_disk(1)  # the shard goes through, its manifest does not
-    for number in range(4):
-        recording.append(reading(number))
-    monkeypatch.undo()
-    recording.close()
-    assert recording.missing == 0
-    assert len(open_dataset(tmp_path / "r")) == 4
-
-
-def test_a_recording_that_lost_frames_ends_the_command_with_exit_code_5(run, tmp_path, full_disk):
-    full_disk(0)
-    board = ["--board", "virtual:?speed=max", "--frames", "3"]
-    result = run(FakePipeline(), *board, "--record", str(tmp_path / "r"))
-    assert isinstance(result.exception, PartialError)
-    assert "3 frames" in str(result.exception)
-    assert "no space left" in str(result.exception)
-    assert "3 frames processed" in result.stderr
-
-
 def test_the_command_outlives_an_unplugged_cable(run):
     board = "virtual:?speed=max&period=0.01&faults=replug@4"
     result = run(FakePipeline(), "--board", board, "--frames", "30", "--json", "--every-frame")
@@ -230,19 +192,6 @@ def test_the_touch_map_is_drawn_with_y_up():
     assert [len(line) for line in lines] == [80] * 16
     assert (lines[15][0], lines[0][79], lines[7][40]) == ("▄", "▀", "█")
     assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
-
-
-def full_after(monkeypatch, messages):
-    """A disk that takes so many messages from now on."""
-    left, real = [messages], Writer.write
-
-    def write(*arguments):
-        left[0] -= 1
-        if left[0] < 0:
-            raise OSError(28, "No space left on device")
-        real(*arguments)
-
-    monkeypatch.setattr(Writer, "write", write)
 
 
 def test_every_frame_and_estimate_is_in_the_file(run, tmp_path, monkeypatch):
@@ -269,8 +218,16 @@ def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path):
     assert sorted(tmp_path.iterdir()) == [folder, path]
 
 
-def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatch):
-    full_after(monkeypatch, 9)  # in the second frame
+def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatch, full_disk):
+    left, real = [9], Writer.write  # until the second frame
+
+    def write(*arguments):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(28, "No space left on device")
+        real(*arguments)
+
+    monkeypatch.setattr(Writer, "write", write)
     path, folder = tmp_path / "run.mcap", tmp_path / "r"
     kept = ("--mcap", str(path), "--record", str(folder))
     result = run(FakePipeline(), *BOARD, "--frames", "6", *kept)
@@ -281,81 +238,36 @@ def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatc
     assert "6 frames processed" in result.stderr
     assert len(open_dataset(folder)) == 6
     assert not path.exists()
-    (left,) = (tmp_path / "run.mcap.unfinished").iterdir()
-    assert left.read_bytes().startswith(b"\x89MCAP0\r\n")
+    (unfinished,) = (tmp_path / "run.mcap.unfinished").iterdir()
+    assert unfinished.read_bytes().startswith(b"\x89MCAP0\r\n")
+    full_disk(0)
+    result = run(FakePipeline(), *BOARD, "--frames", "3", "--record", str(tmp_path / "full"))
+    assert isinstance(result.exception, PartialError)
+    assert "3 frames" in str(result.exception)
 
 
-@pytest.mark.parametrize(
-    ("ending", "raised"),
-    [(KeyboardInterrupt(), PartialError), (DeviceError("the board is gone"), DeviceError)],
-)
-def test_what_is_lost_is_said_unless_an_error_ends_the_session(
-    run, tmp_path, monkeypatch, ending, raised
-):
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    def end(_):
-        raise ending
-
-    monkeypatch.setattr(Writer, "close", full)
-    monkeypatch.setattr(LiveSession, "note_totals", end)
-    result = run(FakePipeline(), *BOARD, "--frames", "2", "--mcap", str(tmp_path / "run.mcap"))
-    assert type(result.exception) is raised
-
-
-@pytest.fixture
-def nodes(monkeypatch):
-    """Nodes that were made, which only remember."""
-    made = []
-
-    class FakeNode:
-        refused = 2
-
-        def __init__(self, name, domain, tare):
-            self.name, self.domain, self.tare = name, domain, tare
-            self.published, self.closed = [], False
-            made.append(self)
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self.closed = True
-
-        def publish(self, reading):
-            self.published.append(reading.frame.number)
-
-    monkeypatch.setattr(skin_node, "SkinNode", FakeNode)
-    return made
-
-
-def test_every_reading_is_published_and_the_node_closed(monkeypatch, nodes):
+def test_every_reading_is_published_and_the_node_closed(run, monkeypatch):
+    node = mock.MagicMock(refused=2)
+    node.return_value.__enter__.return_value = node
+    monkeypatch.setattr(skin_node, "SkinNode", node)
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    result = run_command(
-        monkeypatch, FakePipeline(), *BOARD, "--frames", "3", "--ros2", "--ros2-namespace", "pad"
-    )
+    result = run(FakePipeline(), *BOARD, "--frames", "3", "--ros2", "--ros2-namespace", "pad")
     assert result.exit_code == 0, result.output
-    (node,) = nodes
-    assert (node.name, node.domain, node.closed) == ("pad", 7, True)
-    assert len(node.published) == 3
+    assert node.call_args.args[:2] == ("pad", 7)
+    assert node.publish.call_count == 3
+    assert node.return_value.__exit__.called
     assert "2 ROS 2 messages found no room" in result.stderr
 
 
 def test_the_service_takes_a_zero_of_the_session_s_kind():
     """Flat, unless the session's stored reference is of a mounted sensor."""
-    info = types.SimpleNamespace(uid=bytes(range(12)), period=0.3)
-    board = types.SimpleNamespace(uri="serial:x", info=info, counts=None)
-    asked = []
-
-    def tare(*arguments):
-        asked.append(arguments)
-        pipeline.stored_reference = types.SimpleNamespace(zero=Zero.MOUNTED)
-
-    pipeline, frames = types.SimpleNamespace(tare=tare), [frame(0), frame(1)]
-    session = LiveSession(Connection(board), Output(quiet=True), pipeline)
+    board, frames = QuietBoard(), [frame(0), frame(1)]
+    board.uri, board.info.uid = "serial:x", bytes(range(12))
+    pipeline = mock.Mock(stored_reference=None)
+    session = session_of(board, pipeline=pipeline)
     assert session.tare(frames) == "zero: the sensor flat, mean of 2 frames"
+    pipeline.stored_reference = types.SimpleNamespace(zero=Zero.MOUNTED)
     assert session.tare(frames) == "zero: the sensor as mounted, mean of 2 frames"
-    assert asked == [
-        (frames, zero, bytes(range(12)).hex(), "serial:x") for zero in (Zero.FLAT, Zero.MOUNTED)
-    ]
+    asked = [call.args for call in pipeline.tare.call_args_list]
+    known = bytes(range(12)).hex(), "serial:x"
+    assert asked == [(frames, zero, *known) for zero in (Zero.FLAT, Zero.MOUNTED)]

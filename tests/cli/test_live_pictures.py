@@ -50,13 +50,20 @@ def test_pictures_begin_after_the_reference_of_each_session(maker, flat):
     assert pictures.taken == 1
 
 
-def test_untouched_sensors_are_calm(maker, flat):
+def test_untouched_sensors_are_calm_and_the_page_has_signed_levels(maker, flat):
     """The ends of the colour scale lie far above the noise of the pictures."""
     pictures = LivePictures(maker)
     for frame in frames(flat):
         pictures.picture(frame)
-    shown = pictures.picture(frames(flat, noise=1e-5)[3])
-    assert np.sqrt(np.nanmean(shown.values**2)) < 2.0 * shown.limit / CALM
+    calm = pictures.picture(frames(flat, noise=1e-5)[3])
+    assert np.sqrt(np.nanmean(calm.values**2)) < 2.0 * calm.limit / CALM
+    assert signed_pixels(None) is None
+    shown = pictures.picture(Frame(1.01 * flat, PROTOCOL, session=1))
+    sent = signed_pixels(shown)
+    levels = np.frombuffer(base64.b64decode(sent["data"]), np.uint8)
+    assert (sent["rows"], sent["columns"]) == maker.grid.shape
+    assert levels.min() == 1  # a resistance that rises everywhere: nothing but less conductive
+    assert sent["limit"] == pytest.approx(shown.limit, abs=1e-8)
 
 
 def test_pipeline_of_pictures_alone(maker, flat):
@@ -82,19 +89,6 @@ def test_other_pipelines_keep_their_estimates(maker, flat):
     assert last.picture.values.shape == maker.grid.shape
     bad = Frame(flat, PROTOCOL, session=1, status=np.ones(28))
     assert pipeline.process(bad) is fake.estimate
-
-
-def test_page_has_signed_levels_and_their_limit(maker, flat):
-    assert signed_pixels(None) is None
-    pictures = LivePictures(maker)
-    for frame in frames(flat):
-        pictures.picture(frame)
-    shown = pictures.picture(Frame(1.01 * flat, PROTOCOL, session=1))
-    sent = signed_pixels(shown)
-    levels = np.frombuffer(base64.b64decode(sent["data"]), np.uint8)
-    assert (sent["rows"], sent["columns"]) == maker.grid.shape
-    assert levels.min() == 1  # a resistance that rises everywhere: nothing but less conductive
-    assert sent["limit"] == pytest.approx(shown.limit, abs=1e-8)
 
 
 def test_what_cannot_be_live_is_refused(maker):

@@ -8,7 +8,6 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
-from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.virtual import virtual_board
 from eitskin.simulator import Protocol
@@ -98,13 +97,6 @@ def test_the_zero_of_a_session_may_be_stored(folder, tmp_path):
     assert '"touches": []' in run("live", folder / "mine.eitmodel", *options).stdout
     pipeline.use(None)
     assert not pipeline.process(pressed).touches
-
-
-def test_positions_cannot_be_calibrated(folder, tmp_path):
-    words = ("calibrate", folder / "mine.eitmodel", "--board", BOARD, "--out", tmp_path / "b")
-    found = CliRunner().invoke(app, [*map(str, words)]).exception
-    assert isinstance(found, ConfigurationError)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):

@@ -80,7 +80,14 @@ def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path
     assert abs(found["change_ohm"][0]) > 1e-3
 
 
-def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
+def test_every_touch_tells_what_became_of_it(scene, tmp_path) -> None:
+    picture = tmp_path / "scene.png"
+    free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())
+    (alone,) = simulate(scene, "--view", str(picture), "--color", "strain")["touches"]
+    assert picture.stat().st_size > 10_000
+    assert alone["neighbour_distance_m"] is None
+    options = ("--support", "rigid", "--touch-model", "tabulated")
+    assert simulate(free, *options)["touches"] == [alone]
     scene = written(
         tmp_path / "two.toml",
         "[[touches]]\nx = 0.05\ny = 0.02\n[[touches]]\nx = 0.06\ny = 0.056\nforce = 5\n",
@@ -94,17 +101,6 @@ def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
     first, second = presses
     assert first.caution == ""
     assert second.caution in " ".join(run(scene).stdout.split())
-
-
-def test_a_touch_by_itself_has_no_neighbour_and_its_corrections_are_tabulated(scene) -> None:
-    found = simulate(scene)
-    assert found["touches"][0]["neighbour_distance_m"] is None
-    assert simulate(scene, "--touch-model", "tabulated")["touches"] == found["touches"]
-
-
-def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
-    free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())
-    assert simulate(free, "--support", "rigid")["touches"] == simulate(scene)["touches"]
 
 
 @pytest.mark.slow
@@ -125,14 +121,6 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
         frame = sim.measure(Scene.from_toml(scene))
         assert found["impedance_real_ohm"] == pytest.approx(frame.impedance.real, rel=1e-12)
         assert found["touches"][0]["depth_m"] > simulate(scene)["touches"][0]["depth_m"]
-
-
-@pytest.mark.slow
-def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
-    path = tmp_path / "scene.png"
-    ran = run(scene, "--view", str(path), "--color", "strain")
-    assert path.stat().st_size > 10_000
-    assert "picture: " in ran.stderr
 
 
 MISTAKES = {
@@ -167,9 +155,3 @@ def test_the_numbers_of_a_mesh_are_those_of_the_reference_sensor(kind) -> None:
     assert found["electrode_area_error"] < 1e-9
     assert found["cells"] > 100
     assert 0.0 < found["scaled_jacobian"] <= 1.0 + 1e-12
-
-
-def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
-    text = "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\n"
-    disc = written(tmp_path / "disc.toml", text)
-    assert command_line.printed_json("mesh", "--sensor", disc)["kind"] == "prisms"

@@ -45,11 +45,6 @@ def test_json_of_hostile_names_is_json():
     assert said.replace("\n", "").isprintable()
 
 
-def test_notes_are_not_endless(printed):
-    Output(notes=printed).note("name, " * 100_000)
-    assert len(printed.file.getvalue()) < 6000
-
-
 @pytest.mark.parametrize(("width", "parts"), [(200, 1), (40, 2), (24, 4), (5, 4)])
 def test_a_table_of_figures_goes_on_below_where_it_is_too_wide(width, parts):
     headings = ("experiment", "paper's", "theirs", "ours[mm]", "bound")

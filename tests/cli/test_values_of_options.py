@@ -11,7 +11,6 @@ from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import open_board
 from eitskin.hardware.streams import parse_address
-from eitskin.simulator import Scene
 from eitskin.training import TrainingSettings
 
 LONG = 300 * "a"
@@ -39,12 +38,6 @@ def test_seeds_are_not_negative(scene):
 def test_hosts_are_names_or_numbers(host):
     with pytest.raises(ConfigurationError, match="--udp: expected a name"):
         parse_address("--udp", f"{host}:5")
-
-
-def test_a_byte_order_mark_is_no_part_of_a_file(scene):
-    plain = Scene.from_toml(scene)
-    scene.write_text("\ufeff" + SCENE)
-    assert Scene.from_toml(scene) == plain
 
 
 def test_numbers_that_json_has_not_are_null(capsys):

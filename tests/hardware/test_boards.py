@@ -9,8 +9,6 @@ import signal
 import subprocess
 import sys
 import termios
-import threading
-import tty
 import types
 
 import numpy as np
@@ -100,19 +98,15 @@ def test_gives_frames_of_its_protocol_in_order(board):
     assert board.info.table_crc32 == Table.from_protocol(PROTOCOL).crc32
 
 
-def test_closing_twice_does_nothing(board):
-    take(board, 1)
-    board.close()
-    board.close()
-
-
-def test_calibrates_where_there_is_something_to_calibrate(board):
+def test_calibrates_where_there_is_something_to_calibrate_and_closes_twice(board):
     if isinstance(board, ReplayBoard):
         with pytest.raises(ConfigurationError, match="a recording cannot"):
             board.calibrate()
     else:
         board.calibrate()
         assert np.allclose(take(board, 1)[0].impedance, FLAT, atol=2.0)
+    board.close()
+    board.close()
 
 
 def test_goes_on_after_connecting_again(board):
@@ -134,7 +128,7 @@ def test_a_port_in_use_is_refused_and_reopens_when_free():
             with pytest.raises(DeviceError, match="another program"):
                 open_board(uri)
             before = take(first, 3)
-        with open_board(uri) as second:
+        with open_board(terminal.path) as second:  # a path alone is a port
             after = take(second, 3)
     assert after[0].number > before[-1].number
     assert after[0].session == before[0].session
@@ -152,48 +146,21 @@ def test_a_kind_of_board_enters_by_an_entry_point(recording, monkeypatch):
         open_board("nime:")
 
 
-def test_a_path_alone_is_a_port_and_what_it_prints_is_quoted():
-    shown = virtual_terminal(speed="max", simulator=FakeSimulator())
-    with shown as terminal, open_board(terminal.path) as board:
-        assert len(take(board, 2)) == 2
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    stop = threading.Event()
-
-    def chatter():
-        while not stop.wait(0.02):
-            os.write(master, b"530.1, 529.8, 531.0\r\n")
-
-    thread = threading.Thread(target=chatter)
-    thread.start()
-    try:
-        with pytest.raises(DeviceError, match=r"printed '530.1, 529.8, 531.0'.*text:"):
-            open_board(os.ttyname(slave))
-    finally:
-        stop.set()
-        thread.join()
-        os.close(slave)
-        os.close(master)
-
-
 # ---- recordings ----
 
 
-def test_what_was_lost_is_counted_within_a_session_only(tmp_path):
+def test_a_recording_keeps_status_and_session_and_counts_what_was_lost_within_one(
+    recording, tmp_path
+):
+    with open_board(f"replay:{recording}") as board:
+        frames = list(board.frames())
+    assert [int(np.flatnonzero(frame.status)[0]) for frame in frames] == list(range(12))
+    assert {frame.session for frame in frames} == {7}
     with ShardWriter(tmp_path / "run") as writer:
         for number, session in ((0, 1), (3, 1), (2**32 - 1, 1), (0, 1), (9, 2), (10, 2)):
             writer.append(Frame(FLAT, PROTOCOL, 0.3 * number, number, session))
     with open_board(f"replay:{tmp_path / 'run'}") as board:
-        lost = [board.lost for _ in board.frames()]
-    assert lost == [0, 2, 2, 2, 2, 2]  # a number that falls behind is none
-
-
-def test_a_recording_keeps_its_status_and_session(recording):
-    with open_board(f"replay:{recording}") as board:
-        frames = list(board.frames())
-    assert len(frames) == 12
-    assert [int(np.flatnonzero(frame.status)[0]) for frame in frames] == list(range(12))
-    assert {frame.session for frame in frames} == {7}
+        assert [board.lost for _ in board.frames()] == [0, 2, 2, 2, 2, 2]  # none falls behind
 
 
 def test_folders_that_cannot_be_replayed_are_data_errors(tmp_path):
@@ -267,95 +234,56 @@ BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
 OTHER = PortInfo("/dev/ttyUSB0", "FT232R", "FTDI", 0x0403, 0x6001, "A10 1&2")
 
 
-class Bus:
-    """Ports that come and go, and what was opened."""
-
-    def __init__(self):
-        self.ports, self.opened = (), []
-
-    def open(self, path, uri, baud):
-        self.opened.append((path, uri, baud))
-        return object()
-
-    def connector(self, path, uri, usb=""):
-        return connector(path, uri, 230400, usb)
-
-
 @pytest.fixture
-def bus(monkeypatch):
+def ports(monkeypatch):
     """Ports of this machine, at first a board and a port without USB."""
-    made = Bus()
-    made.ports = (BUILT_IN, BOARD)
-    monkeypatch.setattr(port, "serial_ports", lambda: made.ports)
-    monkeypatch.setattr(port, "open_port", made.open)
-    return made
+    here = [BUILT_IN, BOARD]
+    monkeypatch.setattr(port, "serial_ports", lambda: here)
+    monkeypatch.setattr(port, "open_port", lambda *opened: opened)
+    return here
 
 
-def test_the_serial_number_of_a_path_or_a_link_to_it(bus, tmp_path):
-    bus.ports = (BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real")))
-    (tmp_path / "by-id").symlink_to(tmp_path / "real")
-    assert usb_serial_number(str(tmp_path / "real")) == "205A3D"
-    assert usb_serial_number(str(tmp_path / "by-id")) == "205A3D"
-    assert usb_serial_number("/dev/ttyS0") == ""
-    assert usb_serial_number("/dev/none") == ""
-
-
-def test_the_only_usb_port_needs_no_name(bus):
-    bus.connector("", "text:")()
-    assert bus.opened == [("/dev/ttyACM0", "text:", 230400)]
-
-
-def test_by_serial_number_a_port_is_looked_for_at_every_connection(bus):
-    connect = bus.connector("", "serial:?usb=205A3D", usb="205A3D")
-    connect()
-    bus.ports = [OTHER, dataclasses.replace(BOARD, device="/dev/ttyACM3")]
-    connect()
-    assert [path for path, *_ in bus.opened] == ["/dev/ttyACM0", "/dev/ttyACM3"]
-    bus.ports = [OTHER]
-    with pytest.raises(DeviceError, match="205A3D"):
-        connect()
-
-
-def test_a_board_that_was_named_by_path_is_followed_to_another(bus):
-    connect = bus.connector("/dev/ttyACM0", "serial:/dev/ttyACM0")
-    connect()
+def test_a_board_is_followed_by_its_serial_number(ports):
+    """Also one that was named by its path, or by none where it is the only one of USB."""
+    named = connector("", "serial:?usb=205A3D", 1, usb="205A3D")
+    by_path = connector("/dev/ttyACM0", "serial:/dev/ttyACM0", 2)
+    alone = connector("", "text:", 230400)
+    without = connector("/dev/ttyS0", "serial:/dev/ttyS0", 3)
+    assert alone() == ("/dev/ttyACM0", "text:", 230400)
+    assert [named()[0], by_path()[0]] == ["/dev/ttyACM0"] * 2
     # Another device has its place now.
-    bus.ports = [dataclasses.replace(OTHER, device="/dev/ttyACM0")]
-    bus.ports += [dataclasses.replace(BOARD, device="/dev/ttyACM1")]
-    connect()
-    bus.ports = []
-    connect()
-    assert [path for path, *_ in bus.opened] == ["/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyACM0"]
+    ports[:] = [dataclasses.replace(OTHER, device="/dev/ttyACM0")]
+    ports.append(dataclasses.replace(BOARD, device="/dev/ttyACM3"))
+    assert [named()[0], by_path()[0]] == ["/dev/ttyACM3"] * 2
+    ports.clear()
+    assert by_path()[0] == "/dev/ttyACM0"
+    assert without() == ("/dev/ttyS0", "serial:/dev/ttyS0", 3)
+    with pytest.raises(DeviceError, match="205A3D"):
+        named()
 
 
-def test_a_port_that_vanishes_while_it_is_opened_is_a_device_error(monkeypatch):
+def test_the_serial_number_of_a_path_or_a_link_to_it(ports, tmp_path):
+    ports[:] = [BUILT_IN, dataclasses.replace(BOARD, device=str(tmp_path / "real"))]
+    (tmp_path / "by-id").symlink_to(tmp_path / "real")
+    paths = (tmp_path / "real", tmp_path / "by-id", "/dev/ttyS0", "/dev/none")
+    assert [usb_serial_number(str(path)) for path in paths] == ["205A3D", "205A3D", "", ""]
+
+
+def test_what_pyserial_lists_is_taken_over_and_named_where_a_port_is_missing(monkeypatch):
+    unknown = {"manufacturer": None, "vid": None, "pid": None, "serial_number": None}
+    known = {"manufacturer": "ST", "vid": 0x0483, "pid": 0x5740, "serial_number": "205A3D"}
+    found = [
+        types.SimpleNamespace(device="/dev/ttyUSB0", description="n/a", **unknown),
+        types.SimpleNamespace(device="/dev/ttyACM0", description="EIT board", **known),
+    ]
+    monkeypatch.setattr(serial.tools.list_ports, "comports", lambda: found)
+    assert port.serial_ports() == (BOARD, PortInfo("/dev/ttyUSB0"))
+    with pytest.raises(DeviceError, match=r"cable.*/dev/ttyACM0 \(EIT board"):
+        open_port("/dev/nowhere-at-all", "serial:/dev/nowhere-at-all")
+
     def vanish(*_, **__):
         raise termios.error(5, "Input/output error")
 
     monkeypatch.setattr("serial.Serial", vanish)
     with pytest.raises(DeviceError, match="cannot open"):
         open_port("/dev/ttyACM0", "serial:/dev/ttyACM0")
-
-
-def test_a_port_without_serial_number_is_its_path(bus):
-    connect = bus.connector("/dev/ttyS0", "serial:/dev/ttyS0")
-    bus.ports = []
-    connect()
-    assert bus.opened == [("/dev/ttyS0", "serial:/dev/ttyS0", 230400)]
-
-
-def test_what_pyserial_lists_is_taken_over(monkeypatch):
-    found = [
-        types.SimpleNamespace(
-            device="/dev/ttyUSB0", description="n/a", manufacturer=None, vid=None, pid=None,
-            serial_number=None,
-        ),
-        types.SimpleNamespace(
-            device="/dev/ttyACM0", description="EIT board", manufacturer="ST", vid=0x0483,
-            pid=0x5740, serial_number="205A3D",
-        ),
-    ]  # fmt: skip
-    monkeypatch.setattr(serial.tools.list_ports, "comports", lambda: found)
-    assert port.serial_ports() == (BOARD, PortInfo("/dev/ttyUSB0"))
-    with pytest.raises(DeviceError, match=r"cable.*/dev/ttyACM0 \(EIT board"):
-        port.open_port("/dev/nowhere-at-all", "serial:/dev/nowhere-at-all")

@@ -1,6 +1,5 @@
 """Framing and messages: whatever the bytes, nothing raises and nothing false comes through."""
 
-from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -42,7 +41,6 @@ from eitskin.hardware.protocol.packets import (
     PacketDrop,
     encode,
 )
-from eitskin.simulator import Protocol
 
 packets = st.builds(
     Packet,
@@ -52,7 +50,6 @@ packets = st.builds(
 )
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 positive = st.floats(2.0**-100, 2.0**100, width=32)
-microseconds = st.integers(0, 2**50).map(lambda us: us * 1e-6)
 INFO = Info("eitskin 1.0", b"0123456789ab", 3, 8, 28, 0xDEADBEEF, 40e3, 0.5, 1e3, 200.0, 0.2968)
 
 LARGE_INFO = Info(
@@ -60,21 +57,6 @@ LARGE_INFO = Info(
 )
 LARGEST_INFO = replace(LARGE_INFO, n_measurements=MAX_MEASUREMENTS)
 VERSION_2 = [LARGE_INFO, LARGEST_INFO, GetTable(300), TablePart(928, 5, ((0, 1, 2, 3),))]
-
-
-def frame_data(number=0, n=28):
-    rng = np.random.default_rng(number)
-    impedance = rng.normal(600, 50, n) + 1j * rng.normal(0, 5, n)
-    return FrameData(number, 0.25, 0.125, impedance.astype(np.complex64), np.zeros(n, np.uint8))
-
-
-def frame_packet(number):
-    return encode(pack(frame_data(number), seq=number))
-
-
-def numbers(data):
-    """Frame numbers in a stream of bytes."""
-    return [unpack(packet).number for packet in Decoder().feed(data)]
 
 
 @given(st.lists(packets, max_size=5), st.lists(st.integers(1, 700), min_size=1))
@@ -99,6 +81,7 @@ def test_a_frame_and_info_have_the_bytes_of_the_specification():
     assert pack(frame, 0).payload.hex(" ") == (
         "04 03 02 01 60 e3 16 00 00 00 00 00 90 d0 03 00 00 01 00 00 00 00 80 3f 00 00 00 c0 05"
     )
+    assert frame_packets(frame, 70000) == [pack(frame, 70000)]
     assert pack(INFO, 0).payload == (
         b"EITSeitskin 1.0\0\0\0\0\x000123456789ab"
         + bytes.fromhex("03 00 00 00 08 1c ef be ad de 00 40 1c 47 00 00 00 3f")
@@ -106,18 +89,14 @@ def test_a_frame_and_info_have_the_bytes_of_the_specification():
     )
 
 
-def test_payload_limit_is_tight_and_checked():
-    longest = Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD)
-    assert len(encode(longest)) == MAX_PACKET
-    assert list(Decoder().feed(encode(longest))) == [longest]
-
-
 def test_buffer_is_bounded_and_the_decoder_recovers():
     decoder = Decoder()
     for _ in range(1000):
         assert list(decoder.feed(b"x" * 1000)) == []
         assert decoder.buffered_bytes <= MAX_PACKET
-    assert [packet.type for packet in decoder.feed(encode(pack(Hello(), 0)) * 2)] == [1, 1]
+    longest = encode(Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD))
+    assert len(longest) == MAX_PACKET
+    assert [packet.type for packet in decoder.feed(2 * longest)] == [0xFF, 0xFF]
     assert decoder.drops == {PacketDrop.TOO_LONG: 1}
 
 
@@ -141,15 +120,6 @@ def test_every_drop_is_counted_by_its_reason(bytes_, reason):
 def test_garbage_never_raises_and_does_not_hide_the_next_packet(garbage, packet):
     received = list(Decoder().feed(garbage + encode(packet)))
     assert received[-1:] == [packet]
-
-
-@pytest.mark.parametrize("kept", [0, 1], ids=["replaced", "inserted"])
-@pytest.mark.parametrize("wrong", [b"\x00", b"\x01", b"\xaa", b"\xff", b""])
-def test_one_byte_replaced_lost_or_inserted_costs_at_most_one_frame(wrong, kept):
-    before, middle, after = (frame_packet(number) for number in range(3))
-    for place in range(len(middle)):
-        received = numbers(before + middle[:place] + wrong + middle[place + 1 - kept :] + after)
-        assert received in ([0, 2], [0, 1, 2]), place
 
 
 @given(
@@ -179,23 +149,6 @@ def test_messages_survive_the_wire(message, seq):
     assert unpack(packet) == message
 
 
-@given(
-    u32,
-    microseconds,
-    microseconds.filter(lambda s: s < 4000),
-    st.integers(1, PER_PACKET),
-    st.data(),
-)
-def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
-    values = np.frombuffer(data.draw(st.binary(min_size=9 * n, max_size=9 * n)), np.uint8)
-    sent = FrameData(number, time, duration, values[: 8 * n].view(np.complex64), values[8 * n :])
-    (packet,) = Decoder().feed(encode(pack(sent, 0)))
-    received = unpack(packet)
-    assert (received.number, received.time, received.duration) == (number, time, duration)
-    assert received.impedance.tobytes() == sent.impedance.tobytes()
-    assert received.status.tobytes() == sent.status.tobytes()
-
-
 def test_control_characters_of_a_firmware_do_not_reach_the_terminal():
     event = unpack(pack(Event(0, 0, "clear \x1b[2J\x9b1m and\rwrite\n"), 0))
     assert event.text == "clear ?[2J?1m and?write?"
@@ -208,10 +161,10 @@ def test_control_characters_of_a_firmware_do_not_reach_the_terminal():
 
 @cache
 def sent_frame(number, n=250):
+    """Frame of any bits, NaN and infinity included."""
     rng = np.random.default_rng(number)
-    values = rng.normal(600, 50, n) + 1j * rng.normal(0, 5, n)
-    status = rng.integers(0, 64, n).astype(np.uint8)
-    return FrameData(number, 0.25 * number, 0.125, values.astype(np.complex64), status)
+    values, status = (rng.integers(0, 256, size, np.uint8) for size in (8 * n, n))
+    return FrameData(number, 0.25 * number, 0.125, values.view(np.complex64), status)
 
 
 def stream(numbers, n=250):
@@ -252,27 +205,14 @@ def test_frames_of_any_size_survive_the_wire(n):
     assert dropped == 0
 
 
-def test_small_frames_are_those_of_version_1_to_the_byte():
-    data = sent_frame(3, PER_PACKET)
-    assert frame_packets(data, 70000) == [pack(data, 70000)]
-    assert pack(data, 0).version == 1
-
-
 def test_a_part_has_the_bytes_of_the_specification():
     """See docs/reference/wire-protocol.md."""
-    first, second = frame_packets(sent_frame(1, 110), 7)
-    assert (first.version, first.seq, second.seq) == (2, 7, 8)
+    first, second = frame_packets(sent_frame(1, 110), 0xFFFF)
+    assert (first.version, first.seq, second.seq) == (2, 0xFFFF, 0)
     assert first.payload[16:28].hex(" ") == "00 6d 00 00 6e 00 00 00 00 00 00 00"
     assert second.payload[16:24].hex(" ") == "00 01 00 00 6e 00 6d 00"
-    assert second.payload[24:28] == encode_checksum(first)
+    assert second.payload[24:28] == cobs.decode(encode(first)[1:-1])[-4:]
     assert len(second.payload) == 28 + 9
-
-
-def encode_checksum(packet):
-    """Last four bytes of a packet before stuffing."""
-    from cobs import cobs
-
-    return cobs.decode(encode(packet)[1:-1])[-4:]
 
 
 @given(st.randoms(use_true_random=False))
@@ -302,31 +242,11 @@ def test_parts_of_a_board_that_started_anew_are_not_joined_with_older_ones():
     assert len(found) == 1
     assert found[0].impedance.tobytes() == new.impedance.tobytes()
     assert dropped == 3
-
-
-def test_the_newest_unfinished_frame_is_all_that_is_held():
-    drops = Counter()
-    assembly = FrameAssembly(drops)
-    first = unpack(frame_packets(sent_frame(0), 0)[0])
-    for _ in range(1000):
-        assert assembly.add(first) is None
-    assert drops["part of an incomplete frame"] == 999
-    assembly.clear()
-    assert drops.total() == 999
+    found, dropped = joined(1000 * parts[0][0])  # the newest is all that is held
+    assert (found, dropped) == ([], 999)
 
 
 # ---- table and identity ----
-
-
-def test_a_long_table_is_sent_in_parts_that_say_where_they_belong():
-    table = Table.from_protocol(Protocol.adjacent(32))
-    rows = ()
-    while len(rows) < 928:
-        (packet,) = Decoder().feed(encode(pack(TablePart.from_table(table, len(rows)), 1)))
-        part = unpack(packet)
-        assert (part.total, part.first) == (928, len(rows))
-        rows += part.rows
-    assert Table(rows) == table
 
 
 def v1(kind, payload):
@@ -347,8 +267,8 @@ def v2(kind, payload):
         (v1(MessageType.TABLE, b"12345"), "multiple of 4, got 5"),
         (v1(MessageType.TABLE, b""), "multiple of 4, got 0"),
         (v1(MessageType.EVENT, b"1"), "EVENT of 1 bytes"),
-        (v1(MessageType.FRAME, pack(frame_data(), 0).payload[:-1]), "272 for n = 28, got 271"),
-        (pack(frame_data(n=0), 0), "at least 1, got 0"),
+        (v1(MessageType.FRAME, pack(sent_frame(0, 28), 0).payload[:-1]), "272 for n = 28, got 271"),
+        (pack(sent_frame(0, 0), 0), "at least 1, got 0"),
         (v1(MessageType.INFO, b"EITX" + pack(INFO, 0).payload[4:]), "magic must be b'EITS'"),
         (v1(MessageType.INFO, pack(INFO, 0).payload[:-4] + bytes(4)), "period_us must be at least"),
         (v1(MessageType.INFO, pack(LARGE_INFO, 0).payload), "does not fit"),

@@ -1,6 +1,8 @@
 """Refusals of hardware: what was asked, the error, and the words that name the key or remedy."""
 
 import dataclasses
+import importlib
+import sys
 from functools import partial
 
 import numpy as np
@@ -17,13 +19,15 @@ from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.hardware.protocol.frame_parts import MAX_MEASUREMENTS
 from eitskin.hardware.protocol.messages import Table
 from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet, encode
-from eitskin.hardware.streams import UdpOutlet, parse_address
+from eitskin.hardware.ros2.mcap import McapWriter
+from eitskin.hardware.streams import UdpOutlet, WebSocketOutlet, parse_address
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Frame, Protocol, Scene
 
 from loopback import PROTOCOL, FakeSimulator
 
+NODE = "eitskin.hardware.ros2.skin_node"
 BUILT_IN = PortInfo("/dev/ttyS0")
 BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
 TWIN = dataclasses.replace(BOARD, device="/dev/ttyACM1")
@@ -151,3 +155,17 @@ def test_what_cannot_be_is_refused_with_what_to_write(call, error, said, monkeyp
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     with pytest.raises(error, match=said):
         call()
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "use"),
+    [
+        ("rosbags", "ros", lambda: McapWriter("none/run.mcap")),
+        ("cyclonedds", "ros2", lambda: importlib.import_module(NODE).SkinNode()),
+        ("websockets.sync.server", "websocket", lambda: WebSocketOutlet("127.0.0.1", 0)),
+    ],
+)
+def test_the_missing_extra_is_named(module, extra, use, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=rf"eitskin\[{extra}\]"):
+        use()

@@ -116,12 +116,6 @@ def test_what_does_not_fit_is_named_with_its_place(message):
             thing(text)
 
 
-def test_a_key_that_is_none_in_python_may_be_null():
-    assert from_dict(Thing, {"shape": {"radius": 1.0}, "spare": None, "size": None}, "data") == (
-        Thing(Ball(1.0))
-    )
-
-
 @pytest.mark.parametrize(
     ("z", "written"),
     [(0.5, "0.5"), (0.5 + 0j, "0.5"), (1 - 2e-3j, "[1.0, -0.002]"), (2j, "[0.0, 2.0]")],
@@ -142,6 +136,8 @@ def test_numbers_of_numpy_are_written_as_plain_ones():
         "side": "left",
     }
     assert thing(to_toml(given)) == given
+    nulls = {"shape": {"radius": 1.0}, "spare": None, "size": None}
+    assert from_dict(Thing, nulls, "data") == Thing(Ball(1.0))
 
 
 def test_integers_of_toml_have_64_bits():
@@ -158,10 +154,7 @@ def test_paths_start_from_the_folder_of_their_file(tmp_path):
     assert read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
     assert thing("file = 'part.stl'\nshape = { radius = 1 }").file == Path("folder/part.stl")
     assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
-
-
-def test_text_that_is_no_file_of_the_users_names_no_files():
-    with pytest.raises(ConfigurationError, match="TOML text: file"):
+    with pytest.raises(ConfigurationError, match="TOML text: file"):  # which is no user's file
         parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
 
 

@@ -2,7 +2,6 @@
 
 import errno
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,18 +49,6 @@ def test_a_file_cut_or_changed_anywhere_is_made_again(files, data):
     changed = whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :]
     path.write_bytes(data.draw(st.sampled_from([whole[:place], changed])))
     assert not from_disk()
-    assert from_disk()
-
-
-def test_a_pipe_or_a_folder_in_its_place_stops_nothing(files):
-    for path in files:
-        for make in (os.mkfifo, Path.mkdir):
-            path.unlink()
-            make(path)
-            from_disk()
-            if path.is_dir():
-                path.rmdir()
-            path.write_bytes(files[path])
     assert from_disk()
 
 

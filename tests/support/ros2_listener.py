@@ -177,7 +177,7 @@ class Listener:
 def summary(listener, frames):
     """What was heard, as plain data."""
     last = {name: samples[-1][1] for name, samples in listener.heard.items() if samples}
-    points, image, transforms = last["PointCloud2"], last["Image"], last["TFMessage"].transforms
+    points, touch = last["PointCloud2"], last["TFMessage"].transforms[1]
     return {
         "stamps": [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for _, each in frames],
         "numbers": [
@@ -187,15 +187,10 @@ def summary(listener, frames):
         "status": [[s.level, s.name, s.message, s.hardware_id] for s in frames[-1][1].status],
         "sensor": [each.data for _, each in listener.heard["String"]],
         "impedance": list(last["Float64MultiArray"].data),
-        "dimensions": [[d.label, d.size, d.stride] for d in last["Float64MultiArray"].layout.dim],
         "bend": [last["JointState"].name, list(last["JointState"].position)],
-        "image": [image.height, image.width, image.encoding, bytes(image.data).hex()],
-        "points": [points.width, [f.name for f in points.fields], bytes(points.data).hex()],
-        "frame_id": points.header.frame_id,
-        "tf": [
-            [each.header.frame_id, each.child_frame_id, asdict(each.transform)]
-            for each in transforms
-        ],
+        "image": bytes(last["Image"].data).hex(),
+        "points": [points.width, bytes(points.data).hex()],
+        "frames": [points.header.frame_id, touch.header.frame_id, touch.child_frame_id],
         "nodes": [
             {
                 "name": f"{node.node_namespace}/{node.node_name}",

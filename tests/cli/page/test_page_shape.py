@@ -143,13 +143,10 @@ def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
     assert 0.3 < 1.0 - np.ptp(dents.positions(at * [[1, 1, 0], [1, 1, 1]])[:, 2]) / 0.005 < 0.5
     assert np.array_equal(shape.bend_points(500.0, []), shape.bend_points(shape.most, []))
     assert np.array_equal(shape.bend_points(float("nan"), []), flat)
-
-
-def test_a_disc_is_bent_by_the_hinge_and_one_that_is_too_short_stays_flat() -> None:
-    shape = GelShape.from_design(DESIGNS["disc"][0])
-    bent = Hinge().flexure(shape.design, Bend(30.0)).positions(shape.body.points)
-    assert np.allclose(shape.bend_points(30.0, []), bent)
-    short = Disc(0.015)
+    disc = GelShape.from_design(DESIGNS["disc"][0])
+    bent = Hinge().flexure(disc.design, Bend(30.0)).positions(disc.body.points)
+    assert np.allclose(disc.bend_points(30.0, []), bent)
+    short = Disc(0.015)  # too short for it
     assert GelShape.from_design(with_outline(short, uniform(short, 4))).most == 0.0
 
 

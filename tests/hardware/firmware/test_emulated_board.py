@@ -16,15 +16,13 @@ from eitskin.hardware.protocol.messages import (
     Start,
     Table,
     pack,
-    unpack,
 )
-from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
+from eitskin.hardware.protocol.packets import MessageType, Packet, encode
 from eitskin.simulator import Status
 
 from compiled_firmware import booted, frames, sensor
 from emulator.board import EmulatedBoard
 from emulator.chip import UID
-from emulator.usart import Line
 from loopback import FLAT, PROTOCOL
 from simulated_afe import SimulatedAfe
 
@@ -74,25 +72,21 @@ def test_eitskin_reads_the_frames_of_the_hosts_build_to_the_last_bit():
     }
 
 
-def test_it_says_who_it_is(running):
+def test_it_says_who_it_is_and_drops_garbage_and_wrong_requests(running):
     board, info = running
     assert (info.firmware, info.uid, info.boot_count) == ("eitskin-f411 1.0", UID, 1)
     assert board.ask(Hello(), Info) == info
     assert board.ask(GetTable(), Table) == Table.from_protocol(PROTOCOL)
-
-
-def test_garbage_is_dropped_and_wrong_requests_are_told_so(running):
-    board, info = running
-    for start in range(0, 256, 64):  # QEMU's bytes come at once: no more than the ring holds
-        board.write(bytes(range(start, start + 64)) * 2)
-        assert board.ask(Hello(), Info) == info
-    board.write(encode(Packet(0x7F, 300, b"")) + encode(Packet(MessageType.START, 301, b"12")))
+    board.line.write(bytes(range(256)) * 2)
+    assert board.ask(Hello(), Info) == info
+    board.line.write(encode(Packet(0x7F, 300, b"")) + encode(Packet(MessageType.START, 301, b"12")))
     refused = [board.wait_for(Ack)[0] for _ in range(2)]
     assert refused == [
         Ack(300, 0x7F, AckStatus.UNKNOWN_TYPE),
         Ack(301, MessageType.START, AckStatus.MALFORMED),
     ]
     assert board.ask(Hello(), Info) == info
+    assert board.line.baud == pytest.approx(921_600, rel=0.005)
 
 
 # ---- a board of its own each ----
@@ -114,36 +108,24 @@ def test_the_watchdog_ends_a_hang_and_the_boot_is_counted():
         assert board.ask(Start(1), Ack).status == AckStatus.DONE
 
 
-def received(board):
-    """Messages that a board on a `Line` sends, as they come; a damaged packet fails."""
-    decoder = Decoder()
-    while True:
-        time.sleep(0.01)
-        sent, board.chip.line.sent = board.chip.line.sent, bytearray()
-        for packet in decoder.feed(bytes(sent)):
-            yield unpack(packet)
-        assert not decoder.drops
-
-
 def test_a_frame_that_finds_the_line_busy_is_left_out_whole():
     """By the interrupts of a USART whose first byte takes longer than two frames."""
-    with EmulatedBoard(line=Line()) as board:
-        came, line = received(board), board.chip.line
-        assert isinstance(next(came), Info)
-        line.slower = 60_000.0
-        line.waiting += encode(pack(Start(2), 1))
+    with EmulatedBoard() as board:
+        board.wait_for(Info)
+        board.line.slower = 60_000.0
+        board.line.write(encode(pack(Start(2), 1)))
         while board.chip.now < START_AND_TWO_FRAMES:
             time.sleep(0.01)
-        line.slower = 1.0
-        line.waiting += encode(pack(Hello(), 2))
+        board.line.slower = 1.0
+        came = board.messages()
+        board.line.write(encode(pack(Hello(), 2)))
         assert [type(next(came)) for _ in range(3)] == [Ack, FrameData, Info]
-        assert line.baud == pytest.approx(921_600, rel=0.005)
         assert no_complaints(board)
 
 
 def test_without_the_crystal_it_runs_from_the_internal_clock():
-    with EmulatedBoard(line=Line(), crystal=False) as board:
-        assert isinstance(next(received(board)), Info)
+    with EmulatedBoard(crystal=False) as board:
+        board.wait_for(Info)
         assert board.chip.sysclk == 96e6
-        assert board.chip.line.baud == pytest.approx(921_600, rel=0.005)
+        assert board.line.baud == pytest.approx(921_600, rel=0.005)
         assert no_complaints(board)

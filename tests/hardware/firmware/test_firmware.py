@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eitskin.errors import DeviceError
 from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import (
     Ack,
@@ -35,7 +34,7 @@ from eitskin.hardware.protocol.packets import (
 )
 
 from compiled_firmware import ask, booted, compiled_board, frames, fuzzer, library, messages
-from loopback import PROTOCOL, connected, take
+from loopback import PROTOCOL
 
 # ---- who it is ----
 
@@ -62,6 +61,8 @@ def test_a_reboot_counts_and_starts_the_numbers_again():
     assert not board.streaming
     first, _ = frames(board, 2)
     assert (first.number, first.time) == (0, pytest.approx(0.0177, abs=1e-3))
+    board.number = 2**32 - 1
+    assert [frame.number for frame in frames(board, 2)] == [2**32 - 1, 0]
 
 
 @pytest.mark.parametrize(
@@ -107,26 +108,7 @@ def test_stop_ends_the_frame_that_is_being_measured():
     assert not board.afe.complaints
 
 
-def test_frame_numbers_wrap():
-    board = booted()
-    board.number = 2**32 - 2
-    assert [frame.number for frame in frames(board, 4)] == [2**32 - 2, 2**32 - 1, 0, 1]
-
-
 # ---- a bad line ----
-
-
-def damaged(rng, packet):
-    data = bytearray(packet)
-    place = rng.randrange(1, len(data) - 1)
-    kind = rng.randrange(3)
-    if kind == 0:
-        data[place] ^= 1 << rng.randrange(8)
-    elif kind == 1:
-        del data[place]
-    else:
-        data.insert(place, rng.randrange(256))
-    return bytes(data)
 
 
 def noisy_stream(rng, pieces):
@@ -140,7 +122,9 @@ def noisy_stream(rng, pieces):
         if kind < 2:
             stream += packet
         elif kind == 2:
-            stream += damaged(rng, packet)
+            place = rng.randrange(1, len(packet) - 1)
+            stream += packet[:place] + rng.choice([b"", bytes([rng.randrange(256)])])
+            stream += packet[place + rng.randrange(2) :]
         else:
             stream += rng.randbytes(rng.choice([3, 30, 300, 3000]) if kind == 3 else 1)
     return bytes(stream) + b"\0"
@@ -158,9 +142,8 @@ def expected_answer(packet):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1))
-def test_no_bytes_break_it_and_only_whole_requests_are_answered(seed):
-    stream = noisy_stream(random.Random(seed), 4000)
+def test_no_bytes_break_it_and_only_whole_requests_are_answered():
+    stream = noisy_stream(random.Random(0), 4000)
     done = subprocess.run([fuzzer()], input=stream, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     decoder = Decoder()
@@ -183,16 +166,6 @@ def test_requests_wait_while_their_answers_cannot_be_sent():
     assert board.poll(200) == b""
     board.line = None
     assert messages(board.receive(b"")) == [Table.from_protocol(PROTOCOL)] * 40
-
-
-# ---- behind a port ----
-
-
-def test_the_host_is_told_that_the_part_is_missing():
-    board = compiled_board()
-    board.afe.present = False
-    with pytest.raises(DeviceError, match=r"START: .*AD5940"):
-        take(connected(board)[0], 1)
 
 
 # ---- firmware packets ----
@@ -251,7 +224,8 @@ def test_both_codecs_write_the_same_bytes(packet):
 
 @given(st.lists(packets, max_size=4), st.binary(max_size=50))
 def test_both_codecs_read_the_same_packets(sent, garbage):
-    stream = b"".join(encode(packet) + garbage + b"\0" for packet in sent)
+    stream = b"x" * (MAX_PACKET - 1) + b"".join(encode(packet) + garbage + b"\0" for packet in sent)
+    stream += encode(Packet(1, 1, version=3))
     assert decoded_in_c(stream) == list(Decoder().feed(stream))
 
 
@@ -260,12 +234,6 @@ def test_a_packet_without_room_is_not_written():
     size = len(encode(packet))
     assert encoded_in_c(packet, size) == encode(packet)
     assert encoded_in_c(packet, size - 1) == b""
-
-
-def test_a_packet_too_long_is_dropped_and_the_next_is_read():
-    stream = b"x" * (MAX_PACKET - 1) + encode(pack(Hello(), 5))
-    assert [packet.seq for packet in decoded_in_c(stream)] == [5]
-    assert decoded_in_c(encode(Packet(1, 1, version=3))) == []
 
 
 # ---- boot count ----
@@ -331,9 +299,11 @@ def test_boots_are_counted_over_many_pages():
     assert [flash.boot() for _ in range(100)] == list(range(1, 101))
     assert sum(flash.erasures) == 100 // 4 - 1  # four records a page; the first two came erased
     assert abs(flash.erasures[0] - flash.erasures[1]) <= 1
+    flash.pages = [[0x12345678] * 8, [0] * 8]  # anything may be in them at first
+    assert [flash.boot() for _ in range(12)] == list(range(1, 13))
 
 
-@pytest.mark.parametrize("before", range(12))
+@pytest.mark.parametrize("before", [0, 2, 3, 4, 7, 11])
 def test_a_power_cut_at_any_step_loses_no_count_but_its_own(before):
     for steps in range(1, 4):
         flash = Flash()
@@ -345,9 +315,3 @@ def test_a_power_cut_at_any_step_loses_no_count_but_its_own(before):
         after = [flash.boot() for _ in range(10)]
         assert after[0] in {before + 1, before + 2}, steps
         assert after == list(range(after[0], after[0] + 10)), steps
-
-
-def test_pages_with_anything_in_them_are_used_up_and_then_erased():
-    flash = Flash()
-    flash.pages = [[0x12345678] * 8, [0] * 8]
-    assert [flash.boot() for _ in range(12)] == list(range(1, 13))

@@ -4,9 +4,7 @@ import atexit
 import contextlib
 import functools
 import os
-import select
 import shutil
-import socket
 import struct
 import subprocess
 import tempfile
@@ -31,7 +29,6 @@ EMULATOR = "qemu-system-arm"
 KINDS = ("read", "write", "tick", "boot", "fault")
 QUESTION, ANSWER = struct.Struct("<7I8s"), struct.Struct("<4I8s")
 STOP = 0xFFFFFFFF
-PATIENCE = 60.0  # s of silence after which something is wrong
 
 MONITOR_OPTIONS = (
     *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft", "-std=gnu99", "-O2", "-Wall", "-Wextra"),
@@ -71,40 +68,35 @@ class EmulatedBoard:
 
     Attributes:
         chip: the parts that QEMU lacks.
-        folder: folder that QEMU runs in.
+        line: the host's end of its serial line.
     """
 
-    def __init__(self, afe=None, line=None, crystal=True):
+    def __init__(self, afe=None, crystal=True):
         require(EMULATOR)
-        self.chip = Chip(afe or SimulatedAfe(sensor()), line)
-        self.chip.crystal = crystal
+        self.chip = Chip(afe or SimulatedAfe(sensor()))
+        self.chip.crystal, self.line = crystal, self.chip.line
         self._decoder, self._seq = Decoder(), 0
         self._stack = contextlib.ExitStack()
 
     def __enter__(self):
         images = image()
-        folder = self.folder = self._stack.enter_context(tempfile.TemporaryDirectory())
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory())
         for name in ("asks", "told"):
             os.mkfifo(Path(folder) / name)
         # Open both ways: neither side then waits for the other, or sees an end.
         self._asks, self._told = (os.open(Path(folder) / n, os.O_RDWR) for n in ("asks", "told"))
-        server = self._stack.enter_context(socket.socket(socket.AF_UNIX))
-        server.bind(f"{folder}/host")
-        server.listen(1)
         self._process = subprocess.Popen(
             [
                 *(EMULATOR, "-machine", "netduinoplus2", "-display", "none", "-monitor", "none"),
                 *("-icount", "shift=0,sleep=off", "-semihosting-config", "enable=on,target=native"),
                 *("-kernel", images / "eitskin-f411.elf"),
                 *("-device", f"loader,file={images / 'monitor.elf'},cpu-num=0"),
-                *("-serial", "null", "-serial", f"unix:{folder}/host"),
+                *("-serial", "null"),
             ],
             cwd=folder,
         )
         self._thread = threading.Thread(target=self._answer, daemon=True)
         self._thread.start()
-        self._host, _ = server.accept()
-        self._host.settimeout(PATIENCE)
         return self
 
     def __exit__(self, *_):
@@ -112,7 +104,6 @@ class EmulatedBoard:
         self._process.wait()
         os.write(self._asks, QUESTION.pack(STOP, 0, 0, 0, 0, 0, 0, b""))
         self._thread.join()
-        self._host.close()
         os.close(self._asks)
         os.close(self._told)
         self._stack.close()
@@ -129,17 +120,10 @@ class EmulatedBoard:
 
     # ---- the host ----
 
-    def write(self, data):
-        self._host.sendall(data)
-
-    def read(self):
-        """Bytes that have come, at least one."""
-        return self._host.recv(4096)
-
     def messages(self):
         """Messages as they come; a damaged packet fails."""
         while True:
-            for packet in self._decoder.feed(self.read()):
+            for packet in self._decoder.feed(self.line.read(4096)):
                 yield unpack(packet)
             assert not self._decoder.drops
 
@@ -154,38 +138,9 @@ class EmulatedBoard:
 
     def serial_board(self):
         """The board as eitskin reads it, by a clock that stands still: emulation takes its time."""
-        return SerialBoard(lambda: _Port(self._host), "serial:emulated", clock=lambda: 0.0)
+        return SerialBoard(lambda: self.line, "serial:emulated", clock=lambda: 0.0)
 
     def ask(self, request, kind):
         self._seq += 1
-        self.write(encode(pack(request, self._seq)))
+        self.line.write(encode(pack(request, self._seq)))
         return self.wait_for(kind)[0]
-
-
-class _Port:
-    """The socket of a host as a serial port."""
-
-    def __init__(self, host):
-        self._host, self._waiting = host, bytearray()
-
-    @property
-    def in_waiting(self):
-        while select.select([self._host], [], [], 0.0)[0]:
-            self._waiting += self._host.recv(4096)
-        return len(self._waiting)
-
-    def read(self, size=1):
-        if not self._waiting:
-            self._waiting += self._host.recv(4096)
-        data = bytes(self._waiting[:size])
-        del self._waiting[:size]
-        return data
-
-    def write(self, data):
-        self._host.sendall(data)
-
-    def reset_input_buffer(self):
-        del self._waiting[: self.in_waiting]
-
-    def close(self):
-        pass

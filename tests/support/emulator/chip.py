@@ -11,7 +11,7 @@ from eitskin import hardware
 
 from emulator.front_end_bus import FrontEndBus
 from emulator.pins import Pins
-from emulator.usart import Usart
+from emulator.usart import Line, Usart
 
 NEVER = 0xFFFFFFFF
 RAISE_EXTI_10, RAISE_TIM5, RAISE_USART2, FORBID_USART2, RESET, SPI_HANGS = 1, 2, 4, 8, 16, 32
@@ -44,6 +44,7 @@ class Chip:
 
     Attributes:
         afe: the simulated AD5940.
+        line: the host's end of the serial line.
         now: time since power came [us].
         crystal: whether the ST-LINK gives its 8 MHz.
         spi_hangs: whether SPI has stopped for ever.
@@ -53,8 +54,8 @@ class Chip:
         complaints: what it was told that makes no sense.
     """
 
-    def __init__(self, afe, line=None):
-        self.afe, self.line = afe, line
+    def __init__(self, afe):
+        self.afe, self.line = afe, Line()
         self.crystal, self.spi_hangs = True, False
         self.now, self.resets = 0.0, 0
         self.store = bytearray(b"\xff" * FLASH_SIZE)
@@ -84,7 +85,7 @@ class Chip:
         self._took -= self._told  # less than one microsecond stays
         self._told = 0
         if kind == "boot":
-            return 0, FORBID_USART2 if self.line else 0, NEVER, 0, b""
+            return 0, FORBID_USART2, NEVER, 0, b""
         self.bus.exchange(sent)
         result = 0
         if kind in {"read", "write"}:

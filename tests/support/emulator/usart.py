@@ -1,5 +1,7 @@
 """USART2 with bytes that take their time, in place of QEMU's, which sends in no time."""
 
+import time
+
 SR, DR, BRR, CR1 = 0x00, 0x04, 0x08, 0x0C
 ORE, RXNE, TC, TXE = 1 << 3, 1 << 5, 1 << 6, 1 << 7
 BITS = 10  # 8N1
@@ -7,17 +9,41 @@ PINS = ("serial out", "serial in")
 
 
 class Line:
-    """The host's end of a line, with the bytes on their way.
+    """The host's end of a line, a serial port, with the bytes on their way.
 
     Attributes:
         slower: by how much bytes of the board take longer than the baud rate says.
         sent: what the board has sent.
+        waiting: what the board has not received yet.
         baud: rate that the board has chosen.
     """
 
-    def __init__(self, slower=1.0):
-        self.slower, self.baud = slower, None
+    def __init__(self):
+        self.slower, self.baud = 1.0, None
         self.sent, self.waiting = bytearray(), bytearray()
+
+    @property
+    def in_waiting(self):
+        return len(self.sent)
+
+    def read(self, size=1):
+        """Bytes that have come, at least one; a board that says nothing fails."""
+        give_up = time.monotonic() + 60.0
+        while not self.sent:
+            assert time.monotonic() < give_up
+            time.sleep(0.002)
+        data = bytes(self.sent[:size])
+        del self.sent[: len(data)]
+        return data
+
+    def write(self, data):
+        self.waiting += data
+
+    def reset_input_buffer(self):
+        self.sent.clear()
+
+    def close(self):
+        pass
 
 
 class Usart:
@@ -42,7 +68,7 @@ class Usart:
 
     def advance(self):
         """Move bytes on; whether the interrupt is pending."""
-        if self._line is None or not self._cr1 >> 13 & 1:
+        if not self._cr1 >> 13 & 1:
             return False
         now = self._chip.now
         while self._free_at is not None and now >= self._free_at:
