@@ -1,10 +1,11 @@
 """Commands of the live page: its protocol, and those to a virtual board."""
 
+import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -12,15 +13,13 @@ import numpy as np
 from eitskin import hardware
 from eitskin.bounds import require_in_range
 from eitskin.cli.page.plan import Region
-from eitskin.config import from_dict
+from eitskin.config import Location, build
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.bodies.pressed_body import require_over_body
 from eitskin.simulator.scene.scene import Scene, Touch
-
-Kind = TypeVar("Kind")
 
 MAX_TOUCHES = 4
 STEP = 3.0  # duration of each step of the episode [s]
@@ -55,51 +54,6 @@ class PageTouch:
         require_in_range("force", self.force, *FORCE_RANGE, "N")
 
 
-@dataclass(frozen=True, slots=True)
-class SceneCommand:
-    """POST /scene: the whole scene that the board measures from now on."""
-
-    bend_deg: float = 0.0
-    touches: tuple[PageTouch, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Check angle and number."""
-        require_in_range("bend_deg", self.bend_deg, *BEND_RANGE, "deg")
-        if len(self.touches) > MAX_TOUCHES:
-            raise ConfigurationError(
-                f"at most {MAX_TOUCHES} touches at once, got {len(self.touches)}"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class FaultCommand:
-    """POST /fault: a fault as "name" or "name:index", or the end of all lasting faults."""
-
-    fault: str = ""
-    clear: bool = False
-
-    def __post_init__(self) -> None:
-        """Check that either a fault or its end is given."""
-        if bool(self.fault) == self.clear:
-            raise ConfigurationError('give either "fault", a name, or "clear": true')
-        if self.fault and not re.fullmatch(r"\w{1,40}(:\d{1,6})?", self.fault):
-            raise ConfigurationError(f"expected a fault as name or name:index, got {self.fault!r}")
-
-
-@dataclass(frozen=True, slots=True)
-class PlayCommand:
-    """POST /play: begin the paper's episode, or end it with the sensor flat and untouched."""
-
-    play: bool
-
-
-@dataclass(frozen=True, slots=True)
-class EnterCommand:
-    """POST /enter: the token from the page's address."""
-
-    token: str
-
-
 class ConflictError(ConfigurationError):
     """A command that is valid, but not possible now or with this board."""
 
@@ -123,63 +77,69 @@ May raise ConfigurationError. Without an answer the browser learns that it was d
 
 
 def make_commands(
-    actions: Mapping[str, tuple[Any, Callable[[Any], bytes | None]]],
-    act: Callable[[Callable[[Any], Any], Any], bytes | None],
+    actions: Mapping[str, Callable[..., bytes | None]],
+    act: Callable[[Callable[[], Any]], bytes | None] = lambda action: action(),
 ) -> Commands:
-    """Commands from the type of each payload and its action, which `act` calls with the payload."""
+    """Commands whose bodies are the arguments of an action, which `act` calls."""
 
-    def take(path: str, target: Any, action: Callable[[Any], Any], body: bytes) -> bytes | None:
-        return act(action, read_command(target, path, body))
+    def take(path: str, action: Callable[..., Any], body: bytes) -> bytes | None:
+        return act(partial(action, **read_arguments(action, path, body)))
 
-    return {path: partial(take, path, *action) for path, action in actions.items()}
+    return {path: partial(take, path, action) for path, action in actions.items()}
 
 
-def read_command(target: type[Kind], path: str, body: bytes) -> Kind:
-    """Command that was posted to `path`; raises ConfigurationError for another body."""
+def read_arguments(action: Callable[..., Any], path: str, body: bytes) -> dict[str, Any]:
+    """Arguments of an action in a body posted to `path`; raises ConfigurationError for others."""
+
+    def collect(**given: Any) -> dict[str, Any]:
+        return given
+
+    collect.__signature__ = inspect.signature(action, eval_str=True)  # type: ignore[attr-defined]
     try:
         data = msgspec.json.decode(body)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigurationError(f"expected JSON, got what is not: {error}") from error
     if not isinstance(data, Mapping):
         raise ConfigurationError(f"expected a JSON object, got {type(data).__name__}")
-    return from_dict(target, data, path.lstrip("/"))
+    return build(collect, data, Location(path.lstrip("/")))
 
 
 def stage_commands(board: "hardware.Board", sheet: SensorDesign | Region) -> Commands:
     """Commands to scene and faults of a virtual board; they conflict with every other board."""
     stage: Any = getattr(board, "stage", None)
 
-    def set_scene(command: SceneCommand) -> None:
-        for press in command.touches:
+    def set_scene(bend_deg: float = 0.0, touches: tuple[PageTouch, ...] = ()) -> None:
+        require_in_range("bend_deg", bend_deg, *BEND_RANGE, "deg")
+        if len(touches) > MAX_TOUCHES:
+            raise ConfigurationError(f"at most {MAX_TOUCHES} touches at once, got {len(touches)}")
+        for press in touches:
             _require_inside(sheet, press)
-        touches = tuple(Touch(press.x, press.y, press.force) for press in command.touches)
-        stage.set(Scene(Bend(command.bend_deg), touches))
+        pressed = tuple(Touch(press.x, press.y, press.force) for press in touches)
+        stage.set(Scene(Bend(bend_deg), pressed))
 
-    def set_fault(command: FaultCommand) -> None:
-        if command.clear:
+    def set_fault(fault: str = "", clear: bool = False) -> None:
+        if bool(fault) == clear:
+            raise ConfigurationError('give either "fault", a name, or "clear": true')
+        if fault and not re.fullmatch(r"\w{1,40}(:\d{1,6})?", fault):
+            raise ConfigurationError(f"expected a fault as name or name:index, got {fault!r}")
+        if clear:
             stage.clear()
         else:
-            stage.inject(command.fault)
+            stage.inject(fault)
 
-    def play(command: PlayCommand) -> None:
-
-        if not command.play:
+    def play_episode(play: bool) -> None:
+        if not play:
             stage.set(Scene())
             return
         frames = max(1, round(STEP / (board.info.period or 1.0)))
         stage.play(hardware.Script(tuple(hardware.Step(scene, frames) for scene in STEPS)))
 
-    def act(action: Callable[[Any], Any], command: Any) -> None:
+    def act(action: Callable[[], Any]) -> None:
         if stage is None:
             raise ConflictError("this board is not a virtual one and takes no commands")
-        action(command)
+        action()
 
-    actions: dict[str, tuple[Any, Callable[[Any], None]]] = {
-        "/scene": (SceneCommand, set_scene),
-        "/fault": (FaultCommand, set_fault),
-        "/play": (PlayCommand, play),
-    }
-    return make_commands(actions, act)
+    return make_commands({"/scene": set_scene, "/fault": set_fault, "/play": play_episode}, act)
 
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:

@@ -24,7 +24,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from eitskin.cli.page.access import Access, Role, resolve_host
-from eitskin.cli.page.commands import Commands, ConflictError, EnterCommand, read_command
+from eitskin.cli.page.commands import Commands, ConflictError, read_arguments
 from eitskin.errors import ConfigurationError
 
 MAX_CLIENTS = 8
@@ -256,8 +256,8 @@ class Server:
 
     async def _enter(self, request: Request) -> Response:
         """Keep a token that was shown in a cookie, which scripts of no page can read."""
-        token = read_command(EnterCommand, "/enter", await _body(request)).token
-        role = self.access.role(token)
+        asked = read_arguments(self.access.role, "/enter", await _body(request))
+        role, token = self.access.role(**asked), asked["token"]
         if role is Role.STRANGER:
             raise HTTPException(401, _ADDRESS_MESSAGE)
         cookie = f"{self.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"

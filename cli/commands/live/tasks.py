@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin import datasets, hardware, simulator, training
 from eitskin.cli.commands.check import FRAMES, sensor_findings
 from eitskin.cli.commands.live.session import Recording
-from eitskin.cli.commands.own_sensor.adapt import in_words, open_start
+from eitskin.cli.commands.own_sensor.adapt import ANGLES, in_words, open_start
 from eitskin.cli.commands.own_sensor.poses import Dialogue, ask_for_poses, stage_poses
 from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupOptions
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
@@ -229,32 +229,6 @@ USE = "use the new pipeline in this session? Lay the sensor flat, untouched, fir
 END_TIMEOUT = 5.0  # s, after which a task is left alone: its files are whole or absent
 
 
-@dataclass(frozen=True, slots=True)
-class Plain:
-    """A command that needs no more than its path."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordCommand:
-    """POST /record: begin a recording, or end it."""
-
-    record: bool
-
-
-@dataclass(frozen=True, slots=True)
-class AnswerCommand:
-    """POST /answer: one of the choices that a task gives."""
-
-    answer: str
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayCommand:
-    """POST /replay: the name of a recording, whose readings are the answer."""
-
-    name: str
-
-
 class SessionTasks(Closeable, SessionCommands):
     """Tasks that a page may ask of a live session, one at a time, and its recordings.
 
@@ -289,22 +263,21 @@ class SessionTasks(Closeable, SessionCommands):
 
     @property
     def commands(self) -> Commands:
-        acts: dict[str, tuple[Any, Callable[[Any], None]]] = {
-            "/tare": (Plain, lambda _: self._start("zero", self._tare)),
-            "/check": (Plain, lambda _: self._start("check", self._check)),
-            "/record": (RecordCommand, lambda command: self._record(command.record)),
-            "/setup": (SetupOptions, self._setup_task),
-            "/answer": (AnswerCommand, lambda command: self._give(command.answer)),
-            "/cancel": (Plain, lambda _: self._cancel()),
+        acts: dict[str, Callable[..., None]] = {
+            "/tare": lambda: self._start("zero", self._tare),
+            "/check": lambda: self._start("check", self._check),
+            "/record": self._record,
+            "/setup": self._set_up,
+            "/answer": self._give,
+            "/cancel": self._cancel,
         }
 
-        def take(act: Callable[[Any], Any], command: Any) -> None:
+        def take(act: Callable[[], Any]) -> None:
             with self._lock:
-                act(command)
+                act()
             self._tell()
 
-        replay = {"/replay": (ReplayCommand, lambda command: self._replay(command.name))}
-        return {**make_commands(acts, take), **make_commands(replay, lambda act, it: act(it))}
+        return {**make_commands(acts, take), **make_commands({"/replay": self._replay})}
 
     def state(self) -> Mapping[str, Any]:
         recording, task = self._recording, self._task
@@ -373,7 +346,8 @@ class SessionTasks(Closeable, SessionCommands):
         healthy = f"healthy: nothing was found in {len(readings)} frames"
         return "\n".join(finding.message for finding in findings.findings) or healthy
 
-    def _setup_task(self, options: SetupOptions) -> None:
+    def _set_up(self, angles: str = ANGLES, presses: int = 10, frames: int = 8) -> None:
+        options = SetupOptions(angles, presses, frames)
         if max(options.presses, options.frames) > MAX_FRAMES:
             raise ConfigurationError(
                 f"expected at most {MAX_FRAMES} presses, and frames in each pose, got "
@@ -411,11 +385,11 @@ class SessionTasks(Closeable, SessionCommands):
         self._session.say(f"{done.out}: {text}")
         return text
 
-    def _record(self, begin: bool) -> None:
+    def _record(self, record: bool) -> None:
         """Begin or end the recording; raises ConflictError where there is nothing to do."""
-        if begin == (self._recording is not None):
-            now = "one is being made" if begin else "none is being made"
-            raise ConflictError(f"expected a recording to {'begin' if begin else 'end'}, but {now}")
+        if record == (self._recording is not None):
+            what, now = ("begin", "one") if record else ("end", "none")
+            raise ConflictError(f"expected a recording to {what}, but {now} is being made")
         if self._recording is None:
             folder = self._fresh("recording")
             self._recording = Recording(datasets.ShardWriter(folder), folder)
