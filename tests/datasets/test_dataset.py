@@ -31,17 +31,6 @@ def test_frame_is_what_a_board_would_give():
     assert np.array_equal(frame.status, data.status[13])
 
 
-def test_select_keeps_order_and_specimens():
-    data = make()
-    part = data.select([5, 3])
-    assert len(part) == 2
-    assert np.array_equal(part.impedance, data.impedance[[5, 3]])
-    assert np.array_equal(part.touch_x, data.touch_x[[5, 3]], equal_nan=True)
-    assert np.array_equal(part.reference, data.reference)
-    assert len(data.select(data.state == State.BEND)) == 20
-    assert len(data.select([])) == 0
-
-
 def test_split_by_frames_where_specimens_are_few():
     parts = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
     assert [len(part) for part in parts] == [60, 20, 20]

@@ -15,7 +15,7 @@ from eitskin.datasets.recipe.episode import (
     ScriptedEpisode,
     Timeline,
 )
-from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
+from eitskin.datasets.recipe.frame_sampling import sample
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
@@ -23,7 +23,6 @@ from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
 OUTLINE = Rectangle(0.150, 0.060)
 HERE, THERE = EpisodeTouch(0.05, 0.02), EpisodeTouch(0.1, 0.04, 8.0)
-QUIET = Instrument(snr_db=0.0)
 SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
 RNG = np.random.default_rng(0)
 # Six channels, for scenes that are solved by the dozen.
@@ -159,16 +158,6 @@ def test_frames_of_an_episode_are_labelled_and_follow_each_other():
     assert sample(asked, 40) == drawn[40]
 
 
-def test_lingering_dents_are_no_touches_in_the_labels(monkeypatch):
-    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
-    told = script(Keyframe(0.0, 0.0, (HERE,)), Keyframe(2.0), Keyframe(4.0), period=0.5)
-    data = simulate_shard(recipe(told, instrument=QUIET), 0)
-    assert data.touch_count.tolist() == [1] * 4 + [0] * 4
-    assert data.state.tolist() == [State.TOUCH] * 4 + [State.IDLE] * 4
-    assert (data.impedance[4:, 0].real > 105).all()  # the dent is there, though
-    assert data.touch_reference[4:, 0].real == pytest.approx(data.reference[0, 0].real)
-
-
 def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
     data = simulate_shard(recipe(script(*SWEEP, period=0.35), instrument=SCANNED), 0)
@@ -213,15 +202,3 @@ def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):
     assert steps.std() == pytest.approx(size, rel=4 / np.sqrt(2 * len(steps)))
     assert np.abs(steps[[59, 119]]).max() < 3.5 * size
     assert drift[0] == pytest.approx(1.0, abs=1e-6)
-
-
-def test_an_episode_depends_on_its_number_alone():
-    kind = RandomEpisodes(6, 50, angle_deg=(-20.0, 50.0))
-    asked = recipe(kind, frames_per_shard=10)
-    numbers = range(180, 250, 7)
-    drawn = [sample(asked, index) for index in numbers]
-    assert [sample(asked, index) for index in reversed(numbers)][::-1] == drawn
-    line = kind.draw(OUTLINE, generator(asked, Stream.EPISODE, 4))
-    last = sample(asked, 249)
-    assert last.scene.bend == line.scene(49 * kind.period).bend != Bend(0.0)
-    assert len({sample(asked, 50 * episode + 49).scene.bend for episode in range(6)}) == 6

@@ -15,7 +15,7 @@ from command_line import printed_json
 from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export.frame_table import SPLITS, parse_split, specimen_splits
 from eitskin.datasets.store.manifest import Names
-from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.errors import ConfigurationError, DataError
 
 from on_demand import OnDemand
 from small_dataset import make
@@ -85,20 +85,6 @@ class TestParquet:
         about = json.loads(schema.metadata[b"eitskin"])
         assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
         assert about["protocol"][0] == [0, 1, 0, 1]
-
-    def test_touches_are_lists_of_those_that_are_there(self, saved, parquet):
-        data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
-        for row, touches in enumerate(frames["touches"]):
-            there = np.isfinite(data.touch_x[row])
-            if row in (8, 9):
-                assert touches is None, row  # nobody knows whether, or where, there are any
-                continue
-            assert len(touches) == there.sum(), row
-            for touch, place in zip(touches, np.flatnonzero(there), strict=True):
-                for name in ("x", "y", "force", "radius", "depth"):
-                    true = getattr(data, f"touch_{name}")[row, place]
-                    found = np.nan if touch[name] is None else np.float32(touch[name])
-                    np.testing.assert_array_equal(found, true)
 
     def test_the_lines_of_the_guide_read_it_with_pandas(self, saved, parquet):
         page = Path(__file__).parents[2] / "docs" / "how-to" / "generate-data.md"
@@ -192,15 +178,6 @@ class TestMistakes:
         with pytest.raises(DataError, match=last.name):
             export_dataset(copy, tmp_path / "out", "parquet")
         assert [path.name for path in tmp_path.iterdir()] == ["copy"]
-
-    def test_a_full_disk_leaves_nothing(self, saved, tmp_path, monkeypatch):
-        def full(*_, **__):
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
-        with pytest.raises(PartialError, match="No space left"):
-            export_dataset(saved, tmp_path / "out", "parquet")
-        assert not list(tmp_path.iterdir())
 
 
 def test_the_command_tells_frames_and_units(tmp_path):

@@ -34,19 +34,6 @@ def all_samples(recipe):
     return [sample(recipe, index) for index in range(recipe.frames)]
 
 
-def test_any_first_part_is_a_balanced_mix():
-    states = np.array([sample(MIXED, index).state for index in range(MIXED.frames)])
-    shares = {State.IDLE: 30 / 180, State.BEND: 60 / 180, State.TOUCH: 90 / 180}
-    assert {state: int((states == state).sum()) for state in State} == {
-        State.IDLE: 30,
-        State.BEND: 60,
-        State.TOUCH: 90,
-    }
-    for length in range(1, len(states) + 1):
-        for state, share in shares.items():
-            assert abs((states[:length] == state).sum() - share * length) <= 2.0
-
-
 def test_frames_hold_what_their_group_says():
     outline = MIXED.sensor.outline
     for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):
@@ -120,19 +107,6 @@ def test_frames_of_a_block_share_specimen_and_bend_and_nothing_else():
         assert len({each.scene.touches for each in block}) == len(block)
         indices = [each.index for each in block]
         assert indices == list(range(indices[0], indices[0] + len(block)))
-
-
-def test_specimens_follow_each_other_and_begin_their_sessions_anew():
-    drawn = all_samples(GROUPED)
-    numbers = [each.specimen for each in drawn]
-    assert numbers == sorted(numbers)
-    assert set(numbers) == {0, 1, 2}
-    for number in range(3):
-        mine = [each for each in drawn if each.specimen == number]
-        assert 30 <= len(mine) <= 50
-        assert mine[0].session_time == 0.0
-        assert np.diff([each.session_time for each in mine]) == pytest.approx(0.297)
-        assert 0.05 < np.mean([each.state == State.IDLE for each in mine]) < 0.35
 
 
 @pytest.mark.parametrize(("count", "episodes"), [(3, 0), (7, 9), (50, 4), (500, 0)])

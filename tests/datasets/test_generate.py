@@ -12,11 +12,10 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, generate, open_dataset
 from eitskin.datasets.generation import generate as generation
 from eitskin.datasets.generation.preparation import estimate_cost, free_bytes, solved_frames
-from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
+from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -25,7 +24,7 @@ from eitskin.datasets.store import shard_reader
 from eitskin.datasets.store.shard import shard_name, verify_checksum
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Free, Hinge, Plates
-from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
+from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.threads import one_thread
 
 from killed_writers import killed_once, was_killed
@@ -147,6 +146,7 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
     ]  # HDF5 sees sound files alone
 
 
+@pytest.mark.slow
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
     whole, tmp_path, monkeypatch
 ):
@@ -286,25 +286,3 @@ def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, monkeypatch, code, 
 
 
 # Generating by any protocol and board: what the recipe names is what is measured
-
-
-def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
-    meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=-4.0, step=0.25, reads="magnitude")
-    recipe = Recipe(
-        "loaded",
-        resolution="coarse",
-        protocol=Protocol.opposite(8),
-        instrument=Instrument(snr_db=0.0, meter=meter),
-        scenes=(SceneGroup("idle", count=1),),
-    )
-    data = simulate_frames(recipe, [0])
-    made = specimen(recipe, 0)
-    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
-    read, _ = meter.reading(meter.transfer_impedance(Z, recipe.protocol))
-    assert data.impedance[0] == pytest.approx(read, abs=0.26)  # a step of rounding
-    assert data.reference[0] == pytest.approx(data.impedance[0])
-    assert data.quantity == "magnitude"
-    assert parse_toml(Recipe, data.recipe).instrument == recipe.instrument
-    leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
-    with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
-        dataclasses.replace(recipe, instrument=leaking)

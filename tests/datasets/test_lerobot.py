@@ -7,7 +7,6 @@ import pytest
 
 from eitskin.datasets import export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export import lerobot
-from eitskin.datasets.export.frame_table import SPLITS, specimen_splits
 from eitskin.errors import DataError
 
 from on_demand import OnDemand
@@ -109,18 +108,6 @@ def test_each_frame_is_the_datasets_own(saved, episodes, frames):
         names = ("x", "y", "force", "radius", "depth")
         for place, name in enumerate(names):
             np.testing.assert_array_equal(touches[..., place], getattr(true, f"touch_{name}"))
-
-
-def test_splits_are_ranges_of_episodes(info, episodes, saved):
-    data = open_dataset(saved)
-    splits = specimen_splits(data.specimen_number.tolist(), data.names, data.seed)
-    end = 0
-    for name in SPLITS:
-        start, stop = map(int, info["splits"][name].split(":"))
-        assert start == end
-        assert {splits[n] for n in episodes["specimen"][start:stop]} == {name}
-        end = stop
-    assert end == EPISODES
 
 
 def test_statistics_are_those_of_all_exported_frames(out, frames):

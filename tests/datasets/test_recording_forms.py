@@ -144,15 +144,6 @@ def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
     assert data.number.tolist() == list(range(8))
 
 
-def test_rows_that_do_not_alternate_are_refused(tmp_path):
-    form = RecordingForm("during-before")
-    for rows, message in ((3, "odd number of rows"), (2, "--rows before-during")):
-        lines = [[1, "", ""], [2, 0.1, 0.1], [3, "", ""]][:rows]
-        csv_file(tmp_path / "a.csv", ["v0", "x", "y"], lines)
-        with pytest.raises(DataError, match=message):
-            read_recording(tmp_path / "a.csv", form=form)
-
-
 # Labels and units
 
 
@@ -243,6 +234,7 @@ def test_several_files_are_sessions_of_one_recording(tmp_path):
 # Refusals
 
 
+@pytest.mark.slow
 def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     csv_file(tmp_path / "a.csv", ["v0", "v1"], [[1, 2], [3, ""], ["inf", 6], [7, 8]])
     with pytest.raises(DataError, match=r"channel 1 of frame 1.* 1 more frame;.*--bad-values mark"):
@@ -277,25 +269,6 @@ def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, e
     (tmp_path / "a.csv").write_text("\n".join(lines))
     with pytest.raises(error, match=message):
         read_recording(tmp_path / "a.csv", RecordingNames(**names))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "% by a robot\n1 2 3  .1\n4 5 6  .2 \n",
-        "# v0,v1,v2,t\n1,2,3,.1\n4,5,6,.2\n",
-        "%\n[1, 2, 3, .1],\n[4, 5, 6, .2],\n",
-    ],
-)
-def test_files_without_a_header_have_numbered_columns_or_those_of_a_comment(tmp_path, text):
-    (tmp_path / "a.txt").write_text(text)
-    first = "c" if text[0] == "%" else "v"
-    columns = {"t": "c:3"} if first == "c" else {}
-    data = read_recording(
-        tmp_path / "a.txt", RecordingNames(f"{first}0..{first}2", columns=columns)
-    )
-    assert data.impedance.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert data.time.tolist() == [0.1, 0.2]
 
 
 def test_dates_are_seconds(tmp_path):

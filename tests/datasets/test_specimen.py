@@ -217,6 +217,7 @@ def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
     assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("presses_by_law")
 def test_forces_must_be_within_reach_of_every_specimen():
     """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
@@ -300,6 +301,7 @@ def test_specimens_have_the_mounts_in_turn_and_deviate_from_them():
     assert specimen(without, 3).fixture == Clamp()
 
 
+@pytest.mark.slow
 def test_frames_say_the_clamp_of_their_specimen():
     flat = (SceneGroup("idle", count=12),)
     asked = dataclasses.replace(mounted(specimens=12), scenes=flat, resolution="fast")
@@ -357,19 +359,3 @@ def test_every_load_has_the_spread_that_was_asked_for():
     apart = np.corrcoef(ratios.T) - np.eye(len(TERMS))
     assert np.abs(apart).max() < 0.2
     assert {each.scale for each in meters} == {2.0}
-
-
-def test_frames_and_references_of_a_specimen_are_read_by_its_own_board():
-    asked = boarded(3.0)
-    data = simulate_frames(asked, range(3))
-    for row, number in enumerate(data.specimen_number[data.specimen].tolist()):
-        own = dataclasses.replace(
-            asked,
-            instrument=instrument(asked, number),
-            specimens=dataclasses.replace(asked.specimens, board_loads=0.0),
-        )
-        alone = simulate_frames(own, [int(data.number[row])])
-        np.testing.assert_array_equal(data.impedance[row], alone.impedance[0])
-        np.testing.assert_array_equal(data.reference[data.specimen[row]], alone.reference[0])
-    usual = simulate_frames(boarded(0.0), range(3))
-    assert np.abs(data.impedance / usual.impedance - 1.0).max() > 1e-3

@@ -136,6 +136,16 @@ def test_gains_and_signs_are_found_from_few_presses():
         assert np.std(np.log(np.abs(relative))) < 0.25
 
 
+def test_copies_keep_their_owner():
+    sectors = Sectors.from_design(ring(), RING)
+    places = RADIUS + np.array([[0.01, 0.0], [0.0, 0.02]])
+    presses = sectors.copy_to_sectors(Presses.from_frames(places, np.ones(2), answers(places)), 0.1)
+    assert len(presses.strength) == 2 * N
+    np.testing.assert_array_equal(presses.owner, np.tile([0, 1], N))
+    np.testing.assert_array_equal(presses.weight, np.repeat([1.0, 0.1], [2, 2 * (N - 1)]))
+    np.testing.assert_allclose(presses.answers, answers(presses.places), atol=1e-12)
+
+
 @pytest.mark.slow
 def test_span_of_a_design_holds_the_maps_of_its_protocol(monkeypatch):
     """Any sensitivity is a combination of the span's maps: here against those of point sources."""

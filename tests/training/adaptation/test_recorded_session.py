@@ -1,14 +1,12 @@
 """Learned touch positions in a session: live, on a replay, saved and opened."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
-from eitskin.cli.commands.live import command as live
 from eitskin.datasets import State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
@@ -86,22 +84,6 @@ def test_bad_channels_are_left_out_and_other_frames_refused(learned):
         learned.process(Frame(FLAT, table))
     with pytest.raises(FrameError, match="40000 Hz"):
         learned.process(frame(FLAT, 3, frequency=1e3))
-
-
-def test_commands_run_it_live_and_evaluate_it(folder, capsys):
-    model, data = folder / "skin.eitmodel", folder / "data"
-    live.command(model, board=f"replay:{data}", frames=4, as_json=True)
-    said = capsys.readouterr()
-    lines = [json.loads(line) for line in said.out.splitlines()]
-    assert "does not estimate the state, the bend angle, forces" in " ".join(said.err.split())
-    assert [line["state"] for line in lines] == [None] * 4
-    assert list(lines[0]["probabilities"].values()) == [None] * 3
-    assert lines[0]["touches"] == []
-    assert len(lines[-1]["touches"]) == 1
-    live.command(model, board=f"replay:{data}", frames=2)
-    assert "not estimated" in capsys.readouterr().out
-    train.evaluate(model, data, as_json=True)
-    assert json.loads(capsys.readouterr().out)["frames"] == 12
 
 
 def knowing(learned, **known):

@@ -10,7 +10,6 @@ from eitskin.training.evaluation.scores import (
     GATE,
     consistency,
     determination,
-    match,
     match_distances,
     ospa,
     root_mean_square,
@@ -34,12 +33,6 @@ from eitskin.training.evaluation.scores import (
 )
 def test_pairs_are_as_many_as_can_be_and_then_the_nearest(true, found, distances):
     assert sorted(match_distances(true, found)) == pytest.approx(distances)
-
-
-def test_matched_rows_belong_together():
-    true = [(0.0, 0.0), (0.1, 0.0), (0.05, 0.0)]
-    rows, columns = match(true, [(0.052, 0.0), (0.001, 0.0)])
-    assert dict(zip(rows.tolist(), columns.tolist(), strict=True)) == {0: 1, 2: 0}
 
 
 places = st.lists(st.tuples(*[st.floats(0, 0.1)] * 2), max_size=5)

@@ -69,17 +69,7 @@ def test_the_strength_of_the_sensor_is_told_by_known_forces(method):
     assert gains[1] == pytest.approx(1.0, abs=0.05)
 
 
-def test_many_touches_leave_nothing_unknown_and_none_leaves_the_prior(method):
-    rng = np.random.default_rng(2)
-    one = sensor(method, rng.standard_normal(LATENT))
-    few, many = (method.adapt(pressed(one, count, rng))[0] for count in (2, 200))
-    sizes = [np.linalg.norm(each.own_latent) for each in (few, many)]
-    assert sizes[1] < 0.3 * sizes[0] < 0.3 * np.linalg.norm(method.response.latent_output)
-    assert left(many, one, rng) < 0.02
-    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
-    assert few.adapt(flat)[0].own_latent is None
-
-
+@pytest.mark.slow
 def test_the_covariance_left_is_that_of_the_errors(method):
     """Errors of the latent variables of 20 sensors over their standard deviations."""
     rng = np.random.default_rng(3)
@@ -95,29 +85,3 @@ def test_the_covariance_left_is_that_of_the_errors(method):
         root = np.linalg.lstsq(flat.T, adapted.own_latent.reshape(LATENT, -1).T, rcond=None)[0]
         ratios.append(np.linalg.solve(root / strength, np.array(found) / strength - latent))
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.2
-
-
-def test_touches_that_no_sensor_explains_tell_less(method):
-    rng = np.random.default_rng(4)
-    known = pressed(sensor(method, rng.standard_normal(LATENT)), 10, rng)
-    change = np.log1p(known.observations.dynamic)
-    change *= 1.0 + 0.3 * rng.standard_normal(change.shape)
-    strange = replace(known.observations, dynamic=np.expm1(change))
-    usual, wide = (
-        np.linalg.norm(method.adapt(each)[0].own_latent)
-        for each in (known, replace(known, observations=strange))
-    )
-    assert wide > 2.0 * usual
-
-
-def test_touches_that_contradict_each_other_leave_the_response_as_it_is(method):
-    """Each touch has another sensor's response: what some tell makes others worse."""
-    rng = np.random.default_rng(8)
-    frames = [pressed(sensor(method, rng.standard_normal(LATENT)), 1, rng) for _ in range(12)]
-    changes = np.concatenate([np.log1p(each.observations.dynamic) for each in frames])
-    touches = np.concatenate([each.touches for each in frames])
-    known = known_frames(FLAT, 4, changes, np.zeros(12), touches=touches)
-    middle = sensor(method, np.zeros(LATENT))
-    assert left(method.adapt(known)[0], middle, rng) < 0.5 * np.median(
-        [left(method.adapt(each)[0], middle, rng) for each in frames]
-    )

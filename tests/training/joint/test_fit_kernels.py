@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from one_frame import FAULTS, TOUCHES, candidates, frame
+from one_frame import TOUCHES, frame
 
 from eitskin import compiled
 from eitskin.compiled import kernels
-from eitskin.training.joint.model_selection import fit_frame
 from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
 
 from smooth_sensor import TOUCH_PRIOR
@@ -45,17 +44,3 @@ def test_fits_end_where_those_of_plain_numpy_do(steps):
             assert other.misfit == pytest.approx(one.misfit, rel=1e-6), name
             assert other.unknowns.angle_deg == pytest.approx(one.unknowns.angle_deg, abs=1e-5)
             np.testing.assert_allclose(other.unknowns.touches, one.unknowns.touches, atol=1e-6)
-
-
-def test_frames_are_explained_as_by_plain_numpy():
-    rng = np.random.default_rng(2)
-    for count, angle in ((0, 10.0), (1, 0.0), (2, 35.0), (4, -10.0)):
-        objective = frame(TOUCHES.get(count, ()), angle, angle - 3.0, rng)
-        tried = candidates(angle)
-        one = fit_frame(objective, tried, None, FAULTS)
-        other = fit_frame(compiled_one(objective), tried, None, FAULTS)
-        assert len(one.touches) == count
-        np.testing.assert_allclose(other.touches, one.touches, atol=1e-6)
-        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-4)
-        assert other.evidence == pytest.approx(one.evidence, rel=1e-6)
-        assert other.misfit == pytest.approx(one.misfit, rel=1e-6)

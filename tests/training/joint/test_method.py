@@ -8,7 +8,6 @@ from known_frames import known_frames
 from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
-from eitskin.simulator.instrument.session import DRIFT_TIME
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.method.observations import Observations
 
@@ -82,19 +81,6 @@ def test_idle_bent_and_touched_frames(method):
         assert len(said.touches[0]) == 0
         assert not said.touch_map.any()
         assert said.problems == ((),)
-
-
-def test_probabilities_add_up_and_follow_the_evidence(method):
-    """Probabilities rise with the force of a touch and with the angle of a bend."""
-    still = method.predict(observed(method)).probabilities[0]
-    assert still.sum() == pytest.approx(1.0)
-    bends = [
-        method.predict(observed(method, angle_deg=a)).probabilities[0, State.BEND]
-        for a in (0.0, 0.3, 1.0, 3.0)
-    ]
-    assert bends == sorted(bends)
-    assert bends[0] < 0.1
-    assert bends[-1] > 0.99
 
 
 def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
@@ -211,22 +197,6 @@ def test_calibration_makes_angles_right_and_surer(method):
     assert told.residual_deg < 0.3
 
 
-def test_known_frames_of_unknown_times_share_no_drift(method):
-    """Standard errors hold, though each frame has drifted by itself."""
-    rng, angles = np.random.default_rng(6), np.array([-15.0, 10.0, 20.0, 30.0, 45.0])
-    shift = method.drift * np.sqrt(60.0 / DRIFT_TIME)
-    change = method.bend_prior.predict([0.0]).value(angles)
-    ratios = []
-    for _ in range(20):
-        drifted = (
-            change + shift * rng.standard_normal((5, 1)) + NOISE * rng.standard_normal((5, 28))
-        )
-        curve = method.adapt(known_frames(FLAT, 4, drifted, angles, age=60.0))[0].calibrated
-        wrong = curve.value(30.0) - method.bend_prior.predict([0.0]).value(30.0)
-        ratios.append(wrong @ np.linalg.pinv(curve.uncertainty(30.0)) @ wrong / 28)
-    assert np.mean(ratios) < 1.3
-
-
 def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     """Known frames twice as noisy as in training double the noise of later frames."""
     rng, angles = np.random.default_rng(7), np.full(40, 20.0)
@@ -241,23 +211,6 @@ def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
     # A frame that is compared with the flat sensor alone tells nothing of its noise.
     flat = known_frames(FLAT, 4, before[:5], angles[:5])
     assert method.adapt(flat)[1].noise_scale == 1.0
-
-
-def test_other_sensor_than_the_calibrated_one_is_told(method):
-    one, _ = calibrated(method)
-    assert one.predict(observed(method)).problems == ((),)
-    rng = np.random.default_rng(8)
-    other = observed(method, flat=FLAT * np.exp(0.02 * rng.standard_normal(28)))
-    assert "calibrated for" in one.predict(other).problems[0][0]
-    gain = observed(method, flat=1.3 * FLAT)
-    assert one.predict(gain).problems == ((),)
-
-
-def test_a_static_reference_that_nothing_explains_is_told(method):
-    right = observed(method, angle_deg=30.0)
-    noise = 0.01 * np.random.default_rng(6).standard_normal(28)
-    said = method.predict(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
-    assert any("no angle explains" in problem for problem in said.problems[0])
 
 
 def test_known_touches_tell_how_far_to_trust_standard_errors(method):

@@ -12,7 +12,6 @@ from one_frame import (
     STIFF,
     TOUCHES,
     TWO_FRAMES,
-    candidates,
     changed,
     explained,
     frame,
@@ -20,9 +19,8 @@ from one_frame import (
     residual,
 )
 
-from eitskin.training.joint import model_selection
-from eitskin.training.joint.model_selection import fit_frame, misfit_rise
-from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import Unknowns
 from eitskin.training.joint.touch_search import TOUCH_THRESHOLD, TouchCandidates
 
 from smooth_sensor import (
@@ -102,34 +100,6 @@ def test_touches_are_recovered_without_noise(count, angle_deg):
     np.testing.assert_allclose(off[:, 2], 0.0, atol=0.2)
     assert found.angle_deg == pytest.approx(angle_deg, abs=0.3)
     assert found.faults == ()
-
-
-def test_a_fit_that_ends_far_from_the_bend_begins_again_at_an_angle_given(monkeypatch):
-    monkeypatch.setattr(model_selection, "_initial_angle", lambda _: 55.0)
-    objective = frame((), 20.0, 0.0, np.random.default_rng(1))
-    far = fit_frame(objective, candidates(), None, FAULTS)
-    assert far.misfit > 10 * far.degrees_of_freedom
-    near = fit_frame(objective, candidates(), None, FAULTS, lambda: 22.0)
-    assert near.angle_deg == pytest.approx(20.0, abs=0.5)
-    assert near.misfit < 2 * near.degrees_of_freedom
-    touched = fit_frame(frame(TOUCHES[1]), candidates(), None, FAULTS, pytest.fail)
-    assert len(touched.touches) == 1  # well explained, without another angle
-
-
-def test_estimates_are_compared_whatever_the_order_of_their_touches():
-    objective = frame(TOUCHES[3])
-
-    def at(touches, angle_deg=0.0):
-        start = objective.linearise(Unknowns(np.array(touches), angle_deg))
-        return levenberg_marquardt(objective, start, 0, 0.0)
-
-    one, other = at(TOUCHES[3]), np.array(TOUCHES[3])[[2, 0, 1]]
-    assert misfit_rise(one, at(other)) == 0.0
-    assert misfit_rise(one, at(other[:2])) == np.inf
-    assert misfit_rise(one, at(other[[0, 0, 1]])) == np.inf
-    moved = np.add(other, [[0.0, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 0.0]])
-    rise = at(moved, 0.02).misfit - one.misfit
-    assert misfit_rise(one, at(moved, 0.02)) == pytest.approx(rise, rel=0.1)
 
 
 # Errors, and false alarms

@@ -3,31 +3,17 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
-from eitskin.threads import one_torch_thread
 from eitskin.training.joint import touch_training
-from eitskin.training.joint.networks import ProposalNetwork, network_inputs
+from eitskin.training.joint.networks import ProposalNetwork
 from eitskin.training.joint.touch_response import MAX_TOUCHES
-from eitskin.training.joint.touch_training import SyntheticFrames, fit_proposals
-from eitskin.training.method.settings import NetworkSettings
+from eitskin.training.joint.touch_training import SyntheticFrames
 
 from smooth_sensor import MEASUREMENTS, TOUCH_PRIOR, curves, response
 
 MODEL = SyntheticFrames(
     response(mismatch=0.1, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
 )
-
-
-@pytest.fixture(scope="module")
-def trained():
-    """Smaller network trained for seconds, its learning curve and reported progress."""
-    said = []
-    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(touch_training, "PROPOSAL_HIDDEN", (128, 128))
-        settings = NetworkSettings(1e-2, epochs=5, batch=64)
-        proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))
-    return proposals, history, said
 
 
 def frames(count, seed=1):
@@ -71,25 +57,6 @@ def test_made_up_changes_are_those_of_the_response():
 # Learned
 
 
-@pytest.mark.slow
-def test_touches_are_proposed_near_where_they_are(trained):
-    """Most single touches of new frames are proposed to within 10 mm."""
-    inputs, places = frames(600)
-    count = np.isfinite(places[..., 0]).sum(axis=1)
-    near, quiet = [], []
-    for i in np.flatnonzero(count <= 1):
-        proposed = trained[0].places(inputs[i], TOUCH_PRIOR.separation)
-        if count[i] == 0:
-            quiet.append(len(proposed) == 0)
-            continue
-        true = places[i][np.isfinite(places[i][:, 0])][0]
-        away = np.hypot(*(proposed - true).T) if len(proposed) else [np.inf]
-        near.append(np.min(away) < 0.010)
-    assert len(near) > 50
-    assert np.mean(near) > 0.8
-    assert np.mean(quiet) > 0.8
-
-
 # CombinedChange the map
 
 
@@ -108,14 +75,6 @@ def picture(*touches):
 def test_places_are_the_peaks_likeliest_first():
     found = picture((0.032, 0.023, 0.5), (0.112, 0.037, 0.9)).places(np.zeros(3), 0.030)
     np.testing.assert_allclose(found, [[0.112, 0.037], [0.032, 0.023]], atol=1.5e-3)
-
-
-def test_inputs_take_what_is_not_finite_for_no_change():
-    noise = np.full(3, 1e-4)
-    said = network_inputs(np.array([np.nan, -np.inf, 2e-4]), noise, 15.0, np.array([0.5, -1.0]))
-    np.testing.assert_allclose(said, [0.0, 0.0, np.arcsinh(1.0), 0.5, 0.5, -1.0])
-    many = network_inputs(np.zeros((4, 3)), noise, np.zeros(4), np.zeros((4, 2)))
-    assert many.shape == (4, 6)
 
 
 def test_map_is_that_of_the_plain_formula_in_double_precision():

@@ -24,17 +24,6 @@ def with_electrode(number, **changes):
     return replace(design, electrodes=tuple(electrodes))
 
 
-@pytest.mark.parametrize("name", ["pairwise", "adjacent", "opposite"])
-def test_reference_sensor_is_itself_in_four_mirrors(name):
-    protocol = getattr(Protocol, name)(8)
-    found = mirrors(SensorDesign.reference(), protocol)
-    assert [mirror.flips for mirror in found] == [NONE, ACROSS_X, ACROSS_Y, TURNED]
-    np.testing.assert_array_equal(found[0].order, np.arange(len(protocol)))
-    for mirror in found:
-        assert sorted(mirror.order) == list(range(len(protocol)))
-        np.testing.assert_array_equal(mirror.order[mirror.order], found[0].order)
-
-
 def test_touch_in_the_mirror_measures_what_the_mirror_says():
     """Agreement to rounding, because the mesh has the sensor's symmetries."""
     design, protocol = SensorDesign.reference(), Protocol.opposite(8)

@@ -7,16 +7,12 @@ import pytest
 import torch
 from made_up_frames import made_up_frames
 
-from eitskin.threads import one_torch_thread
-from eitskin.training.joint import touch_training
-from eitskin.training.joint.touch_response import TouchPrior, TouchResponse
+from eitskin.training.joint.touch_response import TouchPrior
 from eitskin.training.joint.touch_training import (
     ResponseNetwork,
-    fit_response,
     folded_response,
     packed_inputs,
 )
-from eitskin.training.method.settings import NetworkSettings, silent
 
 from smooth_sensor import RANGES, SIZE, TOUCH_PRIOR, response, touch_change
 
@@ -60,39 +56,6 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
     np.testing.assert_allclose(said[0], expected, rtol=0, atol=1e-12 * size)
 
 
-def test_what_is_not_known_changes_the_sum_of_touches(learned, touches):
-    rng = np.random.default_rng(6)
-    three, angle = touches[:3], 10.0
-    one = learned.for_specimen([0.5, 0.0])
-    shapes = one.latent_changes(three, angle)
-    assert shapes.shape == (2, 28)
-    alone = [one.latent_changes(three[i : i + 1], angle) for i in range(3)]
-    np.testing.assert_allclose(np.sum(alone, axis=0), shapes)
-    q = rng.standard_normal((20, 2))
-    output = one.output + np.tensordot(q, learned.latent_output, axes=1)
-    hidden = learned.hidden_output(three, angle).sum(axis=0)
-    drawn = output @ hidden - one.output @ hidden
-    np.testing.assert_allclose(drawn, q @ shapes, atol=1e-12)
-    again = TouchResponse.from_arrays(learned.arrays()).for_specimen([0.5, 0.0])
-    changes = again.latent_changes(three, angle)
-    np.testing.assert_allclose(changes, shapes, atol=1e-5 * np.abs(shapes).max())
-
-
-def test_arrays_make_it_again(learned, touches):
-    """Copies agree to single precision, in which weights are saved."""
-    told = replace(learned, mismatch=0.07)
-    again = TouchResponse.from_arrays(told.arrays())
-    expected = told.for_specimen([1.0, 2.0])(touches, -5.0)
-    said = again.for_specimen([1.0, 2.0])(touches, -5.0)
-    np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
-    twice = TouchResponse.from_arrays(again.arrays())
-    np.testing.assert_array_equal(twice.for_specimen([1.0, 2.0])(touches, -5.0), said)
-    assert again.mismatch == 0.07
-    assert again.ranges.size == told.ranges.size
-    assert again.ranges.force == told.ranges.force
-    assert again.ranges.angle_deg == told.ranges.angle_deg
-
-
 # Learning
 
 STRENGTHS = np.exp(np.array([0.2, -0.2, 0.1, 0.0, -0.1, 0.15, -0.15, 0.0]))
@@ -112,37 +75,6 @@ def frames(count, seed):
     change *= STRENGTHS[specimen][:, None]
     change += 1e-5 * rng.standard_normal(change.shape)
     return made_up_frames(change, angle, specimen, 1e-5, features=feature[:, None], touches=touches)
-
-
-@pytest.fixture(scope="module")
-def trained():
-    """Smaller network trained for seconds, accurate to a tenth of the change."""
-    with one_torch_thread(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(touch_training, "HIDDEN_SIZE", 48)
-        patch.setattr(touch_training, "LAYERS", 2)
-        settings = NetworkSettings(1e-2, epochs=40, batch=32)
-        yield fit_response(frames(800, 0), RANGES, settings, 0, silent)
-
-
-@pytest.mark.slow
-def test_strengths_of_specimens_do_not_blur_it(trained):
-    """A response common to all specimens would end at a loss above 0.02.
-
-    Relative to the middle one, each specimen is felt as strongly as it was made to be.
-    """
-    response, history = trained
-    assert history.training[-1] < 0.012
-    data = frames(300, 3)
-    strengths = []
-    for number in range(len(STRENGTHS)):
-        said, true = [], []
-        for i in np.flatnonzero(data.specimen == number):
-            touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
-            one = response.for_specimen(data.features[i])
-            said.append(one(touches, float(data.angle_deg[i])).sum(axis=0))
-            true.append(data.change[i])
-        strengths.append(np.vdot(said, true) / np.vdot(said, said))
-    np.testing.assert_allclose(strengths, STRENGTHS, rtol=0.07)
 
 
 @pytest.mark.parametrize("features", [0, 1])

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from one_frame import STIFF, TOUCHES, frame, residual
-from scipy.optimize import minimize
+from one_frame import explained, frame, residual
+from scipy.stats import multivariate_normal
 
-from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.channel_faults import FAULT_PRICE, FAULT_SIZE, possible_faults
 from eitskin.training.joint.fit_kernels import DAMPINGS, trust_step
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.touch_search import (
@@ -93,24 +93,6 @@ def test_possible_faults_are_every_channel_and_every_contact():
     assert len(said.faults) == 36
 
 
-def test_likeliest_fault_is_that_of_a_fit_of_each():
-    rng = np.random.default_rng(1)
-    possible, seen = possible_faults(PROTOCOL, FLAT), MEASUREMENTS.combine(np.ones(28), 1.0, 0.0)
-    known, residual = rng.standard_normal((28, 4)), rng.standard_normal(28)
-    gains = []
-    for change in possible.changes.T:
-        both = np.column_stack([known, change])
-        without, beside = (
-            np.sum((residual - A @ np.linalg.lstsq(A, residual, rcond=None)[0]) ** 2)
-            for A in (known, both)
-        )
-        gains.append(without - beside)
-    whole = np.append(residual, np.zeros(28))  # nothing remains
-    fault, gain = possible.likeliest(seen, np.eye(28), 1.0, whole, known)
-    assert fault is possible.faults[int(np.argmax(gains))]
-    assert gain == pytest.approx(max(gains), rel=1e-9)
-
-
 NOWHERE = np.zeros((0, 3))  # no unknown has bounds
 FRAME = np.zeros(1), np.zeros(5), np.array([[0.0] * 3] * 2 + [[-1.0] * 3, [1.0] * 3])
 
@@ -122,15 +104,6 @@ def linear():
     jacobian, residual = rng.standard_normal((20, 7)), 30.0 * rng.standard_normal(20)
     both = np.column_stack([residual, jacobian])
     return SimpleNamespace(residual=residual, jacobian=jacobian, products=both.T @ both)
-
-
-@pytest.mark.parametrize("radius", [3.0, 1.0, 0.1])
-def test_steps_stay_within_their_region_and_promise_what_they_gain(linear, radius):
-    step, promised = trust_step(linear.products, NOWHERE, FRAME, radius)
-    assert 0.1 * radius < np.abs(step).max() <= radius
-    left = linear.residual - linear.jacobian @ step
-    assert promised == pytest.approx(linear.products[0, 0] - left @ left, rel=1e-9)
-    assert promised > 0.0
 
 
 def test_steps_are_the_least_damped_ones_within_their_region(linear):
@@ -157,29 +130,32 @@ def test_unknowns_stay_at_bounds_that_they_would_cross_and_the_others_take_them_
     np.testing.assert_allclose(step[held], 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("force", [0.8, 17.0])
-def test_a_fit_beyond_a_bound_is_the_best_within(force):
-    """Against bounded minimisation of the same misfit by scipy, without derivatives.
+# Bad measurements and contacts: left out, told, and no touches
 
-    The response is one that does not depend on the bend: its slope is left out of the angle's.
-    """
-    true = np.array([[*TOUCHES[1][0][:2], force]])
-    objective = replace(frame(true, 5.0, 5.0, np.random.default_rng(3)), response=STIFF)
-    start = objective.linearise(Unknowns(np.array([[0.050, 0.026, 8.0]]), 4.0))
-    whitening = objective.whitening(start)
-    found = levenberg_marquardt(objective, start, 30, 1e-8, whitening)
-    bound = TOUCH_PRIOR.low[2] if force < 1.0 else TOUCH_PRIOR.high[2]
-    assert found.unknowns.touches[0, 2] == pytest.approx(bound, rel=1e-5)
 
-    def misfit(x):
-        unknowns = Unknowns(np.array([[0.01 * x[1], 0.01 * x[2], x[3]]]), x[0])
-        return objective.misfit(objective.linearise(unknowns), whitening)
+def test_touches_near_electrodes_are_no_faults():
+    rng = np.random.default_rng(12)
+    for x, y in ((0.0225, 0.010), (0.075, 0.012), (0.140, 0.030)):
+        found = explained(frame([[x, y, 8.0]], 0.0, 0.0, rng, mismatch=0.05))
+        assert len(found.touches) == 1
+        assert found.faults == ()
 
-    low, high = TOUCH_PRIOR.low * [100.0, 100.0, 1.0], TOUCH_PRIOR.high * [100.0, 100.0, 1.0]
-    bounds = [(-25.0, 55.0), *zip(low, high, strict=True)]
-    best = minimize(misfit, [5.0, 4.5, 2.1, bound], bounds=bounds, method="L-BFGS-B", tol=1e-14)
-    # A touch weaker than any that was learned leaves a valley, along which steps become short.
-    weak = force < 1.0
-    assert found.misfit == pytest.approx(best.fun, abs=0.1 if weak else 1e-5 * best.fun)
-    away = np.abs(found.unknowns.touches[0, :2] - 0.01 * best.x[1:3]).max()
-    assert away < (1e-3 if weak else 2e-5)
+
+def test_faults_are_weighed_by_their_density():
+    """Against the normal density with the faults' covariance, the best of all sets by hand."""
+    rng = np.random.default_rng(4)
+    possible = possible_faults(PROTOCOL, FLAT)
+    combined = frame((), 0.0, 0.0, rng).combined
+    slope = 1e-3 * rng.standard_normal((1, 28))
+    for electrodes in ((2,), (1, 6), (0, 3, 7)):
+        numbers = [28 + electrode for electrode in electrodes]
+        sizes = rng.uniform(0.004, 0.01, len(numbers)) * np.array([1, -1, 1])[: len(numbers)]
+        measured = combined.measured + possible.changes[:, numbers] @ sizes
+        faulty = possible.alone(replace(combined, measured=measured), slope)
+        assert [possible.faults.index(fault) for fault in faulty.faults] == numbers
+        shown = FAULT_SIZE * possible.changes[:, numbers]
+        covariance = combined.noise + slope.T @ slope + shown @ shown.T
+        log = multivariate_normal(np.zeros(28), covariance).logpdf(measured)
+        expected = -2.0 * log - 28 * np.log(2.0 * np.pi) + FAULT_PRICE * len(numbers)
+        assert faulty.improbability == pytest.approx(expected, rel=1e-6)
+        assert np.abs(faulty.rest.measured).max() < 0.3 * np.abs(measured).max()

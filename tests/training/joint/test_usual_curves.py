@@ -74,6 +74,7 @@ def test_likelihood_of_a_specimen_is_that_of_a_normal_vector(mixture, everywhere
 # The group
 
 
+@pytest.mark.slow
 def test_the_group_that_bends_alike_is_found(mixture, usual):
     alike = mixture[mixture.specimen < 160]
     by_hand = learned(alike)
@@ -86,6 +87,7 @@ def test_the_group_that_bends_alike_is_found(mixture, usual):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("alike", "various"), [(60, 240), (300, 0), (0, 300), (110, 60)])
 def test_no_group_is_found_where_none_is(alike, various):
     """Too few alike, all of one clamp, none alike, or too few specimens altogether."""

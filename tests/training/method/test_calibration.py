@@ -4,11 +4,9 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from eitskin.cli.main import app
 from eitskin.datasets import State
-from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import Frame
 from eitskin.training import Pipeline
 from eitskin.training.method.interface import Calibration
@@ -71,26 +69,6 @@ def test_angles_that_cannot_be_are_refused(saved, sensor):
             pipeline.calibrate(frames(sensor, (0.0, -20.0, 50.0)), angles)
     assert pipeline.method is method
     assert not pipeline.calibration
-
-
-def run(*arguments, **options):
-    return CliRunner().invoke(app, [str(a) for a in ("calibrate", *arguments)], **options)
-
-
-@pytest.mark.slow
-def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
-    design = tmp_path / "six.toml"
-    design.write_text(
-        "thickness = 0.004\noutline = { length = 0.1, width = 0.05 }\nelectrodes = { count = 6 }\n"
-    )
-    out = ("--out", tmp_path / "mine.eitmodel")
-    done = run(saved, "--board", f"virtual:?sensor={design}", *out)
-    assert isinstance(done.exception, FrameError)
-    assert "trained for pairwise:8" in str(done.exception)
-    assert not done.output
-    done = run(saved, "--board", "virtual:", "--angles", "ten", *out)
-    assert isinstance(done.exception, ConfigurationError)
-    assert "apart by commas" in str(done.exception)
 
 
 @pytest.mark.parametrize(

@@ -23,14 +23,6 @@ def of_specimens(scatter):
     return InputSpec.from_dataset(data, SensorDesign.reference(), PROTOCOL), rng
 
 
-def test_sensors_that_scatter_as_those_trained_with_are_taken():
-    spec, rng = of_specimens(0.15)
-    assert 1.5 * 0.15 < spec.spread < 0.5
-    spec.require_same_sensor((3.0 * FLAT * np.exp(0.15 * rng.normal(size=28))).astype(complex))
-    with pytest.raises(FrameError, match="scatter by"):
-        spec.require_same_sensor((FLAT * np.exp(0.6 * rng.normal(size=28))).astype(complex))
-
-
 def test_the_limit_is_never_lower_than_of_sensors_that_hardly_scatter_and_is_saved():
     spec, _ = of_specimens(0.01)
     assert spec.spread == MAX_SPREAD

@@ -82,15 +82,6 @@ def of_two():
     return replace(data, reference=reference, specimen=specimen, specimen_number=numbers)
 
 
-def test_a_dataset_has_labels_and_references_of_its_own():
-    found = KnownFrames.from_frames(dataset(), None, SPEC)
-    assert found.flat.tolist() == [True, False, False, False]
-    assert found.is_bent.tolist() == [False, True, False, False]
-    assert found.has_touches.tolist() == [False, False, True, True]
-    assert found.reference_deg.tolist() == [0.0, 0.0, 0.0, 20.0]
-    np.testing.assert_allclose(found.observations.dynamic[2:, 0], np.expm1([0.03, 0.03]), rtol=1e-5)
-
-
 FAR = FrameLabel(0.0, (TouchLabel(75.0, 30.0),))
 
 

@@ -15,7 +15,6 @@ from eitskin.training.method.observations import Observations, channel_noise, fr
 from eitskin.training.method.settings import TrainingSettings, hold_out
 from eitskin.training.method.targets import (
     Targets,
-    most_probable,
     require_targets,
     with_implied_labels,
 )
@@ -104,12 +103,6 @@ def test_states_and_angles_follow_from_other_labels():
     assert data.bend_angle_deg.tolist() == [0.0] * 3  # of a sensor that is never bent
     bent = frames([0, 2], [np.nan, np.nan])
     assert np.isnan(with_implied_labels(bent).bend_angle_deg).all()
-
-
-def test_a_state_that_is_not_told_apart_is_never_the_most_probable():
-    nan = np.nan
-    rows = np.array([[0.3, 0.7, nan], [nan, nan, nan], [0.2, nan, 0.8]])
-    assert most_probable(rows).tolist() == [State.TOUCH, UNKNOWN, State.BEND]
 
 
 def test_whole_specimens_are_held_out_however_few():

@@ -53,6 +53,7 @@ def learned():
     return Pipeline.fit(recording(), TrainingSettings("touch position"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("electrode", "at", "kind", "delay"),
     [(5, 260, "jump", 1), (0, 250, "open", 1), (2, 245, "drift", 30)],
@@ -70,6 +71,7 @@ def test_a_failed_electrode_is_named_and_left_out(learned, electrode, at, kind, 
     assert score.error_ratio < 1.4
 
 
+@pytest.mark.slow
 def test_a_pipeline_is_learned_from_what_was_healthy():
     broken = recording(3, 150)
     (fault,) = follow_recording(broken)[1]
@@ -80,6 +82,7 @@ def test_a_pipeline_is_learned_from_what_was_healthy():
     assert [text.startswith("electrode 3 ") for text in score.faults] == [True]
 
 
+@pytest.mark.slow
 def test_a_session_names_the_electrode_and_goes_on(learned, tmp_path):
     pipeline = Pipeline.load(learned.save(tmp_path / "a.eitmodel"))
     broken = recording(6, 260, creep=5e-4)

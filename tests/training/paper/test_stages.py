@@ -1,4 +1,4 @@
-"""Stages that are learned: state, touch map, touches."""
+"""Stages of the paper: picture, state, touch map, touches, bend angle."""
 
 import dataclasses
 
@@ -10,14 +10,15 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.threads import one_torch_thread
 from eitskin.training.method.observations import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
+from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.layers import Network, state_layers, touch_map_layers
 from eitskin.training.paper.networks import layer_network, mirror_samples, network_weights
 from eitskin.training.paper.stages import (
+    MAX_SNR,
     Classifier,
-    PostProcessor,
     Reconstruction,
-    bend_free_projection,
     find_touches,
+    signal_to_noise,
 )
 
 SHAPE = (8, 16)
@@ -59,20 +60,6 @@ def presses():
 
 
 # Bend taken off
-
-
-def test_bend_free_signals_hold_no_bend_and_nearly_all_of_a_touch():
-    rng = np.random.default_rng(4)
-    angle, shapes = rng.uniform(-1, 1, 400), rng.normal(size=(2, 20))
-    bends = np.outer(angle, shapes[0]) + 0.1 * np.outer(angle**2, shapes[1])
-    noisy = bends + rng.normal(size=bends.shape) * 1e-3
-    projection = bend_free_projection(noisy, noise=1e-3)
-    assert np.linalg.matrix_rank(projection) == 18
-    assert np.abs(bends @ projection).max() < 1e-3
-    touch = rng.normal(size=20)
-    assert np.linalg.norm(touch @ projection) > 0.7 * np.linalg.norm(touch)
-    assert np.linalg.matrix_rank(bend_free_projection(rng.normal(size=(50, 20)), noise=1e-9)) == 10
-    np.testing.assert_array_equal(bend_free_projection(np.zeros((50, 20)), noise=1e-9), np.eye(20))
 
 
 # Missing channels
@@ -182,22 +169,6 @@ def test_mirror_images_are_drawn_with_their_targets():
     assert mirror_samples(batch, flips[:1]) is batch
 
 
-def test_saved_networks_of_other_shapes_are_refused(presses, reconstruction, embedding):
-    dV, maps, _ = presses
-    settings = NetworkSettings(1e-3, epochs=1)
-    told = {"validation": (dV[:9], maps[:9])}
-    stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings, **told)
-    assert len(stage.history.validation) == 1
-    again = PostProcessor.from_arrays(stage.arrays())
-    pictures = reconstruction.apply(dV[:5])
-    np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
-    with pytest.raises(DataError, match="missing"):
-        PostProcessor.from_arrays({"scale": np.array(1.0)})
-    classifier = Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
-    with pytest.raises(DataError, match="other shapes"):
-        Classifier.from_arrays(classifier.arrays(), shape=(16, 16))
-
-
 def test_settings_are_the_papers_or_refused():
     whole = TrainingSettings.preset("paper")
     paper = whole.classifier
@@ -222,3 +193,100 @@ def test_touches_are_weighted_centroids_strongest_first():
     expected = [(weighted * pixel, 22 * pixel, 1.0), (22 * pixel, 12 * pixel, 0.8)]
     assert find_touches(touch_map, (0.150, 0.060)) == pytest.approx(np.array(expected))
     assert find_touches(np.zeros((32, 80)), (0.150, 0.060)).shape == (0, 3)
+
+
+# One-step Gauss-Newton with the NOSER prior
+
+
+@pytest.fixture
+def jacobian():
+    return np.random.default_rng(0).normal(size=(12, 128)) * np.geomspace(0.4, 1, 128)
+
+
+def test_noise_of_channels_weighs_them_as_in_the_map_estimate(jacobian):
+    noise = np.geomspace(1e-4, 1e-1, 12)
+    made = Reconstruction.fit(jacobian, 20.0, SHAPE, noise)
+    precision = np.diag(noise**-2)
+    seen = np.einsum("mp,mn,np->p", jacobian, precision, jacobian)
+    prior = np.diag(np.maximum(seen, 0.1 * np.median(seen)))
+    gram = jacobian.T @ precision @ jacobian + made.regularisation**2 * prior
+    expected = np.linalg.solve(gram, jacobian.T @ precision)
+    np.testing.assert_allclose(made.matrix, expected, rtol=1e-6, atol=1e-9)
+    alike = Reconstruction.fit(jacobian, 20.0, SHAPE, np.full(12, 0.3)).matrix
+    plain = Reconstruction.fit(jacobian, 20.0, SHAPE).matrix
+    np.testing.assert_allclose(alike, plain, rtol=1e-9)
+
+
+def test_signal_to_noise_takes_the_noise_off():
+    touch = np.random.default_rng(2).normal(size=(5000, 20)) * np.hypot(3.0, 1.0)
+    assert signal_to_noise(touch, 1.0) == pytest.approx(3.0, rel=0.02)
+    assert signal_to_noise(touch, 0.0) == MAX_SNR
+    assert 0 < signal_to_noise(touch, 100.0) < 1
+
+
+def test_refusals(jacobian):
+    assert Reconstruction.fit(jacobian, snr=np.inf, shape=SHAPE).regularisation > 0
+    with pytest.raises(ConfigurationError, match=r"128 columns.*got 120"):
+        Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)
+    with pytest.raises(ConfigurationError, match="positive snr"):
+        Reconstruction.fit(jacobian, snr=-1.0, shape=SHAPE)
+
+
+# The bend angle: which channels it is learned from, how many, and from whom
+
+
+def bends(count=200, seed=0):
+    """Two of six channels follow the angle; the others are noise."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-20, 50, count)
+    dV = rng.normal(size=(count, 6)) * 1e-4
+    dV[:, 1] += 1e-3 * angle
+    dV[:, 4] -= 2e-3 * angle
+    return dV, angle
+
+
+def test_bend_angle_follows_a_curved_signal():
+    """Two degrees of curvature over the range; the paper's lines miss by one."""
+    angle = np.linspace(-20.0, 50.0, 100)
+    dV = np.outer(angle - 0.002 * angle**2, [1e-3, 2e-3])
+    stage = BendAngle.fit(dV, angle, np.zeros(100))
+    assert np.abs(stage.apply(dV) - angle).max() < 0.4
+    stage = BendAngle.fit(dV, angle, np.zeros(100), squares=False)
+    assert set(stage.features) <= {0, 1}
+    line = np.polynomial.Polynomial.fit(dV[:, 0], angle, 1)
+    np.testing.assert_allclose(stage.apply(dV), line(dV[:, 0]), atol=1e-9)
+
+
+@pytest.mark.parametrize(("specimens", "count"), [(1, 200), (7, 200), (9, 53), (1, 11), (6, 13)])
+def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens, count):
+    """scikit-learn's own search, also where there are more features than frames of a fold."""
+    from sklearn.feature_selection import SelectKBest, f_regression
+    from sklearn.linear_model import LinearRegression
+    from sklearn.model_selection import GridSearchCV, GroupKFold, KFold
+    from sklearn.pipeline import make_pipeline
+
+    dV, angle = bends(count, seed=5)
+    dV = np.concatenate([dV, 0.5 * dV[::-1]], axis=1) if count < 20 else dV
+    specimen = (np.arange(count) ** 2 // 5 if specimens == 9 else np.arange(count)) % specimens
+    stage = BendAngle.fit(dV, angle, specimen, seed=3, squares=False)
+    folds = KFold(5, shuffle=True, random_state=3) if specimens == 1 else GroupKFold(5)
+    search = GridSearchCV(
+        make_pipeline(SelectKBest(f_regression), LinearRegression()),
+        {"selectkbest__k": range(1, dV.shape[1] + 1)},
+        scoring="neg_mean_squared_error",
+        cv=folds,
+    ).fit(dV, angle, groups=None if specimens == 1 else specimen)
+    selection, regression = (step for _, step in search.best_estimator_.steps)
+    np.testing.assert_array_equal(stage.features, np.flatnonzero(selection.get_support()))
+    np.testing.assert_allclose(stage.coefficients, regression.coef_, rtol=1e-9)
+    assert stage.intercept == pytest.approx(regression.intercept_, rel=1e-9)
+
+
+def test_bend_angle_survives_its_arrays_and_refuses_too_few():
+    dV, angle = bends()
+    stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
+    again = BendAngle.from_arrays(stage.arrays())
+    np.testing.assert_array_equal(again.apply(dV), stage.apply(dV))
+    assert again.apply(dV[0]).shape == ()
+    with pytest.raises(DataError, match="at least 10 frames"):
+        BendAngle.fit(dV[:5], angle[:5], np.zeros(5))

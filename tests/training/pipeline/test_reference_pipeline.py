@@ -142,34 +142,6 @@ def test_a_loud_board_hides_no_touch_in_its_references(simulator):
     assert {session(Scene()).state for _ in range(3)} == {State.IDLE}
 
 
-def test_a_touch_that_is_let_go_is_gone_at_once(session):
-    weak = Scene(touches=(Touch(0.093, 0.022, 5.0),))
-    assert [session(weak).state for _ in range(8)][1:] == [State.TOUCH] * 7
-    assert session(Scene()).state is State.IDLE
-
-
-def test_a_palm_is_no_touch_that_it_knows(session):
-    """Seven presses that touch each other: reported, or one touch as wide as they are."""
-    around = 0.0152 * np.exp(1j * np.arange(6) * np.pi / 3)
-    places = [(0.075, 0.030), *((0.075 + z.real, 0.030 + z.imag) for z in around)]
-    palm = Scene(touches=tuple(Touch(x, y, 5.0) for x, y in places))
-    for said in [session(palm) for _ in range(6)][1:]:
-        assert said.state is State.TOUCH
-        assert said.problems or said.touches[0].deviation > 5e-3
-
-
-def test_unequal_touches_are_two_or_one_that_covers_both(session):
-    places = np.array([[0.060, 0.030], [0.084, 0.030]])
-    pair = Scene(touches=(Touch(*places[0], 8.0), Touch(*places[1], 4.9)))
-    covered = []
-    for said in [session(pair) for _ in range(8)][1:]:
-        found = np.array([[each.x, each.y, each.deviation] for each in said.touches])
-        away = np.linalg.norm(places[:, None] - found[:, :2], axis=2)
-        covered.append((away < np.maximum(3.0 * found[:, 2], 5e-3)).any(axis=1).all())
-        covered[-1] |= bool(said.problems)
-    assert sum(covered) >= len(covered) - 2
-
-
 def test_a_faint_touch_is_told_by_its_frames_together(simulator):
     """Too faint for one frame; the references take in none of it."""
     session, loud = Session(simulator), Instrument(snr_db=66.0)

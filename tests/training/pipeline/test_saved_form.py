@@ -4,14 +4,13 @@ import hashlib
 import json
 import os
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
 from eitskin.cli.commands import train
-from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
+from eitskin.errors import ConfigurationError, DataError, EitskinError
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
 from eitskin.training.pipeline.saved_form import (
     SHIPPED_PATH,
@@ -128,23 +127,6 @@ def test_saving_replaces_a_pipeline_with_its_signature_and_nothing_else(pipeline
         pipeline.save(precious)
 
 
-def test_a_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    written, write = [], Path.write_bytes
-
-    def fill_the_disk(path, data):
-        if len(written) == 2:
-            raise OSError(28, "No space left")
-        write(path, data)
-        written.append(path)
-
-    monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
-    with pytest.raises(PartialError, match="No space left"):
-        pipeline.save(folder)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
-
-
 def test_a_path_that_cannot_be_a_pipeline_is_refused_before_the_work(tmp_path, monkeypatch):
     with pytest.raises(ConfigurationError, match=r"NAME\.eitmodel"):
         train.command(tmp_path / "absent", out=tmp_path / "model.zip")
@@ -195,16 +177,13 @@ def key(name, value, part=None):
 
 HOSTILE = {
     **{f"noise {value}": (key("noise", value), None) for value in (float("nan"), "0.1", -1, 1e308)},
-    "kind": (key("kind", {"a": 1}), None),
     "format": (key("format", "x" * 10**6), None),
     "other format": (key("format", "else"), "got 'else'"),
-    "version": (key("format_version", "1"), None),
     "newer version": (key("format_version", 2), r"version 2.*up to 1"),
     **{
         f"no {name}": ({"document": lambda content, name=name: content.pop(name)}, name)
         for name in ("layout", "settings", "noise", "kind", "format_version")
     },
-    "layout of another type": (key("layout", 7), None),
     "frequency": (key("frequency", -1.0, "layout"), "frequency"),
     "spread": (key("spread", 1e9, "layout"), "spread"),
     "negative references": (array("layout.reference", lambda _: -np.ones(28)), "magnitudes"),
@@ -217,9 +196,6 @@ HOSTILE = {
     "noise of channels": (array("noise", lambda _: np.zeros(28)), "noise"),
     "shape": (array("proposals.weight0", lambda _: np.zeros((512, 3))), None),
     "scalars": (array("scalars", lambda _: [0.0] * 5), None),
-    "brackets": ({"raw": b"[" * 200_000}, None),
-    "digits": ({"raw": b'{"format": ' + b"9" * 5000 + b"}"}, None),
-    "list": ({"raw": b"[]"}, "no pipeline"),
     "no text": ({"raw": b"\xff{"}, "no pipeline"),
 }
 

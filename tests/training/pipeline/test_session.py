@@ -170,11 +170,6 @@ def test_a_touch_that_slides_is_not_dragged_behind(speed):
     assert np.sqrt(np.mean((seen - places)[4:] ** 2)) < 0.9
 
 
-@pytest.mark.parametrize("noise", [0.5e-4, 1e-4, 6e-4])
-def test_the_noise_that_motion_is_told_from_is_that_of_the_session(noise):
-    assert np.mean(shown([20.0] * 30, noise)[1][8:]) > 7.0
-
-
 # ---- flat sensors ----
 
 RNG = np.random.default_rng(3)
@@ -250,17 +245,6 @@ def test_values_of_a_known_sensor_are_not_doubted_and_its_bends_are():
     assert np.median([start.bend_deg for start in bent]) == pytest.approx(40.0, abs=5.0)
     partly = np.where(np.arange(C) == 2, np.nan, np.abs(strange))
     assert not known().for_sensor(partly).judge(strange).doubt
-
-
-def test_a_session_as_quiet_as_the_sensor_it_was_adapted_to_counts_once():
-    """The method weighs its frames by that noise already."""
-    rng, weights = np.random.default_rng(0), []
-    for scale in (1.0, 0.5):
-        held = HeldTouch(2e-4, scale)
-        for _ in range(40):
-            held.add(FLAT * (1 + 1e-4 * rng.standard_normal(28)), FLAT, held=False)
-        weights.append(held.weight)
-    assert weights == pytest.approx([2.0, 0.5], rel=0.25)
 
 
 def test_a_standard_error_covers_a_motion_that_the_mean_of_frames_hides():

@@ -44,16 +44,6 @@ CENTRE, RADIUS = (0.13, 0.09), 0.02
 INTEGRAL = np.pi * RADIUS**2
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_disc_at_its_place(sign):
-    found = figures_of_merit(sign * DISC.discs([CENTRE], RADIUS)[0], DISC, CENTRE, sign * INTEGRAL)
-    assert found.amplitude == pytest.approx(1.0, rel=0.01)
-    assert found.position_error < 1e-4
-    assert found.resolution == pytest.approx(0.2, rel=0.03)
-    assert found.shape_deformation < 0.02
-    assert found.ringing == 0.0
-
-
 def test_square_sticks_out_of_its_circle():
     """A square of side a and the circle of its area: 4 (r^2 acos(a/2r) - a/2 sqrt(..)) outside."""
     side = 0.08
@@ -62,13 +52,6 @@ def test_square_sticks_out_of_its_circle():
     segment = r**2 * np.arccos(a / (2 * r)) - a / 2 * np.sqrt(r**2 - a**2 / 4)
     found = figures_of_merit((away <= side / 2).all(axis=1), DISC, (0.1, 0.1), side**2)
     assert found.shape_deformation == pytest.approx(4 * segment / a**2, abs=0.01)
-
-
-def test_ring_of_the_wrong_sign():
-    away = np.linalg.norm(DISC.centres - CENTRE, axis=1)
-    values = np.where(away <= RADIUS, 1.0, np.where(away <= 1.5 * RADIUS, -0.2, 0.0))
-    found = figures_of_merit(values, DISC, CENTRE, INTEGRAL)
-    assert found.ringing == pytest.approx(0.2 * 1.25, rel=0.05)
 
 
 def test_picture_of_nothing_is_refused():
