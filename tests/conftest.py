@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 from collections import Counter, deque
 from pathlib import Path
 
@@ -37,14 +36,6 @@ def pytest_configure(config):
 def pytest_collection_finish():
     """Leave what has been imported out of later collections of garbage."""
     gc.freeze()
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item):
-    """Let coverage know which file of tests runs a line, for `tests/mutations`."""
-    coverage = sys.modules.get("coverage")
-    if coverage and (measured := coverage.Coverage.current()):
-        measured.switch_context(item.location[0])
 
 
 @pytest.hookimpl(wrapper=True)

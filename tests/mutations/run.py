@@ -3,8 +3,8 @@
     python tests/mutations/run.py [--jobs 2] [--only WORDS ...] [--drawn] [--seed 0]
 
 `mutations.toml` lists wrong formulas and the tests that must notice them. With `--drawn`, others
-are drawn by a seed (`drawing.py`); the tests that may notice them are the files that run the
-statement, from the data of `make coverage`. A mutation survives where these pass all the same:
+are drawn by a seed (`drawing.py`); the tests that may notice them are those of its folder and those
+that name its module. A mutation survives where these pass all the same:
 then a test is missing, or the mutation changes nothing, which `equivalent.toml` explains.
 """
 
@@ -16,7 +16,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -31,14 +30,12 @@ from mutations.drawing import Drawn, draw  # noqa: E402
 
 LIST = Path(__file__).with_name("mutations.toml")
 EQUIVALENT = Path(__file__).with_name("equivalent.toml")
-COVERAGE = ROOT / "build" / "coverage" / "data"
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = (".types", "eitskin", *ROOMS, "docs", "tests")
 FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "Makefile")  # that tests read, too
 PASSED, FAILED, NO_TESTS = 0, 1, 5  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}
 MAX_SECONDS = 900.0  # for the tests of one mutation; one that makes them hang is noticed
-MAX_FILES = 10  # of tests that a drawn mutation is tried with, the nearest first
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,59 +82,24 @@ def _entries(path: Path, name: str) -> list[dict[str, Any]]:
 
 
 def drawn_mutations(seed: int) -> list[Mutation]:
-    """Mutations of a draw with the test files that run their statements, the nearest first."""
+    """Mutations of a draw with the test files that may notice them."""
     explained = {(each["old"], each["new"]) for each in _entries(EQUIVALENT, "equivalent")}
-    tests = _test_files()
-    width = Counter(test for lines in tests.values() for test in set().union(*lines.values()))
     return [
-        Mutation(each.what, each.file, "", "", _nearest(each, tests, width), each.text)
+        Mutation(each.what, each.file, "", "", _nearest(each), each.text)
         for each in draw(ROOT, seed)
         if (each.old, each.new) not in explained
     ]
 
 
-def _test_files() -> dict[str, dict[int, set[str]]]:
-    """Files in `tests` that run each line of each file: the contexts of the coverage data."""
-    from coverage import CoverageData
-
-    if not COVERAGE.is_file():
-        raise SystemExit(f"there is no {COVERAGE}; run `make coverage` first")
-    data = CoverageData(str(COVERAGE))
-    data.read()
-    tests: dict[str, dict[int, set[str]]] = {}
-    for measured in data.measured_files():
-        lines = tests.setdefault(os.path.relpath(os.path.realpath(measured), ROOT), {})
-        for line, contexts in data.contexts_by_lineno(measured).items():
-            files = {each.removeprefix("tests/") for each in contexts if each}
-            lines.setdefault(line, set()).update(files)
-    return tests
-
-
-def _nearest(
-    drawn: Drawn, tests: dict[str, dict[int, set[str]]], width: Counter[str]
-) -> tuple[str, ...]:
-    """Test files of the statement: those of its own folder, then those that run the fewest files.
-
-    Compiled functions and other processes leave no trace: the tests that compare kernels with their
-    plain twins, and those of the folder, stand in.
-    """
-    files, root = tests.get(drawn.file, {}).get(drawn.line, set()), ROOT / "tests"
-    twins: list[str] = []
-    folder = (root / drawn.file).parent
-    while not files:
-        files = {str(path.relative_to(root)) for path in folder.glob("test_*.py")}
-        twins = [
-            str(path.relative_to(root))
-            for name in ("test_*compiled.py", "test_*kernels.py")
-            for path in (root / Path(drawn.file).parts[0]).rglob(name)
-        ]
+def _nearest(drawn: Drawn) -> tuple[str, ...]:
+    """Test files of the folder that mirrors the statement's, those that name its module first."""
+    folder, module = ROOT / "tests" / Path(drawn.file).parent, Path(drawn.file).stem
+    while not (found := sorted(folder.glob("test_*.py"))):
         folder = folder.parent
-
-    def distance(file: str) -> tuple[int, int]:
-        return (-len(os.path.commonpath([file, drawn.file])), width[file])
-
-    inside = [file for file in files if not file.startswith("project/")]  # of no use in a copy
-    return tuple(dict.fromkeys([*twins, *sorted(inside, key=distance)[:MAX_FILES]]))
+    others = (ROOT / "tests" / Path(drawn.file).parts[0]).rglob("test_*.py")
+    named = [path for path in sorted(others) if module in path.read_text(encoding="utf-8")]
+    files = sorted(named, key=lambda path: path.parent != folder) + found
+    return tuple(dict.fromkeys(str(path.relative_to(ROOT / "tests")) for path in files))
 
 
 def copied(folder: Path) -> Path:
