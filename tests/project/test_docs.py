@@ -115,21 +115,6 @@ class TestPage:
             assert importlib.util.find_spec(module), module
 
 
-def test_a_wrong_link_option_or_command_would_be_seen(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("[a](nowhere.md) `eitskin train DIR --ot x`\n\n    eitskin trian DIR  # go\n")
-    assert LINK.findall(prose(page)) == ["nowhere.md"]
-    assert commands(page) == ["eitskin trian DIR", "eitskin train DIR --ot x"]
-    with pytest.raises(AssertionError, match="trian"):
-        require_known(["trian", "DIR"])
-    with pytest.raises(USAGE_ERROR, match="--ot"):
-        require_known(["train", "DIR", "--ot", "x"])
-    assert list(alternatives("eitskin export mcap\\|vtu [--out X]")) == [
-        ["export", "mcap", "--out", "X"],
-        ["export", "vtu", "--out", "X"],
-    ]
-
-
 DOCS = ROOT / "docs"
 RESULTS = sorted((DOCS / "results").glob("*.md"))
 GENERATED = {DOCS / "reference" / name for name in ("commands.md", "files.md")} | set(RESULTS)
@@ -148,10 +133,6 @@ def test_pages_are_few_and_short():
     assert sum(counts.values()) <= MAX_ALL_WORDS
     assert not {name: count for name, count in counts.items() if count > MAX_WORDS}
     assert len((ROOT / "README.md").read_text().splitlines()) <= 110
-
-
-def test_no_page_has_html_comments():
-    assert not [page for page in PAGES if "<!--" in page.read_text()]
 
 
 def links(page):
