@@ -100,16 +100,3 @@ def test_local_refinement_is_cheap_ordered_and_the_same_each_time():
     again, same, _ = sized(BENT, [0.052, 0.057], 1e-4)
     assert np.array_equal(points, again)
     assert np.array_equal(triangles, same)
-
-
-def test_any_star_shaped_polygon_is_filled():
-    rng = np.random.default_rng(4)
-    for sides in (3, 5, 8, 13):
-        turn = np.sort(rng.uniform(0, 2 * np.pi, sides))
-        reach = 0.1 * 10 ** rng.uniform(-1, 0, sides)
-        corners = reach[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-        corners -= corners.min(axis=0)
-        outline = Polygon(tuple((float(x), float(y)) for x, y in corners))
-        points, triangles, _ = sized(outline, rng.uniform(0, outline.perimeter, 6), 1e-3)
-        covered = areas(points, triangles).sum()
-        assert covered == pytest.approx(polygon_area(outline.vertices), rel=1e-9)

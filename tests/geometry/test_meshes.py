@@ -1,6 +1,5 @@
 """Meshes of each kind of cell: they fill the body, fit the electrodes, are fine at their edges."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from eitskin.geometry.design.patches import boundary_faces
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import quality, volumes
-from eitskin.geometry.meshing.mesh_design import layer_heights, triangulated_mesh
+from eitskin.geometry.meshing.mesh_design import triangulated_mesh
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 
 from cut_blocks import covered
@@ -51,6 +50,9 @@ def test_cells_fill_the_slab_and_its_electrodes_exactly(slab):
         middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
         near = 1e-12 if kind != "tetrahedra" else 5e-3  # their faces are not cut at electrodes
         assert middle == pytest.approx([electrode.x, electrode.y, 0.0025], abs=near)
+    if kind != "tetrahedra":
+        assert np.array_equal(mesh.heights, [0.0, 0.0025, 0.005])
+        assert (mesh.points.reshape(-1, 3, 3)[:, :, 2] == mesh.heights).all()
     rim = mesh.points[np.unique(boundary_faces(mesh.cells)[0])]
     assert np.minimum(np.abs(rim), np.abs(rim - SIZE)).min(axis=1).max() < 1e-15
 
@@ -67,28 +69,9 @@ def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere(slab):
     assert np.median(size[far]) > 1.5 * np.median(size[near])
 
 
-def test_layers_of_points_stand_above_each_other(slab):
-    kind, mesh, _ = slab
-    if kind == "tetrahedra":
-        assert mesh.heights is None
-        return
-    columns = mesh.points.reshape(-1, len(mesh.heights), 3)
-    assert np.array_equal(mesh.heights, [0.0, 0.0025, 0.005])
-    assert (columns[:, :, 2] == mesh.heights).all()
-    assert (np.ptp(columns[:, :, :2], axis=1) == 0).all()
-
-
 def test_hexahedra_end_at_breaks() -> None:
     x = structured_mesh(REFERENCE, FINE, breaks=(0.0531, 0.0969)).points[:, 0]
     assert np.abs(x[:, None] - [0.0531, 0.0969]).min(axis=0).max() < 1e-12
-
-
-def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
-    electrodes = (*REFERENCE.electrodes, Electrode(0.05, 0.03, on="top"))
-    design = dataclasses.replace(REFERENCE, electrodes=electrodes)
-    fine = layer_heights(design, Grading(finest=1e-4, coarsest=8e-3, growth=1.0, layers=4))
-    assert np.diff(fine).max() < 1.01 * 0.005 / 4
-    assert np.diff(fine)[-1] < 3e-4 < np.diff(fine)[0]
 
 
 ELECTRODES = (
@@ -110,17 +93,6 @@ def test_prisms_meet_every_kind_of_electrode_and_layer():
     # Interfaces, sheets and the ends of electrodes are layers of points.
     for z in (0.001, 0.0013, 0.0015, 0.0025):
         assert np.abs(mesh.heights - z).min() < 1e-12
-
-
-@pytest.mark.slow
-def test_tetrahedra_meet_every_kind_of_electrode():
-    OnDemand("pytetwild")
-    wide = [dataclasses.replace(e, width=0.02) for e in (*ELECTRODES[:3], ELECTRODES[4])]
-    design = SensorDesign(BENT, 0.01, tuple(wide))
-    mesh = tetrahedral_mesh(design, Grading(4e-3, 12e-3, 0.7))
-    assert quality(mesh).volume == pytest.approx(0.0051 * 0.01, rel=1e-6)
-    expected = [patch.area for patch in design.patches()]
-    assert covered(mesh, 4) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -68,10 +68,3 @@ def test_margin_is_the_distance_from_the_rim_and_the_inside_has_greens_area(outl
     assert 10 < expected.sum() < 1900
     assert (outline.contains(points, margin) == expected)[clear].all()
     assert outline.contains(rim).all()
-
-
-def test_clockwise_points_are_turned_around_their_first():
-    turned = Polygon(L_SHAPE.points[:1] + L_SHAPE.points[:0:-1])
-    assert turned == L_SHAPE
-    assert hash(turned) == hash(L_SHAPE)
-    assert Polygon(np.array(L_SHAPE.points)) == L_SHAPE

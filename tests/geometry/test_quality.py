@@ -1,7 +1,5 @@
 """Quality of cells, against VTK's own measures, and what the gate refuses."""
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -56,20 +54,6 @@ def test_ideal_cells_and_those_that_are_stretched(ideal, volume, angles):
     both = quality(mesh_of(np.concatenate([ideal, ideal * [1, 1, 3]]), cells))
     assert both.aspect_ratio == pytest.approx(expected)
     assert both.median_aspect_ratio == pytest.approx(0.5 * (1 + expected))
-
-
-def test_angles_between_the_faces_of_tetrahedra():
-    mesh = crooked(TETRAHEDRON, 50, 0.15)
-    angles = []
-    for cell in mesh.points[mesh.cells]:
-        for a, b, c, d in itertools.permutations(cell):
-            along = (b - a) / np.linalg.norm(b - a)
-            # Seen along the edge a-b, the angle between the faces is the one between c and d.
-            to_c, to_d = (p - a - (p - a) @ along * along for p in (c, d))
-            cosine = to_c @ to_d / np.linalg.norm(to_c) / np.linalg.norm(to_d)
-            angles.append(np.degrees(np.arccos(cosine)))
-    found = quality(mesh).smallest_angle, quality(mesh).largest_angle
-    assert found == pytest.approx((min(angles), max(angles)))
 
 
 @pytest.mark.parametrize("ideal", IDEAL)

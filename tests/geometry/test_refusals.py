@@ -2,9 +2,7 @@
 
 import dataclasses
 import math
-import os
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,11 +34,8 @@ from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 from on_demand import OnDemand
 
 trimesh = OnDemand("trimesh")
-REFERENCE, SLAB, DISC = SensorDesign.reference(), Rectangle(0.1, 0.05), Disc(0.05)
+REFERENCE, SLAB = SensorDesign.reference(), Rectangle(0.1, 0.05)
 HINGE, NAN = Hinge(span=0.040, offset=0.008), math.nan
-# Two walls of 2 mm with a gap of 3 mm: parallel sides that look the same way.
-HALF = [(0.0, 0.0), (0.0, 0.05), (0.002, 0.05), (0.002, 0.01)]
-FORK = Polygon((*HALF, *((0.007 - x, y) for x, y in HALF[::-1])))
 
 
 def changed(**terms):
@@ -96,10 +91,8 @@ REFUSALS = [
     (lambda: electrode(shape="oval"), r"shape: .*'rectangle' or 'round'.*'oval'"),
     (lambda: electrode(shape="round"), r"side.*rectangle"),
     (lambda: electrode(z=0.001), r"height.*leave out z"),
-    (lambda: electrode(on="top", z=0.001), r"height.*top"),
     (lambda: electrode(on="inside"), r'"inside".*height z'),
     (lambda: electrode(contact_impedance=0.0), "positive real part"),
-    (lambda: electrode(contact_impedance=1e-11), r"1e-10 and 1e[+]06.*1e-11"),
     # places of electrodes
     (lambda: placed(Electrode(0.02, 0.01), FAR), r"electrode 0.*\(0.02, 0.01\).*0.01 m"),
     (lambda: placed(Electrode(0.02, 0.0, 0.4), FAR), r"0.4 m .*0.3 m"),
@@ -109,33 +102,27 @@ REFUSALS = [
         r'below 0.004 m.*on = "top" or "bottom"',
     ),
     (lambda: placed(Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
-    (lambda: placed(Electrode(0.0035, 0.03, 0.0065, on="top"), FAR, outline=FORK), "m beyond"),
     (lambda: placed(electrode(z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
     (lambda: placed(FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
     (lambda: placed(part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
     (lambda: placed(*pads(0.02, 0.003)), r"overlap.*2 mm"),
     # layouts
     (lambda: uniform(SLAB, 1), r"count.*2 to 1024.*1"),
-    (lambda: uniform(SLAB, 8, start=NAN), r"start.*finite"),
     (lambda: grid(SLAB, 0, 3, 0.001), r"rows.*1 to 1024.*0"),
-    (lambda: grid(SLAB, 100, 11, 0.001), r"100 rows.*1 to 10.*11"),
     (lambda: grid(Rectangle(0.15, 0.06), 2, 3, 0.04), r"0.03 m.*0.04 m"),
     (lambda: grid(Disc(0.01), 1, 1, 0.019), "no pad"),
     # fixtures and deformations
     (lambda: Bend(NAN), r"angle_deg.*finite.*got nan"),
     (lambda: Hinge(span=0.0), r"span.*got 0"),
-    (lambda: Hinge(offset=math.inf), r"offset.*inf"),
     (lambda: Hinge(transition=0.021), r"transition.*0\.02 m"),
     (lambda: Hinge(contraction=1.1), r"contraction.*0 to 1"),
     (lambda: FreeArc(-0.1), r"arc length.*got -0.1"),
     (lambda: FreeArc(0.2).flexure(REFERENCE, Bend(9.0)), "length"),
-    (lambda: FreeArc(0.15).flexure(REFERENCE, Bend(361.0)), r"360\.0 deg"),
     (lambda: FreeArc(0.06).flexure(REFERENCE, Bend(350.0)), "last possible angle"),
     (lambda: HINGE.flexure(REFERENCE, Bend(-85.0)), r"-\d+"),
     (lambda: Displaced(lambda x: -2.0 * x).gradient(np.ones((1, 3))), "inside out"),
     # meshes
     (lambda: Grading(2e-3, 1e-3, 0.5), r"finest <= coarsest.*growth.*finest=0.002"),
-    (lambda: Grading(1e-3, 2e-3, 0.5, 0), r"layer.*0"),
     (
         lambda: structured_mesh(REFERENCE, Grading(1e-5, 1e-5, 1.0, 300)),
         r"2.7e\+10 points.*4.2e\+04 GB",
@@ -156,13 +143,11 @@ def test_what_cannot_be_is_refused(make, words) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("thickness = 0.005", "`outline`"),
         ("thicknes = 0.005", "did you mean 'thickness'"),
         ("outline = { radus = 1 }", r"outline.*Disc \(radius\).*'radius'"),
         ("electrodes = { count = 8 }", r"`outline`.*layout"),
         ("outline = { radius = 0.1 }\nelectrodes = { cuont = 8 }", "did you mean 'count'"),
         ("outline = { radius = 0.1 }\nelectrodes = { count = 8, rows = 2 }", r"uniform \(count, "),
-        ("outline = { radius = 0.1 }\nelectrodes = { count = 1 }", "electrodes: .*count"),
         ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\].*width"),
     ],
 )
@@ -222,12 +207,6 @@ def test_files_that_hold_no_surface_are_refused(tmp_path, name, content, words) 
         Surface(tmp_path / name, NAN)
 
 
-def test_a_pipe_is_not_waited_for(tmp_path) -> None:
-    os.mkfifo(tmp_path / "pipe.stl")
-    with pytest.raises(ConfigurationError, match=r"expected a file.*pipe"):
-        Surface(tmp_path / "pipe.stl")
-
-
 @pytest.fixture(scope="module")
 def round_body(tmp_path_factory):
     path = tmp_path_factory.mktemp("ball") / "ball.stl"
@@ -256,7 +235,6 @@ OPPOSITE = tuple(Electrode(x, 0.0, z=0.0, on="surface") for x in (0.05, -0.05))
         (lambda b: on_ball(b, Electrode(0.05, 0.0, on="top"), OPPOSITE[1]), r'"top".*Surface'),
         (lambda b: on_ball(b, *OPPOSITE, height=0.09), r"height.*0\.1000?0*1?5?.*0.09"),
         (lambda b: dataclasses.replace(on_ball(b, *OPPOSITE), support=Plates()), "'rigid'"),
-        (lambda b: uniform(b, 8), "surface"),
         (lambda b: grid(b, 2, 2, 0.001), "surface"),
         (lambda b: structured_mesh(on_ball(b, *OPPOSITE), Grading(1e-3, 5e-3, 1.0)), "tetrahedra"),
         (lambda b: triangulated_mesh(on_ball(b, *OPPOSITE), Grading(1e-3, 5e-3, 1.0)), "plane"),
@@ -265,13 +243,6 @@ OPPOSITE = tuple(Electrode(x, 0.0, z=0.0, on="surface") for x in (0.05, -0.05))
 def test_bodies_from_files_are_no_layers(round_body, make, words) -> None:
     with pytest.raises(ConfigurationError, match=words):
         make(round_body)
-
-
-@pytest.mark.parametrize("grading", [Grading(1e-5, 5e-3, 1.0), Grading(1e-3, 1e-3, 0.5)])
-def test_tetrahedra_that_would_take_hours_are_refused(grading) -> None:
-    pytest.importorskip("pytetwild")
-    with pytest.raises(ConfigurationError, match="larger sizes"):
-        tetrahedral_mesh(REFERENCE, grading)
 
 
 def test_the_extra_is_named_where_pytetwild_is_missing(monkeypatch) -> None:
@@ -287,8 +258,3 @@ def test_the_last_possible_angle_is_possible() -> None:
     HINGE.flexure(REFERENCE, Bend(limit))
     with pytest.raises(ConfigurationError):
         HINGE.flexure(REFERENCE, Bend(limit + 0.2))
-
-
-def test_a_design_file_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigurationError, match=r"none\.toml"):
-        SensorDesign.from_toml(Path("none.toml"))
