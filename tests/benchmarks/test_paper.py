@@ -1,23 +1,20 @@
 """`eitskin bench paper`: its frames, its figures against known answers, its table and files."""
 
 import dataclasses
-import hashlib
-import json
+import itertools
 from collections import Counter, defaultdict
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from command_line import printed_json
 from touched_dataset import touched_dataset
-from typer.testing import CliRunner
 
-from eitskin.benchmarks.leaderboard import read_leaderboard
 from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import scores as paper_scores
 from eitskin.benchmarks.paper.scores import signal_to_noise
-from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, recipes
+from eitskin.benchmarks.paper.sets import KNOWN_DEG, Sets, recipes
 from eitskin.benchmarks.results import read_results
-from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.geometry import Bend, SensorDesign
@@ -36,13 +33,6 @@ SIGNAL = STRENGTH * np.where(np.arange(28) % 2, 1.0, -1.0)
 BEND = 1e-3 * np.linspace(0.0, 2.0, 28)  # a degree; a step that all channels share is of the board
 PLACES = [(0.02, 0.02), (0.06, 0.04), (0.09, 0.02), (0.13, 0.04)]
 SETS: list[Dataset] = []
-OWN_CODE = """
-from eitskin.training import Method
-
-
-class Net(Method):
-    fit = predict = arrays = from_arrays = None
-"""
 
 
 def dataset(frames, seed=0, episode=None):
@@ -130,91 +120,51 @@ class Known(Method):
         )
 
 
-class WithoutAngle(Known):
-    """The same, without an angle and without calibration."""
-
-    targets: ClassVar[Targets] = Targets(angle=False)
-    adapt = Method.adapt
-
-    def predict(self, observations):
-        said = super().predict(observations)
-        return dataclasses.replace(said, bend_angle_deg=np.full(len(observations), np.nan))
-
-
-def pipeline(place, angle_deg, kind=Known):
+def pipeline(place, angle_deg):
     layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
     said = {"frames": 7, "source": "simulated", "sha256": ""}
     examples = Observations.from_dataset(dataset([(0, 0)], 77))
-    return Pipeline(layout, kind(place, angle_deg), NOISE, TrainingSettings(), said, examples)
+    return Pipeline(layout, Known(place, angle_deg), NOISE, TrainingSettings(), said, examples)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Folder that the command leaves behind for two seeds, with its JSON output."""
+def measured(tmp_path_factory):
+    """Folder that the command leaves behind for two seeds, and the rows that it prints."""
     out = tmp_path_factory.mktemp("paper")
     (out / "ours.eitmodel").mkdir()
     limits = {"indentation.error_mm": 0.5, "bend.angle_deg": 0.1}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "make", made)
-        papers, further = pipeline(5e-3, 2.0), pipeline(3e-3, 0.0, WithoutAngle)
-        patch.setattr(
-            paper,
-            "_pipeline",
-            lambda _data, place, *_: papers if place.stem == "paper" else further,
-        )
+        patch.setattr(paper, "_pipeline", lambda *_: pipeline(5e-3, 2.0))
         patch.setattr(paper.Pipeline, "load", lambda _path: pipeline(1e-3, 0.5))
         patch.setattr(paper_scores, "bounds", lambda *_args: limits)
-        options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--json")
-        options = (*options, "--preset", "ridge", "--leaderboard", str(out / "board.json"))
-        (out / "my.py").write_text(OWN_CODE)
-        options = (*options, "--method", f"{out / 'my.py'}:Net")
-        ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
-    if ran.exception is not None:
-        raise ran.exception
-    folder = out / "paper"
-    (folder / "printed.json").write_text(ran.stdout)
-    return folder
+        options = ("--pipeline", out / "ours.eitmodel", "--seeds", 2, "--out", out)
+        printed = printed_json("bench", "paper", *options)
+    return out / "paper", printed["rows"]
 
 
 @pytest.mark.slow
-def test_its_methods_are_entered_into_a_leaderboard(folder):
-    board = read_leaderboard(folder.parent / "board.json")
-    scores = {each.name: each.scores for each in board.entries}
-    assert list(scores) == ["ours", "my:Net", "ridge", "paper's"]  # by the error of four touches
-    codes = {each.name: each.code for each in board.entries if each.code}
-    assert codes == {"my:Net": hashlib.sha256(OWN_CODE.encode()).hexdigest()}
-    assert scores["ours"]["four touches: error"] == pytest.approx(1.0)
-    assert scores["ours"]["angle"] == pytest.approx(0.5)
-    assert "angle" not in scores["ridge"]
-
-
-@pytest.mark.slow
-def test_figures_are_what_the_pipelines_are_known_to_do(folder):
+def test_figures_are_what_the_pipelines_are_known_to_do(measured):
+    folder, rows = measured
     by_run = defaultdict(dict)
-    for row in json.loads((folder / "printed.json").read_text())["rows"]:
+    for row in rows:
         by_run[row["column"], row["seed"]][row["figure"]] = row["value"]
     columns = {paper.OWN: (5.0, 2.0), paper.UNSEEN: (5.0, 2.0), paper.OURS: (1.0, 0.5)}
-    columns |= dict.fromkeys(("ridge, own sensor", "ridge, unseen"), (3.0, None))
-    for column, (millimetres, degrees) in columns.items():
-        for figures in (by_run[column, seed] for seed in (0, 1)):
-            for name in ("indentation", "touch.1", "touch.2", "touch.4", "touch", "demo.20deg.3"):
-                assert figures[f"{name}.error_mm"] == pytest.approx(millimetres, rel=1e-4)
-            for name in ("touch.4.found", "state.touch", "demo.state", "demo.20deg.3.found"):
-                assert figures[name] == 1.0
-            assert figures["touch.4.false"] == 0
-            assert 0 < figures["time.p50_ms"] <= figures["time.p99_ms"]
-            if degrees is None:
-                assert not [name for name in figures if name.endswith(("_deg", ".r2"))]
-                continue
-            for name in ("bend", "touch", "sequence", "demo"):
-                assert figures[f"{name}.angle_deg"] == pytest.approx(degrees, rel=1e-4)
+    for (column, (millimetres, degrees)), seed in itertools.product(columns.items(), (0, 1)):
+        figures = by_run[column, seed]
+        for name in ("indentation", "touch.1", "touch.2", "touch.4", "touch", "demo.20deg.3"):
+            assert figures[f"{name}.error_mm"] == pytest.approx(millimetres, rel=1e-4)
+        for name in ("touch.4.found", "state.touch", "demo.state", "demo.20deg.3.found"):
+            assert figures[name] == 1.0
+        for name in ("bend", "touch", "sequence", "demo"):
+            assert figures[f"{name}.angle_deg"] == pytest.approx(degrees, rel=1e-4)
+        assert figures["touch.4.false"] == 0
+        assert 0 < figures["time.p50_ms"] <= figures["time.p99_ms"]
     ours = by_run[paper.OURS, 0]
     assert ours["calibrated.angle_deg"] == pytest.approx(0.05, rel=1e-3)
     assert ours["calibrated.touched_deg"] == pytest.approx(0.05, rel=1e-3)
     assert "calibrated.angle_deg" not in by_run[paper.OWN, 0]
-    results = read_results(folder / "results.json")
-    assert "--preset ridge" in results.command
-    assert results.figures[f"{paper.OURS}: touch.4.found"] == 100.0
+    assert read_results(folder / "results.json").figures[f"{paper.OURS}: touch.4.found"] == 100.0
     assert (folder / "paper-touches.png").is_file()
 
 
@@ -248,22 +198,6 @@ def test_bounds_are_those_of_the_frames_scenes():
 
 
 # Frames
-
-
-def test_recipes_are_the_papers_on_a_finer_mesh_with_the_training_recipes_instrument():
-    training = Recipe.from_shipped("training")
-    whole = dict(recipes(1, quick=False))
-    for name, count in SPECIMENS.items():
-        shipped, unseen = Recipe.from_shipped(f"paper_{name}"), whole[f"unseen-{name}"]
-        assert unseen.instrument == training.instrument
-        assert unseen.specimens == dataclasses.replace(training.specimens, count=count)
-        assert unseen.scenes == shipped.scenes
-        assert unseen.resolution == "standard"
-        assert unseen.seed == shipped.seed + 2000
-    seeds = Counter(recipe.seed for recipe in whole.values())
-    # Calibration has the sensors of its experiment, which its seed gives.
-    assert {seeds[whole[name].seed] for name in whole} == {1, 2}
-    assert not seeds.keys() & {recipe.seed + 1000 for recipe in whole.values()}
 
 
 def test_own_sensor_is_one_and_each_sensor_is_calibrated_by_one_frame_of_each_angle():

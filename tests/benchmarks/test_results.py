@@ -5,6 +5,13 @@ import math
 
 import pytest
 
+from eitskin.benchmarks.result_pages import (
+    full_results,
+    pages,
+    result_page,
+    rewritten,
+    with_figures,
+)
 from eitskin.benchmarks.results import (
     Report,
     ReportTable,
@@ -65,14 +72,6 @@ def test_results_that_cannot_be_read_are_refused_with_what_to_do(tmp_path, text)
         read_results(path)
 
 
-def test_a_folder_that_cannot_be_written_is_said(tmp_path):
-    (tmp_path / "one" / "table.csv").mkdir(parents=True)
-    (tmp_path / "file").write_text("")
-    for folder in (tmp_path, tmp_path / "file"):
-        with pytest.raises(ConfigurationError):
-            Report(made()).write(folder)
-
-
 def test_numbers_of_a_table_are_figures_by_title_row_and_heading():
     heads = ("board", "scene", "frames/s", "ms: p50 (p99)")
     rows = [("fast", "idle", "1,297.4", "2.56 (9.01)"), ("fast", "bent", "full queue", "2.0e-3")]
@@ -87,3 +86,37 @@ def test_numbers_of_a_table_are_figures_by_title_row_and_heading():
     table = ReportTable.from_rows(values, columns)
     assert table.rows == [("error", "1.0"), ("error", ""), ("  of it", "")]
     assert dict(table.figures()) == {"error / a [%]": 1.0}
+
+
+# Pages
+
+PAGE = "| | published | ours |\n|---|---|---|\n| one touch | 4.8 mm | 1.1 mm |\n"
+KEYS = {"one touch": ["", "touch.error_mm"]}
+
+
+def results(figures):
+    return Results("paper", "eitskin bench paper", Provenance.now(0), 1.0, False, figures)
+
+
+def test_every_page_shows_what_is_published():
+    for page, text in pages(full_results()).items():
+        assert page.read_text(encoding="utf-8") == text, "run `make pages`"
+
+
+def test_a_quoted_figure_follows_its_result():
+    assert with_figures(PAGE, KEYS, results({"touch.error_mm": 1.14})) == PAGE
+    changed = with_figures(PAGE, KEYS, results({"touch.error_mm": 2.26}))
+    assert changed == PAGE.replace("1.1 mm", "2.3 mm")
+    assert (rewritten("18.6", 9.04), rewritten("4,311", 12345.6)) == ("9.0", "12,346")
+    for keys in ({"two touches": []}, {"one touch": ["", "touch.none"]}):
+        with pytest.raises(ConfigurationError, match="quoted"):
+            with_figures(PAGE, keys, results({"touch.error_mm": 1.0}))
+
+
+def test_a_page_has_a_table_for_rows_of_the_same_columns():
+    page = result_page(
+        results({"a / x [mm]": 1.5, "a / y": 2.0, "b / x [mm]": 3.0, "time.p50": 4.0})
+    )
+    assert "| | x [mm] | y |\n|---|---|---|\n| a | 1.5 | 2 |\n| b | 3 |  |\n" in page
+    assert "| | p50 |\n|---|---|\n| time | 4 |\n" in page
+    assert "eitskin bench paper" in page

@@ -106,6 +106,23 @@ def test_deformations_are_right_to_their_ends(cases, name, outcome):
     assert judge(case)["outcome"] == outcome
 
 
+EXTREMES = [
+    *electrical.contrasts((1e-6, 1e6)),
+    *electrical.layers((1e-6, 1e6), (0.5, 0.01)),
+    *electrical.contacts(),
+    *electrical.electrodes(quick=False),
+]
+LONG = ("half a sensor", "2 mm high")
+
+
+@pytest.mark.parametrize(
+    "case", [e for e in EXTREMES if not e.name.startswith(LONG) and "but 1e6" not in e.name]
+)
+def test_extreme_sizes_contrasts_and_contacts_have_their_closed_forms_or_are_refused(case):
+    row = judge(case)
+    assert row["outcome"] in ("ok", "refused"), row["reason"]
+
+
 def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch):
     to_depth = AxisymmetricPress.to_depth
 

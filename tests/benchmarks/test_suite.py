@@ -4,7 +4,6 @@ import json
 import signal
 from dataclasses import replace
 
-import pytest
 import typer
 from typer.testing import CliRunner
 
@@ -63,7 +62,6 @@ def test_quick_runs_are_marked_and_take_the_place_of_no_whole_one(tmp_path):
     assert all(command[-1] == "--quick" for command in commands)
     assert read_results(tmp_path / "other" / "results.json").quick
     assert outcomes(tmp_path)[0] == MEASURED
-    assert outcomes(tmp_path, quick=True)[0] == dict.fromkeys(MEASURED, "kept")
 
 
 def test_what_needs_data_is_left_out_without_it(tmp_path):
@@ -76,39 +74,27 @@ def test_what_needs_data_is_left_out_without_it(tmp_path):
     assert (done, last) == ({"own": "measured"}, str(tmp_path / "data"))
 
 
-@pytest.fixture
-def ran(tmp_path, monkeypatch):
-    """The command itself over both benchmarks, with a status of its own."""
+def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(tmp_path, monkeypatch):
+    monkeypatch.setattr(suite, "ALL", BOTH)
 
-    def run(status=0, *options):
-        monkeypatch.setattr(suite, "ALL", BOTH)
+    def run(status, *options):
         monkeypatch.setattr(suite, "run_process", Started(tmp_path, status))
         given = ("bench", "all", "--out", str(tmp_path), "--json", "--quiet", *options)
         done = CliRunner().invoke(app, given)
         names = [each["name"] for each in json.loads(done.stdout or "{}").get("benchmarks", ())]
-        return done, names
+        return done.exit_code, names, type(done.exception)
 
-    return run
-
-
-def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(ran, tmp_path):
-    assert ran()[0].exit_code == 0
+    assert run(0)[:2] == (0, ["other", "own"])
     assert "| own |" in (tmp_path / "index.md").read_text()
-    failed, names = ran(2, "--fresh")
-    assert (failed.exit_code, names) == (1, ["other", "own"])
+    assert run(2, "--fresh")[:2] == (1, ["other", "own"])
+    assert run(0, "--only", "own")[1] == ["own"]
+    assert run(0, "--only", "gone")[2] is ConfigurationError
     (tmp_path / "third").mkdir()
     (tmp_path / "third" / "results.json").write_text("{")
-    broken, names = ran()
-    assert isinstance(broken.exception, DataError)
-    assert names == ["other", "own"]
-
-
-def test_one_can_be_chosen_by_name_and_long_ones_on_request(ran, monkeypatch):
-    assert ran(0, "--only", "own")[1] == ["own"]
-    assert isinstance(ran(0, "--only", "gone")[0].exception, ConfigurationError)
+    assert run(0)[1:] == (["other", "own"], DataError)
     monkeypatch.setattr(suite, "LONG", 0.5)
-    assert ran()[1] == []
-    assert ran(0, "--long")[1] == ["other", "own"]
+    assert run(0)[1] == []
+    assert run(0, "--long")[1] == ["other", "own"]
 
 
 def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):

@@ -12,26 +12,9 @@ from eitskin.benchmarks import transfer
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.transfer import LabelledCounts, judge
 from eitskin.datasets import State
-from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import DataError
-from eitskin.geometry.design.sensor import Plates
 from eitskin.training import FoundTouches, Predictions
-
-
-@pytest.mark.parametrize("world", transfer.WORLDS)
-def test_the_known_frames_are_of_the_sensors_that_are_judged(world):
-    frames, known = transfer.recipes(world, 0, quick=True)
-    assert frames.seed == known.seed
-    assert frames.specimens == known.specimens
-    assert [specimen(frames, n) for n in range(2)] == [specimen(known, n) for n in range(2)]
-    told = [sample(known, index) for index in range(known.frames)]
-    for number in range(2):
-        mine = [each for each in told if each.specimen == number]
-        untouched = [each.scene.bend.angle_deg for each in mine if not each.scene.touches]
-        assert {0.0, *transfer.KNOWN_DEG} <= set(untouched)
-        assert (len(untouched), len(mine)) == (21, 101)
-        assert all(each.scene.bend.angle_deg == 0.0 for each in mine if each.scene.touches)
 
 
 def numbered(numbers, specimens, states):
@@ -59,16 +42,6 @@ def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others(
     assert LabelledCounts(5, 9).rows(mine)[-2:] == [0, 8]
     with pytest.raises(DataError):
         LabelledCounts(7, 0).rows(mine)
-
-
-def test_presses_on_bent_sensors_are_few_and_shared_by_two_sensors():
-    frames, known = transfer.recipes("pressed while bent", 0, quick=False)
-    drawn = [sample(frames, index) for index in range(frames.frames)]
-    pressed = [each for each in drawn if each.scene.touches]
-    assert [each.specimen for each in pressed] == [0] * 4 + [1] * 4
-    assert all(each.scene.bends for each in pressed)
-    assert isinstance(frames.sensor.support, Plates)
-    assert not any(group.state == "touch" for group in known.scenes)
 
 
 def test_predictions_are_judged_by_hand():

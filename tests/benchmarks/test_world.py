@@ -6,7 +6,6 @@ from command_line import printed_json
 
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world import (
-    KINDS,
     KINEMATIC,
     SOLVED_MODEL,
     TABLE_MODEL,
@@ -21,13 +20,6 @@ CASES = {case.name: case for case in cases()}
 
 def error(case, value, model=TABLE_MODEL, kind="press"):
     return ModelError(case, kind, model, value, 0.1, 0.02, None, None)
-
-
-def test_cases_are_presses_and_bends():
-    assert len(CASES["75_30"].scene.touches) == 1
-    assert CASES["independent_bend_20"].is_bend
-    assert all(case.changes.shape == (28,) for case in CASES.values())
-    assert {case.kind for case in CASES.values()} == set(KINDS)
 
 
 def test_median_and_worst_are_of_the_tables_and_of_3d_solutions_where_there_is_none():
