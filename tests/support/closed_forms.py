@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Place = tuple[float, float]
 
 
 def sector_between_ends(angle: float, inner: float, outer: float) -> float:
@@ -22,21 +21,6 @@ def sector_between_ends(angle: float, inner: float, outer: float) -> float:
 def sector_between_arcs(angle: float, inner: float, outer: float, z: float = 0.0) -> float:
     """ln(r2/r1) / theta + z* (1/r1 + 1/r2) / theta: between electrodes on its curved faces."""
     return (np.log(outer / inner) + z * (1 / inner + 1 / outer)) / angle
-
-
-def gap_pair(a: float, b: float, centres: Place, width: float, *, opposite: bool) -> float:
-    """A rectangle a x b, the current density uniform under both electrodes.
-
-    Both lie on the sides of length a. The resistance is the difference of the mean potentials
-    under them, by separation of variables.
-    """
-    k = np.arange(1, 400_001) * np.pi / a
-    under = np.sin(k * width / 2) / (k * width / 2)
-    first, second = (np.cos(k * centre) * under for centre in centres)
-    near = 1 / np.tanh(k * b)
-    across = 1 / np.sinh(np.minimum(k * b, 700.0)) if opposite else near
-    terms = ((first**2 + second**2) * near - 2 * first * second * across) / k
-    return float(2 / a * terms.sum() + (b / a if opposite else 0.0))
 
 
 def concentric_disc(order: ArrayLike, ratio: float, radius: float) -> Array:

@@ -29,7 +29,7 @@ COARSE = {
     "_ON_PLATE": (1.0,),
     "_BETWEEN": 0.5,
     "_FROM_SIDE": (0.55,),
-    "_FINENESS": Fineness(ends=0.0, sides=0.0, layers=1, rims=0.5, growth=1.0),
+    "_FINENESS": Fineness(ends=0.0, sides=0.0, layers=1, rims=0.8, growth=2.0),
     "_WORKERS": 1,
 }
 # Angles of bend tables; all that the sensor of this file needs.

@@ -6,15 +6,14 @@ import skfem
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign, Surface
-from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge, Roll, Twist
+from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies import pressed_body
 from eitskin.simulator.bodies.clamped_body import ClampedBody
-from eitskin.simulator.bodies.pressed_body import BodyPress, heights
-from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField, TetrahedralSolid
-from eitskin.simulator.mechanics.load_stepping import Load, newton
+from eitskin.simulator.bodies.pressed_body import BodyPress
+from eitskin.simulator.bodies.tetrahedral_solid import EDGES, TetrahedralField
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Sphere
 from eitskin.simulator.scene.scene import Touch
@@ -90,34 +89,6 @@ def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
     assert field.mean_stress(X) == pytest.approx(X @ [1.0, 2.0, 3.0], abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("F", "bulk_ratio"),
-    [(np.diag([1.0, 1.0, 0.8]), 10.0), (np.array([[1.0, 0, 0.5], [0, 1, 0], [0, 0, 1]]), 1e4)],
-    ids=["compression", "shear"],
-)
-def test_a_block_of_tetrahedra_deforms_uniformly(F, bulk_ratio) -> None:
-    mesh = skfem.MeshTet.init_tensor(*[np.linspace(0.0, 0.01, 3)] * 3)
-    body = TetrahedralSolid(mesh, Mechanics(RUBBER, RUBBER, bulk_ratio=bulk_ratio))
-    rim = body.solid.facet_nodes(body.facets)
-    assert np.linalg.norm(body.normals.sum(axis=0)) < 1e-9
-    fixed = np.sort((3 * rim[:, None] + np.arange(3)).ravel())
-    solid = body.solid
-    u = solid.nodes @ (F - np.eye(3)).T
-    load = Load(fixed, u.ravel()[fixed], np.zeros(solid.unknowns))
-    x = newton([solid], np.zeros(solid.unknowns), load)
-    assert body.field(x).gradient(inside(50, 0.0, 0.01)) == pytest.approx(
-        np.broadcast_to(F, (50, 3, 3)), abs=1e-9
-    )
-
-
-def test_heights_are_those_of_the_highest_triangle(design) -> None:
-    points, faces = design.outline.triangles()
-    places = np.array([[0.020, 0.010], [0.0, 0.0], [0.041, 0.010]])
-    found = heights(points[faces], places)
-    assert found[:2] == pytest.approx(0.010, abs=1e-9)
-    assert np.isnan(found[2])
-
-
 # Bends
 
 
@@ -167,35 +138,7 @@ def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design) -> None:
     assert found.thinnings == pytest.approx([0.201], rel=0.10)
 
 
-@pytest.mark.slow
-def test_a_body_is_meshed_finely_under_its_indenter(design) -> None:
-    touch = Touch(0.010, 0.010, force=1.0, indenter=Sphere(0.004))
-    solid = BodyPress(design, [touch], BARE).body.solid
-    assert solid.weights.sum() == pytest.approx(np.prod(SIZE), rel=1e-3)
-    edges = solid.mesh.p[:, solid.mesh.edges]
-    lengths, middles = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0), edges.mean(axis=1)
-    distance = np.linalg.norm(middles - np.array([[0.010], [0.010], [0.010]]), axis=0)
-    assert np.median(lengths[distance < 0.003]) < 1.5e-3  # a quarter of the radius, about
-    assert np.median(lengths[distance > 0.015]) > 2.5e-3
-
-
 # Scenes
-
-
-def test_kinematic_bends_are_about_the_middle_of_the_body(tmp_path) -> None:
-    shift = np.array([0.3, -0.2, 0.1])
-    for shape in ("there", "here"):
-        (tmp_path / shape).mkdir()
-    there, here = box(tmp_path / "there", shift)[0], box(tmp_path / "here")[0]
-    X = inside(20)
-    for make in (
-        Twist(20.0).deformation,
-        Roll(30.0).deformation,
-        lambda design: FreeArc(0.030).flexure(design, Bend(20.0)),
-        lambda design: Hinge(0.020).flexure(design, Bend(20.0)),
-    ):
-        moved = make(there).positions(X + shift) - shift
-        assert moved == pytest.approx(make(here).positions(X), abs=1e-8)  # files: 7 digits
 
 
 @pytest.fixture(scope="module")

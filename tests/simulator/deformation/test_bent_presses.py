@@ -91,20 +91,6 @@ def test_a_frame_turns_stresses_so_that_forces_keep_their_size() -> None:
     )
 
 
-def test_the_frame_of_a_curved_top_is_that_of_the_place_touched() -> None:
-    class Curved(Homogeneous):
-        """Stretches grow along x and y from the place touched."""
-
-        def mapped(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            moved, F = super().map_points(points)
-            growth = np.diag([20.0, 0.0, 0.0]) * (points[..., :1, None] - X)
-            return moved, F + growth + np.diag([0.0, 9.0, 0.0]) * (points[..., 1:2, None] - Y)
-
-    frame = ContactFrame.from_bent_top(Curved(np.diag([1.2, 0.9, 1.0])), X, Y, STACK)
-    assert frame.stretches == pytest.approx([1.2, 0.9], rel=1e-9)
-    assert frame.rotation == pytest.approx(np.eye(3), abs=1e-9)
-
-
 @pytest.fixture(scope="module")
 def bent_sensor() -> tuple[Simulator, Scene]:
     design = dataclasses.replace(DESIGN, support=Plates())
@@ -136,15 +122,6 @@ def unsolved(monkeypatch) -> list[BentStack | None]:
 
     monkeypatch.setattr(touches, "solved_presses", solved)
     return asked
-
-
-def test_only_what_the_bend_of_a_pressed_sensor_needs_is_solved(bent_sensor, unsolved) -> None:
-    sim, scene = bent_sensor
-    sim.presses(dataclasses.replace(scene, bend=Bend(0.0)))
-    assert unsolved == [None]
-    (found,) = sim.presses(scene)
-    assert unsolved[1].angle_deg == 5.0
-    assert found.signal_error == 0.10
 
 
 @pytest.mark.usefixtures("unsolved")

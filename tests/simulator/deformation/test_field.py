@@ -1,16 +1,12 @@
-"""Fields: exact polynomials and splines, slopes, faces, frames."""
+"""Fields: exact polynomials and splines, slopes, faces, frames, and their sums at nodes."""
 
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
-from eitskin.simulator.deformation.field import (
-    CubicSplines,
-    Field,
-    Frame,
-    Polynomials,
-)
+from eitskin.simulator.deformation.field import CubicSplines, Field, Frame, Polynomials
+from eitskin.simulator.deformation.node_sums import NodeSums, basis_values
 
 HEIGHT = 0.004
 X, Y = (
@@ -72,14 +68,6 @@ def test_cubics_have_their_slopes() -> None:
         assert found == pytest.approx(slope, rel=1e-6, abs=1e-4)
 
 
-def test_values_on_a_grid_are_those_at_its_points() -> None:
-    field = made(polynomials(1.5))
-    axes = np.linspace(-0.01, 0.02, 4), np.linspace(-0.015, 0.0, 3), np.array([0.001, 0.0035])
-    at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2, 3)
-    expected = field.values(at).transpose(2, 1, 0).reshape(4, 3, 2, 4)
-    assert field.on_grid(*axes) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("stretch", [0.0, 2.0])
 def test_smooth_functions_converge_geometrically(stretch) -> None:
     def wave(points):
@@ -92,14 +80,6 @@ def test_smooth_functions_converge_geometrically(stretch) -> None:
         errors.append(np.abs(Field.from_function(wave, bases, HEIGHT, 1).values(at) - exact).max())
     assert errors[1] < 0.1 * errors[0]
     assert errors[2] < 0.1 * errors[1]
-
-
-def test_splines_take_their_values_at_the_nodes_and_add_up_to_one() -> None:
-    nodes = np.array([0.0, 0.1, 0.15, 0.4, 0.7, 1.0])
-    splines, values = CubicSplines(nodes), np.random.default_rng(1).normal(size=6)
-    coefficients = splines.fit @ values
-    assert splines.dense(nodes) @ coefficients == pytest.approx(values)
-    assert splines.dense(np.linspace(0.0, 1.0, 31)).sum(axis=1) == pytest.approx(np.ones(31))
 
 
 def test_points_beyond_the_box_have_the_values_of_its_faces_or_none() -> None:
@@ -136,3 +116,68 @@ def test_a_turned_field_turns_displacements_and_slopes(fade) -> None:
 
     values = framed(Field.from_function(along, splines(), HEIGHT, 1), 0.6, 0.8).values(at)
     assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
+
+
+LENGTH, WIDTH, GEL = 0.15, 0.06, 0.005
+
+
+def points(count: int = 60) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return rng.uniform((0.0, 0.0, 0.0), (0.9 * LENGTH, WIDTH, GEL), (count, 3))
+
+
+def values(field: Field, at: np.ndarray) -> np.ndarray:
+    return field.values(at[:, None])[:, 0].T
+
+
+def test_sums_are_the_fields_and_their_images_one_by_one() -> None:
+    """Half the size of the cells leaves a sixteenth of the error."""
+    rng, at = np.random.default_rng(1), points()
+    along, across = Polynomials(-0.2, 0.2, 5), Polynomials(0.0, WIDTH, 4)
+    coefficients, origins = rng.normal(size=(3, 5, 4, 3, 4)), np.array([0.04, 0.09, 0.04])
+    images = np.array([(0, 0), (1, 1), (0, 1)])
+    scenes, expected = np.array([0, 1, 1]), np.zeros((2, len(at), 4))
+    for field, x, image, scene in zip(coefficients, origins, images, scenes, strict=True):
+        there, signs = at.copy(), np.ones(4)
+        for axis, size in enumerate((LENGTH, WIDTH)):
+            if image[axis]:
+                there[:, axis], signs[axis] = size - at[:, axis], -1.0
+        there[:, 0] -= x
+        expected[scene] += signs * values(Field((along, across), GEL, field), there)
+    errors = []
+    for cells in (12, 24):
+        nodes = np.linspace(0.0, LENGTH, 2 * cells + 1), np.linspace(0.0, WIDTH, cells + 1)
+        sums, fields = NodeSums(nodes, 2, 4, 4), coefficients.transpose(0, 1, 3, 4, 2)
+        own = basis_values(along, nodes[0], origins)
+        sums.add(fields, np.eye(3), own, across.dense(nodes[1]), scenes, images)
+        found = sums.fields(GEL, np.ones(4))
+        errors.append(
+            max(
+                np.abs(values(one, at) - each).max()
+                for one, each in zip(found, expected, strict=True)
+            )
+        )
+    assert errors[0] > 10.0 * errors[1]
+    assert errors[1] < 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("upright", [False, True], ids=["below", "left"])
+def test_a_table_beside_a_side_lies_along_each_of_them(upright) -> None:
+    """As the same field in the frame of the side: inwards is y below, and x at the left."""
+    rng = np.random.default_rng(2)
+    nodes = np.linspace(0.0, LENGTH, 121), np.linspace(0.0, WIDTH, 61)
+    s, t = (CubicSplines(half * np.linspace(-1.0, 1.0, 9)) for half in (0.2, 0.1))
+    coefficients, foot, middle = rng.normal(size=(9, 9, 4, 4)), 0.035, 0.04
+    frame = Frame(middle, foot, 0.0, -1.0) if upright else Frame(foot, middle, 1.0, 0.0)
+    expected = values(Field((s, t), GEL, coefficients, frame), points())
+    sums, field = NodeSums(nodes, 1, 4, 4), coefficients.transpose(0, 2, 3, 1)[None]
+    inward = CubicSplines(t.nodes + middle).dense(nodes[1 - upright])
+    if upright:
+        turned = field.swapaxes(1, 4)[:, :, :, [1, 0, 2, 3]]
+        own = basis_values(s, nodes[1], np.array([WIDTH - foot]))
+        sums.add(turned, np.eye(1), inward, own, np.zeros(1, int), (0, 1))
+    else:
+        own = basis_values(s, nodes[0], np.array([foot]))
+        sums.add(field, np.eye(1), own, inward, np.zeros(1, int), (0, 0))
+    (found,) = sums.fields(GEL, np.ones(4))
+    assert values(found, points()) == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
-from eitskin.simulator import Cylinder, Mechanics, Sphere
+from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
@@ -17,20 +17,19 @@ from eitskin.simulator.deformation.stack_mesh import (
     stack_mesh,
 )
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.load_stepping import SolidError
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
 STACK = MECHANICS.stack(SensorDesign.reference())
 LENGTH, WIDTH, X, Y = 0.050, 0.040, 0.018, 0.013
 TOP = 0.012
-DEEP, DEPTH, SMALL = 2.4e-3, 8e-4, 1e-5
+DEPTH, SMALL = 8e-4, 1e-5
 
 
 @pytest.fixture(scope="module")
 def dents():
     """Axisymmetric presses on a coarse mesh, by depth [m]."""
     press = AxisymmetricPress(STACK, PUNCH, PUNCH.radius / 6)
-    return {depth: press.to_depth(depth) for depth in (SMALL, 2 * SMALL, DEPTH, DEEP)}
+    return {depth: press.to_depth(depth) for depth in (SMALL, DEPTH)}
 
 
 def meshed(x=X, y=Y, support: Support | None = None, size=(LENGTH, WIDTH), rims=0.5) -> StackMesh:
@@ -66,16 +65,6 @@ def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
     assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
 
 
-@pytest.mark.slow
-def test_the_base_carries_the_force_of_the_indenter(stack, pressed, dents) -> None:
-    """Dents and correction together; 3 % is the quadrature of the dent on coarse cells."""
-    stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])], pressed.unknowns)
-    count = len(stack.solid.nodes)
-    forces = stack.solid.forces(pressed.unknowns)[: 3 * count].reshape(count, 3)
-    assert stack.reaction(pressed)[2] == pytest.approx(dents[DEPTH].force, rel=0.03)
-    assert forces.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
-
-
 def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
     under = np.array([[X + r, Y, TOP] for r in radii] + [[X, Y - r, TOP] for r in radii])
@@ -85,23 +74,6 @@ def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     assert np.abs(moved[:, :2]).max() < 0.1 * pressed.sunk[0]
     beyond = pressed.displacement(np.array([[0.040, 0.030, TOP]]))
     assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
-
-
-@pytest.mark.slow
-def test_cells_that_the_rim_of_a_contact_cuts_do_not_make_it_larger(pressed, dents) -> None:
-    finer = FiniteStack(meshed(rims=0.25)).correction([DentField(X, Y, PUNCH, dents[DEPTH])])
-    beside = np.random.default_rng(0).uniform((0.003, 0, 0.004), (0.035, 0.0045, 0.008), (400, 3))
-    found, expected = (each.displacement.derivative(beside) for each in (pressed, finer))
-    # Held up to the rim, they take 1.4 % from the strain beside the contact.
-    assert np.vdot(found, expected) / np.vdot(expected, expected) == pytest.approx(1.0, abs=0.005)
-    assert pressed.sunk == pytest.approx(finer.sunk, rel=0.012)
-
-
-@pytest.mark.slow
-def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
-    many = [DentField(X, Y, PUNCH, dents[DEEP])] * 6
-    with pytest.raises(SolidError, match="inside out where they overlap"):
-        FiniteStack(meshed(), len(many)).correction(many)
 
 
 @pytest.mark.slow
@@ -118,17 +90,6 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     moved = beside + found.displacement(under)
     assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
     assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
-
-
-@pytest.mark.slow
-def test_a_contact_smaller_than_a_cell_is_held() -> None:
-    ball = Sphere(0.0075)
-    dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
-    body = meshed()
-    assert 2.0 * dent.contact_radius < np.diff(body.lines[0]).min()
-    found = FiniteStack(body).correction([DentField(X, Y, ball, dent)])
-    under = found.displacement(np.array([[X, Y, TOP]]))[0, 2]
-    assert under == pytest.approx(-found.sunk[0], rel=0.1)
 
 
 def test_a_dent_is_smooth_across_its_axis(dents) -> None:
@@ -149,8 +110,11 @@ def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("support", [Plates(0.020), Free()], ids=["plates", "free"])
-def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, support) -> None:
+@pytest.mark.parametrize(
+    "support", [Rigid(), Plates(0.020), Free()], ids=["base", "plates", "free"]
+)
+def test_what_holds_the_stack_carries_the_force_of_the_indenter(dents, support) -> None:
+    """Dents and correction together; 3 % is the quadrature of the dent on coarse cells."""
     stack = FiniteStack(meshed(x=LENGTH / 2, y=WIDTH / 2, support=support))
     found = stack.correction([DentField(LENGTH / 2, WIDTH / 2, PUNCH, dents[SMALL])])
     count = len(stack.solid.nodes)
@@ -158,8 +122,9 @@ def test_what_holds_a_loose_base_carries_the_force_of_the_indenter(dents, suppor
     held, base = np.zeros(count, dtype=bool), stack.solid.nodes[:, 2] < 1e-9
     held[stack.solid.facet_nodes(stack.body.facets("held"))] = True
     assert stack.reaction(found)[2] == pytest.approx(dents[SMALL].force, rel=0.03)
+    assert forces.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
     # The last step of Newton's method leaves its square.
-    assert np.abs(forces[base & ~held]).max() < 1e-3 * np.abs(forces[held]).max()
+    assert np.abs(forces[base & ~held]).max(initial=0.0) < 1e-3 * np.abs(forces[held]).max()
 
 
 def area(body: StackMesh, face: str) -> float:
@@ -178,17 +143,10 @@ def test_what_is_held_and_what_is_free_follows_the_support() -> None:
         (Free(), sides),
     ):
         body = meshed(support=support)
-        assert area(body, "held") == pytest.approx(held, abs=1e-9)
-        assert area(body, "sides") == pytest.approx(sides, abs=1e-9)
-        assert area(body, "top") == pytest.approx(length * width, abs=1e-9)
-
-
-def test_cells_of_the_margin_are_of_silicone() -> None:
-    body = meshed()
-    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
+        areas = [area(body, face) for face in ("held", "sides", "top")]
+        assert areas == pytest.approx([held, sides, length * width], abs=1e-9)
     gel = np.array([body.laws[k] == MECHANICS.gel for k in body.law_of_cell])
-    inside = (np.abs(middles[0] - LENGTH / 2) < LENGTH / 2) & (
-        np.abs(middles[1] - WIDTH / 2) < WIDTH / 2
-    )
-    assert np.array_equal(gel, inside & (np.abs(middles[2] - TOP / 2) < 0.0025))
+    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
+    away = np.abs(middles - np.array([[LENGTH / 2], [WIDTH / 2], [TOP / 2]]))
+    assert np.array_equal(gel, (away.T < (LENGTH / 2, WIDTH / 2, 0.0025)).all(axis=1))
     assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))

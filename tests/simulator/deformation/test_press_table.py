@@ -37,7 +37,8 @@ def disc(dent, n=40):
 
 @pytest.mark.slow
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
-    press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 40)
+    stack = REFERENCE.stack(DESIGN)
+    press = AxisymmetricPress(stack, Cylinder(), finest=0.0075 / 40)
     dent, pressed = table.dent_from_depth(9e-4), press.to_depth(9e-4)
     assert dent.force == pytest.approx(pressed.force, rel=0.01)
     assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
@@ -47,6 +48,16 @@ def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
     u = moved(dent, r[near], z[near])[:2].T
     solved = pressed.displacement[:, in_gel][near]
     assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
+    # A stack relaxes by shares that differences of moduli give as well.
+    soft, hard = (
+        AxisymmetricPress(
+            dataclasses.replace(REFERENCE, gel=NeoHookean(mu)).stack(DESIGN),
+            Cylinder(),
+            finest=2e-3,
+        ).to_depth(9e-4)
+        for mu in (19e3, 21e3)
+    )
+    assert dent.share == pytest.approx(np.log(hard.force / soft.force) / np.log(21 / 19), abs=0.01)
 
 
 def moved(dent, r, z):
@@ -54,15 +65,10 @@ def moved(dent, r, z):
     return dent.motion(r, z[:, None])[..., 0].T
 
 
-def test_force_and_depth_are_each_others_inverse(table) -> None:
-    for force in (0.05, 1.0, 10.0, 30.0):
-        dent = table.dent_from_force(force)
-        assert table.dent_from_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
-
-
-@pytest.mark.parametrize("force", [0.1, 5.0, 10.0, 20.0])
-def test_a_dent_keeps_volume(table, force) -> None:
+@pytest.mark.parametrize("force", [0.1, 20.0])
+def test_a_dent_keeps_volume_and_is_found_by_force_and_by_depth(table, force) -> None:
     dent = table.dent_from_force(force)
+    assert table.dent_from_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
     r, z = disc(dent)
     u, _, shear, stretch, radial, tilt = moved(dent, r, z)
     J = (1 + u / r) * ((1 + radial) * (1 + stretch) - shear * tilt)
@@ -80,49 +86,17 @@ def test_strains_are_derivatives_of_displacements(table) -> None:
     assert upward / (2 * step) == pytest.approx(np.stack([shear, stretch]), abs=1e-6)
 
 
-def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
-    dents = Dents(
-        (
-            PlacedDent(0.05, 0.02, table.dent_from_force(9.0)),
-            PlacedDent(0.08, 0.03, table.dent_from_force(4.0)),
-        )
-    )
+def test_points_above_each_other_are_as_points_one_by_one(table) -> None:
+    forces = {(0.05, 0.02): 9.0, (0.08, 0.03): 4.0}
+    dents = Dents(tuple(PlacedDent(*at, table.dent_from_force(f)) for at, f in forces.items()))
     places = np.random.default_rng(2).uniform((0.03, 0.01), (0.12, 0.05), (30, 2))
     columns = np.empty((30, 4, 3))
     columns[..., :2], columns[..., 2] = places[:, None], (0.0, 0.001, 0.0032, 0.005)
-    mixed = np.random.default_rng(3).permutation(120)
     for field in (dents.gradient, dents.positions, dents.mean_stress):
-        together, apart = field(columns), field(columns.reshape(-1, 3)[mixed])
-        assert np.concatenate(together)[mixed] == pytest.approx(apart, rel=1e-12)
-
-
-def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
-    dents = Dents((PlacedDent(0.05, 0.02, table.dent_from_force(10.0)),))
+        together, apart = field(columns), field(columns.reshape(-1, 3))
+        assert np.concatenate(together) == pytest.approx(apart, rel=1e-12)
     axis, beside = dents.gradient(np.array([[0.05, 0.02, 0.002], [0.05 + 1e-7, 0.02, 0.002]]))
     assert axis == pytest.approx(beside, abs=1e-4)
-    reach = dents.presses[0].dent.reach
-    around = np.array([[0.05 + reach * k, 0.02, 0.002] for k in (1 - 1e-9, 1 + 1e-9)])
-    inside, outside = dents.gradient(around)
-    assert outside == pytest.approx(np.eye(3), abs=1e-15)
-    assert inside == pytest.approx(np.eye(3), abs=2e-4)
-
-
-@pytest.mark.slow
-def test_the_layer_carries_its_share(table) -> None:
-    """A stack relaxes by shares that differences of moduli give as well."""
-    step, depth = 0.05, 8e-4
-    around = [
-        AxisymmetricPress(
-            dataclasses.replace(REFERENCE, gel=NeoHookean(20e3 * k)).stack(DESIGN),
-            Cylinder(),
-            finest=2e-3,
-        )
-        .to_depth(depth)
-        .force
-        for k in (1 - step, 1 + step)
-    ]
-    share = np.log(around[1] / around[0]) / np.log((1 + step) / (1 - step))
-    assert table.dent_from_depth(depth).share == pytest.approx(share, abs=0.01)
 
 
 def test_pressure_falls_from_the_axis_to_nothing(table) -> None:
@@ -161,12 +135,11 @@ def test_kernels_scale_with_lengths_and_moduli(table) -> None:
     assert twice.peak_pressure == pytest.approx(3 * dent.peak_pressure, rel=1e-9)
 
 
-@pytest.mark.parametrize("force", [0.0, -1.0, 1e3, float("nan")])
-def test_forces_beyond_the_table_are_refused(table, force) -> None:
-    with pytest.raises(ConfigurationError, match=r"force.*above 0"):
-        table.dent_from_force(force)
-    with pytest.raises(ConfigurationError, match=r"depth.*above 0"):
-        table.dent_from_depth(force)
+@pytest.mark.parametrize("wrong", [0.0, 1e3, float("nan")])
+def test_forces_beyond_the_table_are_refused(table, wrong) -> None:
+    for find in (table.dent_from_force, table.dent_from_depth):
+        with pytest.raises(ConfigurationError, match=r"(force|depth).*above 0"):
+            find(wrong)
 
 
 # Where they are kept

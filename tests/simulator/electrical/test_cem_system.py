@@ -66,19 +66,6 @@ def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers
     assert pytest.approx(np.eye(3) - 1 / 3, abs=1e-9) == Y @ Z
 
 
-@pytest.mark.parametrize("z", [1e-3, 2e-4 + 3e-4j])
-def test_both_orders_of_elimination_agree(z) -> None:
-    sigma = lambda x: 1 + 3 * x[..., 1]  # noqa: E731
-    one, other = (
-        ForwardModel(with_contacts(z), ((2, 2), COARSE), solver=name)
-        for name in ("block Cholesky", "nested dissection")
-    )
-    assert one.solver.name != other.solver.name
-    assert one.impedance(sigma) == pytest.approx(other.impedance(sigma), rel=1e-10, abs=1e-9)
-    J = one.sensitivity(PAIRS, sigma)
-    assert pytest.approx(other.sensitivity(PAIRS, sigma), rel=1e-8, abs=1e-6) == J
-
-
 @pytest.mark.parametrize("z", [1e-9, 1.0, 1e3])
 def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> None:
     """Lifted or not, an electrode is the same; far from z = 1 one of the two loses digits."""
@@ -90,46 +77,15 @@ def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> Non
     assert plain == pytest.approx(free, rel=max(lost, 1e-10))
 
 
-def test_small_contact_impedances_keep_their_digits() -> None:
-    """R(z) is smooth near z = 0: its second difference at 1e-9 is far below rounding of 1/z."""
-    z = 1e-9 * np.array([1.0, 2.0, 3.0])
-    R = [PAIRS.measure(ForwardModel(with_contacts(v), ((2, 2), COARSE)).impedance()) for v in z]
-    first, second = R[1] - R[0], R[2] - 2 * R[1] + R[0]
-    assert np.all(first > 0)
-    assert np.abs(second).max() < 1e-2 * np.abs(first).max()
-
-
-def test_contacts_of_opposite_extremes_on_one_sensor() -> None:
-    """Shunt electrodes beside buried ones: each keeps its digits, against a scaled copy."""
-    z = np.array([1e-9, 1e3, 1e-3, 1e-9, 1.0, 1e-6, 1e3, 1e-9])
-    Z = ForwardModel(with_contacts(z), ((2, 2), COARSE)).impedance()
-    scaled = dataclasses.replace(with_contacts(z / 7.0), conductivity=7.0)
-    other = ForwardModel(scaled, ((2, 2), COARSE)).impedance()
-    # Pairs of shunt electrodes have resistances a million times smaller than the buried ones'.
-    assert 7.0 * PAIRS.measure(other) == pytest.approx(PAIRS.measure(Z), rel=1e-8)
-
-
-def test_complex_contacts_are_the_analytic_continuation_of_real_ones() -> None:
-    """Cauchy-Riemann: the imaginary part of Z(z + i h) / h is dZ/dz."""
-    h = 1e-11
-    step = ForwardModel(with_contacts(1e-3 + 1j * h), ((2, 2), COARSE)).impedance()
-    ahead, behind = (
-        PAIRS.measure(ForwardModel(with_contacts(1e-3 + s * 1e-7), ((2, 2), COARSE)).impedance())
-        for s in (1, -1)
-    )
-    assert PAIRS.measure(step).imag / h == pytest.approx((ahead - behind) / 2e-7, rel=1e-6)
-
-
-@pytest.mark.parametrize("order", [(3, 2, 1), (3, 2, 2)], ids=["fast", "standard"])
 @pytest.mark.parametrize("on", ["side", "top", "inside"])
-def test_what_is_grounded_takes_part_in_a_constant_potential(on, order) -> None:
+def test_what_is_grounded_takes_part_in_a_constant_potential(on) -> None:
     """Else the system is singular but for rounding, and nearly all digits are lost."""
     design = REFERENCE
     if on != "side":
         z = design.thickness / 2 if on == "inside" else None
         pads = grid(Rectangle(0.15, 0.06), 2, 4, 0.005, on=on, z=z)
         design = dataclasses.replace(REFERENCE, electrodes=tuple(pads))
-    model = ForwardModel(design, (order, COARSE))
+    model = ForwardModel(design, ((3, 2, 1), COARSE))
     Z = model.impedance(1.0)
     size = np.abs(Z).max()
     assert np.abs(Z.sum(axis=0)).max() < 1e-9 * size

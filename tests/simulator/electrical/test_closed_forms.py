@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
-from eitskin.geometry import Electrode, Rectangle, SensorDesign
+from eitskin.benchmarks.stability.closed_forms import block, shunt_pair, shunt_resistance
+from eitskin.geometry import Disc, Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
@@ -40,7 +40,7 @@ def resistance(model, *scene):
 
 
 @pytest.mark.parametrize("z", [(1e-3, 1e-3), (1e-9, 1e3), (1e-3 - 4e-3j, 1e-6 + 2e-4j)])
-@pytest.mark.parametrize("order", [(1,), (2, 1), (3, 2, 1), (5, 4)])
+@pytest.mark.parametrize("order", [(1,), (3, 2, 1), (5, 4)])
 def test_block_between_any_contacts(z, order) -> None:
     R = resistance(ForwardModel(strip(*z, conductivity=0.5), (order, COARSE)))
     exact = block(0.1, 0.04 * THICKNESS, 0.5, *z)
@@ -53,27 +53,6 @@ def test_body_of_a_block_keeps_its_digits_beside_any_contact(z) -> None:
     R = resistance(ForwardModel(strip(z), ((2,), COARSE)))
     area = 0.04 * THICKNESS
     assert R - 2 * z / area == pytest.approx(block(0.1, area, 1.0), rel=1e-6)
-
-
-@pytest.mark.parametrize("ratio", [1e-3, 0.3 + 2j, 1e-3 - 5j])
-def test_blocks_in_series(ratio) -> None:
-    z, area = 1e-4, 0.04 * THICKNESS
-    R = resistance(
-        ForwardModel(strip(z), ((2,), EVEN)), lambda x: np.where(x[..., 0] < 0.05, 1.0, ratio)
-    )
-    exact = block(0.05, area, 1.0, z) + block(0.05, area, ratio, z)
-    assert R == pytest.approx(exact, rel=1e-6)
-
-
-@pytest.mark.parametrize("ratio", [1e3, 0.3 + 2j])
-def test_blocks_in_parallel(ratio) -> None:
-    """Potentials are equal side by side only where contacts have no impedance, or nearly none."""
-    model = ForwardModel(strip(1e-9), ((2,), EVEN))
-    below = model.mesh.points[model.mesh.cells, 1].mean(axis=1) < 0.02
-    largest = max(abs(ratio), 1.0)
-    R = resistance(model, np.where(below, 1.0, ratio) / largest)
-    exact = 0.1 / (0.02 * THICKNESS * (1 + ratio)) * largest
-    assert R == pytest.approx(exact, rel=1e-7)
 
 
 # Two shunt electrodes on a rectangle
@@ -106,23 +85,6 @@ def test_two_shunt_electrodes_on_a_rectangle(name) -> None:
     assert R * THICKNESS == pytest.approx(exact, rel=5e-5)
 
 
-# Gap electrodes on a rectangle: contacts so bad that currents leave evenly
-
-
-@pytest.mark.parametrize(
-    ("centres", "opposite"),
-    [((0.0225, 0.075), False), ((0.0225, 0.1275), True), ((0.075, 0.075), True)],
-)
-def test_gap_electrodes_on_a_rectangle(centres, opposite) -> None:
-    z, width = 1e3, 0.005
-    exact = closed_forms.gap_pair(0.15, 0.06, centres, width, opposite=opposite)
-    rims = (0.0, 0.06 if opposite else 0.0)
-    electrodes = (Electrode(x, y, width, z) for x, y in zip(centres, rims, strict=True))
-    R = resistance(ForwardModel(two_electrodes(Rectangle(0.15, 0.06), *electrodes), ((4,), SHARP)))
-    body = (R - 2 * z / (width * THICKNESS)) * THICKNESS
-    assert body == pytest.approx(exact, rel=2e-5)
-
-
 # Annular sectors and discs: a rectangle seen through the polar map
 
 
@@ -153,14 +115,6 @@ class Polar:
         )
 
 
-def test_sector_between_its_straight_ends() -> None:
-    ends = (Electrode(0.05, 0.0, 0.1, 1e-9), Electrode(0.05, 0.04, 0.1, 1e-9))
-    design = two_electrodes(Rectangle(0.1, 0.04), *ends)
-    Z = Polar(design.outline, 2.0, 0.02, 0.05).impedance(design)
-    exact = closed_forms.sector_between_ends(2.0, 0.02, 0.05)
-    assert pair(Z) * THICKNESS == pytest.approx(exact, rel=1e-6)
-
-
 @pytest.mark.parametrize("z", [1e-9, 1e-3, 1.0])
 def test_sector_between_its_curved_faces(z) -> None:
     design = strip(z)
@@ -169,7 +123,7 @@ def test_sector_between_its_curved_faces(z) -> None:
     assert pair(Z) * THICKNESS == pytest.approx(exact, rel=1e-6)
 
 
-@pytest.mark.parametrize("ratio", [1e-6, 0.2, 5.0, 1e6, 0.5 + 2j])
+@pytest.mark.parametrize("ratio", [1e6, 0.5 + 2j])
 def test_concentric_disc(ratio) -> None:
     """Half a disc, as currents cos(n phi) are even; they leave evenly from very bad contacts."""
     count, share, z, radius = 8, 0.5, 1e3, 0.6
@@ -193,3 +147,34 @@ def test_concentric_disc(ratio) -> None:
             n, 2 * count, width, lambda m: closed_forms.concentric_disc(m, ratio, radius)
         )
         assert measured == pytest.approx(exact, rel=1e-4)
+
+
+# Discs on prisms, against an integral equation
+
+
+def test_integral_equation_meets_the_shunt_limit() -> None:
+    """z -> 0 is K(1-m) / K(m) too: the disc is a half-plane, m the cross-ratio of four chords."""
+    m = np.sin(0.5) ** 2
+    exact = shunt_resistance(m, 1 - m)
+    Z = closed_forms.disc_impedance([0, np.pi], 1.0, 1e-14)
+    assert pair(Z) == pytest.approx(exact, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_any_electrodes_on_a_disc() -> None:
+    """All transfer impedances of seven unequal electrodes with unequal contacts."""
+    rng = np.random.default_rng(4)
+    angles = np.arange(7) * 2 * np.pi / 7 + rng.uniform(0, 0.3, 7)
+    widths, z = rng.uniform(0.05, 0.5, 7), 10 ** rng.uniform(-6, 0, 7)
+    exact = closed_forms.disc_impedance(angles, widths, z, points=32)
+    radius, thickness = 0.1, 0.01
+    electrodes = tuple(
+        Electrode(radius * (1 + np.cos(a)), radius * (1 + np.sin(a)), w * radius, one * radius)
+        for a, w, one in np.stack([angles, widths, z], axis=1).tolist()
+    )
+    design = SensorDesign(Disc(radius), thickness, electrodes)  # sigma is 1 S/m
+    Z = ForwardModel(design, ((3,), Grading(1e-5, 1e-2, 0.7))).impedance()
+    centring = np.eye(7) - 1 / 7
+    contacts = centring @ np.diag(z / widths) @ centring
+    body = exact - contacts
+    assert pytest.approx(body, abs=3e-4 * np.abs(body).max()) == Z * thickness - contacts

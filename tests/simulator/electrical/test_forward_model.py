@@ -4,12 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.mesh_design import Grading
-from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator import ForwardModel
 
 from alternatives import plain_impedance, pulled_back
 
@@ -22,15 +24,7 @@ def model() -> ForwardModel:
     return ForwardModel(REFERENCE, "fast")
 
 
-def test_anisotropic_block_conducts_along_its_axis() -> None:
-    ends = (Electrode(0.0, 0.02, 0.04, 1e-3), Electrode(0.1, 0.02, 0.04, 1e-3))
-    block = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends)
-    Z = ForwardModel(block, "fast").impedance(lambda x: np.diag([4.0, 1.0, 9.0]) + 0 * x[..., None])
-    R = Protocol.pairwise(2).measure(Z)
-    assert R == pytest.approx([(0.1 / 4.0 + 2e-3) / (0.04 * 0.005)], rel=1e-9)
-
-
-@pytest.mark.parametrize(("order", "z"), [((1,), 1e-3), ((2, 2), 1e-9), ((3, 2, 1), 1e3)])
+@pytest.mark.parametrize(("order", "z"), [((2, 2), 1e-9), ((3, 2, 1), 1e3)])
 def test_potentials_count_from_the_mean_of_the_electrodes(order, z) -> None:
     """Half an ampere from end to end: u = (L / 2 - x) / (2 sigma A), whatever is grounded."""
     ends = (Electrode(0.0, 0.02, 0.04, z), Electrode(0.1, 0.02, 0.04, 2 * z))
@@ -42,18 +36,6 @@ def test_potentials_count_from_the_mean_of_the_electrodes(order, z) -> None:
     reach = np.abs(expected).max()
     assert model.potentials()[:, 0] == pytest.approx(expected, abs=1e-9 * reach)
     assert model.potentials()[:, 1] == pytest.approx(-expected, abs=1e-9 * reach)
-
-
-def test_resistances_rise_with_the_functions_that_potentials_are_made_of() -> None:
-    """Of all potentials with the given currents the true one stores most."""
-    flat = SensorDesign.reference()
-    pads = tuple(dataclasses.replace(e, height=0.002, z=0.001) for e in flat.electrodes)
-    design, last = dataclasses.replace(flat, electrodes=pads), 0.0
-    for order in ((1,), (2,), (2, 1), (2, 1, 1), (2, 2, 1)):
-        model = ForwardModel(design, (order, Grading(5e-3, 8e-3, 1.0)))
-        R = Protocol.pairwise(8).measure(model.impedance()).real
-        assert (R > last).all()
-        last = R
 
 
 def test_impedance_is_reciprocal_and_its_rows_sum_to_zero(model) -> None:
@@ -100,11 +82,6 @@ def trilinear_gradients(mesh, moved, cells, points):
     return F
 
 
-def test_assembly_equals_scikit_fem_on_the_flat_mesh() -> None:
-    model = ForwardModel(REFERENCE, ((1, 1), COARSE))
-    assert model.impedance() == pytest.approx(plain_impedance(model.mesh, 1e-3), abs=1e-9)
-
-
 def test_pull_back_equals_a_truly_deformed_mesh() -> None:
     """The same trilinear displacement, once as a tensor and once as moved mesh points."""
     model = ForwardModel(REFERENCE, ((1, 1), COARSE))
@@ -145,24 +122,81 @@ def test_impossible_conductivities_are_refused(model, conductivity, message) -> 
         model.impedance(conductivity)
 
 
-@pytest.mark.parametrize("z", [0.0, -1e-3, np.nan, np.full(7, 1e-3), "good"])
-def test_impossible_contact_impedances_are_refused(model, z) -> None:
-    with pytest.raises(ConfigurationError, match="contact_impedance"):
-        model.impedance(contact_impedance=z)
-
-
-def test_a_contact_impedance_is_that_of_all_electrodes(model) -> None:
+def test_a_contact_impedance_is_that_of_all_electrodes_or_refused(model) -> None:
     one, each = (model.impedance(contact_impedance=z) for z in (2e-3, [2e-3] * 8))
     assert np.array_equal(one, each)
+    for z in (0.0, -1e-3, np.nan, np.full(7, 1e-3), "good"):
+        with pytest.raises(ConfigurationError, match="contact_impedance"):
+            model.impedance(contact_impedance=z)
+    for options in ({"resolution": "finest"}, {"solver": "multigrid"}):
+        with pytest.raises(ConfigurationError, match=r"coarse.*fine|solver must be"):
+            ForwardModel(REFERENCE, **options)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"resolution": "finest"}, "coarse.*fine"),
-        ({"solver": "multigrid"}, "solver must be"),
-    ],
-)
-def test_unknown_resolutions_and_solvers_are_refused(options, message) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        ForwardModel(REFERENCE, **options)
+# Random sensors
+
+few = settings(max_examples=8, derandomize=True, deadline=None)
+
+
+def log_uniform(low, high):
+    return st.floats(np.log10(low), np.log10(high)).map(lambda power: float(10**power))
+
+
+@st.composite
+def designs(draw):
+    """Rectangles with two to six electrodes anywhere around the side, any materials."""
+    extent = draw(log_uniform(1e-2, 1.0))
+    outline = Rectangle(extent, extent * draw(st.floats(0.2, 5.0)))
+    thickness = extent * draw(st.floats(0.01, 0.3))
+    count = draw(st.integers(2, 6))
+    shares = st.floats(0.1, 1.0)
+    lengths = np.array(draw(st.lists(shares, min_size=2 * count, max_size=2 * count)))
+    ends = np.cumsum(lengths) / lengths.sum() * outline.perimeter
+    starts, ends = ends[0::2], ends[1::2]
+    electrodes = tuple(
+        Electrode(
+            *outline.rim_points((a + b) / 2).tolist(), float(b - a), draw(log_uniform(1e-7, 1e1))
+        )
+        for a, b in zip(starts, ends, strict=True)
+    )
+    conductivity = draw(log_uniform(1e-3, 1e2))
+    return SensorDesign(
+        outline, thickness, electrodes, conductivity, encapsulated_thickness=2 * thickness
+    )
+
+
+def coarse_model(design) -> ForwardModel:
+    size = design.outline.perimeter
+    return ForwardModel(design, ((2,), Grading(size / 100, size / 20, 1.0, 1)))
+
+
+@few
+@given(designs(), log_uniform(1e-3, 1e3))
+def test_impedance_matrix(design, factor) -> None:
+    """Finite, reciprocal, blind to a current that enters everywhere, and never gives power.
+
+    R goes like 1 / sigma where z does too. Turned by a half, with electrodes counted backwards, the
+    sensor is the same, though its mesh is numbered the other way.
+    """
+    Z, outline = coarse_model(design).impedance(), design.outline
+    assert np.isfinite(Z).all()
+    scale = np.abs(Z).max()
+    assert pytest.approx(Z.T, rel=1e-9, abs=1e-12 * scale) == Z
+    assert Z.sum(axis=0) == pytest.approx(0, abs=1e-10 * scale)
+    values = np.linalg.eigvalsh(Z)
+    assert values[0] == pytest.approx(0, abs=1e-10 * scale)
+    assert values[1] > 0
+    electrodes = tuple(
+        dataclasses.replace(
+            e,
+            x=outline.length - e.x,
+            y=outline.width - e.y,
+            contact_impedance=e.contact_impedance / factor,
+        )
+        for e in reversed(design.electrodes)
+    )
+    other = dataclasses.replace(
+        design, conductivity=design.conductivity * factor, electrodes=electrodes
+    )
+    turned = factor * coarse_model(other).impedance()[::-1, ::-1]
+    assert pytest.approx(Z, rel=1e-8, abs=1e-9 * scale) == turned

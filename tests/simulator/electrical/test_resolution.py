@@ -20,55 +20,40 @@ from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 DESIGN = SensorDesign.reference()
-# Converged to a tenth of the promise that each is compared with.
-CONVERGED = {
-    "coarse": ((4, 4, 4, 3, 2), Grading(3e-4, 6e-3, 3.0)),
-    "fast": ((4, 4, 4, 3, 2), Grading(3e-4, 6e-3, 3.0)),
-    "standard": ((5, 5, 5, 4, 3), Grading(2e-4, 6e-3, 3.0)),
-}
-PRESSED = Scene(touches=(Touch(0.060, 0.030),))
-SCENES = {"press": PRESSED, "sheared": shear_deformation(0), "sheared across": shear_deformation(1)}
-PROMISES = {"coarse": 3e-2, "fast": 1e-2, "standard": 3e-3}
+CONVERGED = ((5, 5, 5, 4, 3), Grading(2e-4, 6e-3, 3.0))
+SCENES = (Scene(touches=(Touch(0.060, 0.030),)), shear_deformation(0), shear_deformation(1))
+
+
+@cache
+def signals(resolution):
+    sim = Simulator(DESIGN, resolution)
+    pressed, *sheared = SCENES
+    frames = sim.measure(pressed), *map(sim.simulate_deformation, sheared)
+    flat = sim.measure(Scene()).impedance.real
+    return [frame.impedance.real / flat - 1.0 for frame in frames]
+
+
 # Orders that fall with the part over the height follow presses and bends, but not a shear of the
 # whole layer, which couples the parts.
-OF_SHEAR = PROMISES | {"fast": 4e-2}
-
-
-@cache
-def simulator(resolution):
-    return Simulator(DESIGN, resolution)
-
-
-@cache
-def flat(resolution):
-    return simulator(resolution).measure(Scene()).impedance.real
-
-
-@cache
-def signal(resolution, name):
-    sim, scene = simulator(resolution), SCENES[name]
-    frame = sim.measure(scene) if isinstance(scene, Scene) else sim.simulate_deformation(scene)
-    return frame.impedance.real / flat(resolution) - 1.0
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(SCENES))
-@pytest.mark.parametrize("resolution", list(PROMISES))
-def test_signals_are_as_exact_as_promised(resolution, name) -> None:
-    truth, found = signal(CONVERGED[resolution], name), signal(resolution, name)
-    promise = (PROMISES if name == "press" else OF_SHEAR)[resolution]
-    assert np.linalg.norm(found - truth) < promise * np.linalg.norm(truth)
+@pytest.mark.parametrize(
+    ("resolution", "of_press", "of_shear"),
+    [("coarse", 5e-3, 2.5e-2), ("fast", 2e-3, 3.8e-2), ("standard", 1e-3, 2e-3)],
+)
+def test_signals_are_as_exact_as_promised(resolution, of_press, of_shear) -> None:
+    limits = (of_press, of_shear, of_shear)
+    for found, truth, limit in zip(signals(resolution), signals(CONVERGED), limits, strict=True):
+        assert np.linalg.norm(found - truth) < limit * np.linalg.norm(truth)
 
 
 # Meshes for small indenters
 
 
 @pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
-@pytest.mark.parametrize("extent", [0.03, 0.18, 1.0])
+@pytest.mark.parametrize("extent", [0.03, 1.0])
 def test_cells_are_not_larger_than_an_indenter_allows(extent, cells) -> None:
-    wide = dataclasses.replace(
-        DESIGN, outline=(o := Rectangle(extent, extent)), electrodes=uniform(o, 4)
-    )
+    outline = Rectangle(extent, extent)
+    wide = dataclasses.replace(DESIGN, outline=outline, electrodes=uniform(outline, 4))
     for indenter in (Cylinder(), Cylinder(0.0025), Sphere(0.003), Sphere(0.1)):
         _, grading = discretisation("fast", wide, cells, indenter)
         assert grading.coarsest < press_length(wide, indenter)
@@ -76,14 +61,11 @@ def test_cells_are_not_larger_than_an_indenter_allows(extent, cells) -> None:
 
 def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -> None:
     sim = Simulator(SensorDesign.reference(), "fast")
-    family = sim._impedances.own
-    default, wide, small = (
-        Touch(0.05, 0.03, indenter=each) for each in (Cylinder(), Cylinder(0.01), Sphere(0.003))
-    )
-    assert family.model_for_touches([]) is family.model_for_touches([default, wide]) is sim.model
-    fine = family.model_for_touches([default, small])
+    family, small = sim._impedances.own, Touch(0.05, 0.03, indenter=Sphere(0.003))
+    wide = [Touch(0.05, 0.03), Touch(0.05, 0.03, indenter=Cylinder(0.01))]
+    assert family.model_for_touches([]) is family.model_for_touches(wide) is sim.model
+    fine = family.model_for_touches([*wide, small])
     assert len(fine.mesh.cells) > len(sim.model.mesh.cells)
-    assert family.model_for_touches([small]) is fine
     own = Simulator(SensorDesign.reference(), ((3, 2, 1), Grading(1e-3, 6e-3, 2.0)))
     assert own._impedances.own.model_for_touches([small]) is own.model
 
@@ -105,15 +87,10 @@ def test_many_scenes_of_two_meshes_are_those_of_one_by_one(monkeypatch) -> None:
     assert ((hard * light).sum(axis=1) > 0.0).all()
     # Rounding of single precision leaves 2e-7 of the impedances themselves.
     error = np.linalg.norm(found - apart, axis=1)[1:]
-    assert (error < 3e-3 * np.linalg.norm(apart - flat, axis=1)[1:]).all()
+    assert (error < 2.5e-3 * np.linalg.norm(apart - flat, axis=1)[1:]).all()
 
 
 # Memory
-
-
-def test_a_model_beyond_the_bound_is_refused_before_it_is_assembled() -> None:
-    with pytest.raises(ConfigurationError, match=r"needs about .* GB .* more than the 8 GB"):
-        ForwardModel(DESIGN, ((10,) * 6, Grading(5e-3, 1e-2, 1.0)))
 
 
 @pytest.mark.slow
@@ -131,6 +108,8 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
     finally:
         tracemalloc.stop()
     assert peak / 2.0 < estimated_memory(model.assembly.space) < 2.5 * peak
+    with pytest.raises(ConfigurationError, match="more than the 8 GB"):
+        ForwardModel(DESIGN, ((10,) * 6, Grading(5e-3, 1e-2, 1.0)))
 
 
 # Kinds of cells
@@ -158,14 +137,12 @@ def test_many_electrodes_have_prisms_unless_hexahedra_are_needed_or_asked_for() 
 
 @pytest.mark.slow
 def test_prisms_are_as_exact_as_promised() -> None:
-    resolution = "fast"
-    truth = signal(CONVERGED[resolution], "sheared")
-    model = ForwardModel(DESIGN, resolution, cells="prisms")
-    layer = DeformedLayer(DESIGN, SCENES["sheared"], Piezoresistivity())
+    model = ForwardModel(DESIGN, "fast", cells="prisms")
+    layer = DeformedLayer(DESIGN, SCENES[1], Piezoresistivity())
     bent, flat = model.impedance(layer.conductivity, layer.area_ratio), model.impedance()
-    pairs = Protocol.pairwise(8)
+    pairs, truth = Protocol.pairwise(8), signals(CONVERGED)[1]
     found = (pairs.measure(bent) / pairs.measure(flat)).real - 1.0
-    assert np.linalg.norm(found - truth) < PROMISES[resolution] * np.linalg.norm(truth)
+    assert np.linalg.norm(found - truth) < 1e-2 * np.linalg.norm(truth)
 
 
 # Shared meshes
@@ -174,13 +151,11 @@ def test_prisms_are_as_exact_as_promised() -> None:
 def test_simulators_of_one_design_share_its_mesh_and_its_flat_impedance() -> None:
     ring = dataclasses.replace(DESIGN, conductivity=0.321)
     one = Simulator(ring, "coarse")
-    flat = one.measure(Scene()).impedance
-    solved = one.model.factorisations
+    flat, solved = one.measure(Scene()).impedance, one.model.factorisations
     again = Simulator(ring, "coarse", protocol=Protocol.adjacent(8))
     assert again.model is one.model
-    assert np.array_equal(
-        again.protocol.measure(again.impedance_matrix(Scene())), again.measure(Scene()).impedance
-    )
+    Z = again.impedance_matrix(Scene())
+    assert np.array_equal(again.protocol.measure(Z), again.measure(Scene()).impedance)
+    assert np.array_equal(one.protocol.measure(Z), flat)
     assert one.model.factorisations == solved
-    assert np.array_equal(Simulator(ring, "coarse").measure(Scene()).impedance, flat)
     assert Simulator(ring, "coarse", Hinge(0.030)).model is not one.model

@@ -35,23 +35,6 @@ def test_cells_agree_with_central_differences(model, phase) -> None:
         assert J @ direction == pytest.approx((ahead - behind) / (2 * step), rel=1e-6, abs=1e-6)
 
 
-def test_pixels_agree_with_central_differences_when_pixels_are_unions_of_cells(model) -> None:
-    """Halves of the sensor: mesh faces lie on x = 75 mm only if asked, so it is asked."""
-    model = ForwardModel(SensorDesign.reference(), ((2, 1), COARSE), breaks=(0.075,))
-    J = model.sensitivity(PROTOCOL, pixels=(1, 2))
-    left = (model.assembly.points[:, :, 0].mean(axis=1) < 0.075).astype(float)
-    for pixel, inside in enumerate((left, 1 - left)):
-        ahead, behind = (PROTOCOL.measure(model.impedance(1 + s * 1e-5 * inside)) for s in (1, -1))
-        assert J[:, pixel] == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
-
-
-def test_pixels_share_out_what_cells_have(model) -> None:
-    cells = model.sensitivity(PROTOCOL).sum(axis=1)
-    pixels = model.sensitivity(PROTOCOL, pixels=(32, 80))
-    assert pixels.shape == (3, 2560)
-    assert pixels.sum(axis=1) == pytest.approx(cells, rel=1e-10)
-
-
 def test_prisms_larger_than_pixels_leave_none_out() -> None:
     """A disc meshed coarsely: every pixel on it is felt, and pixels share out what cells have."""
     outline = Disc(0.03)
@@ -104,7 +87,7 @@ def test_pixel_rows_run_along_y_and_columns_along_x(model) -> None:
     assert np.unravel_index(J.argmax(), J.shape) == (0, 0)
 
 
-@pytest.mark.parametrize("z", [1e-3, 1e-9, 10.0, 1e-3 - 5e-4j])
+@pytest.mark.parametrize("z", [1e-9, 10.0, 1e-3 - 5e-4j])
 def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
     """For every electrode alone, in both forms of the electrode terms, real and complex."""
 

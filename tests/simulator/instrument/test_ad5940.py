@@ -11,12 +11,10 @@ from eitskin.simulator.instrument.ad5940 import (
     PGA_RANGES,
     clipped_fundamental,
     drive_current,
-    pga_range,
     quantise,
 )
 
 ONE = Protocol.pairwise(2)
-BOARD = Instrument.ad5940()
 
 
 def only(**terms):
@@ -44,9 +42,8 @@ def test_codes_are_multiples_of_a_step_with_a_uniform_error():
     np.testing.assert_allclose(np.histogram(error, 5, (-0.5, 0.5))[0] / 40000, 0.2, atol=0.01)
 
 
-@pytest.mark.parametrize("size", [480.0, 850.0])
-def test_an_impedance_is_the_ratio_of_two_codes(size):
-    Z = size * np.exp(-0.02j)
+def test_an_impedance_is_the_ratio_of_two_codes():
+    Z = 480.0 * np.exp(-0.02j)
     found, status = read_one(only(quantisation=True), Z)
     through = 0.607 / Z * 200.0
     step_v = 0.9 / CODES
@@ -109,32 +106,12 @@ def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitati
     assert status == (Status.CLIPPED if clips else 0)
 
 
-def test_auto_ranging_heeds_the_sense_pair_and_a_fixed_range():
-    drive, transfer = np.array([[300.0 + 0j]]), np.array([[900.0 + 0j]])
-    assert drive_current(transfer, drive, 200.0) == pytest.approx(0.121 / 300.0)
-    same = np.array([[500.0 + 0j]])
-    assert drive_current(same, same, 200.0, widest=0.133) == pytest.approx(0.121 / 500.0)
-    assert read_one(only(clipping=True, pga_range=0.133), 500.0)[1] == 0
-    assert read_one(only(clipping=True, pga_range=0.133), 10.0)[1] == Status.CLIPPED
-
-
-def test_auto_ranging_takes_the_smallest_range_that_fits():
-    sizes = np.array([0.0, 0.133, 0.1331, 0.3, 0.3001, 0.6, 0.6001, 0.9, 2.0]) * 1j
-    expected = [0.133, 0.133, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 0.9]
-    np.testing.assert_array_equal(pga_range(sizes), expected)
-    np.testing.assert_array_equal(pga_range(sizes, 0.3), np.full(9, 0.3))
-
-
 def test_no_current_reads_as_the_largest_impedance_and_not_as_infinity():
     Z, status = read_one(only(quantisation=True), 1e15)
     assert status == Status.LOW_CURRENT
     # One code of the smallest range, through RTIA.
     assert abs(Z) == pytest.approx(0.607 / (0.133 / 2**17 / 200.0), rel=1e-4)
     assert read_one(only(quantisation=True), 1e6)[1] == 0
-
-
-def test_a_short_circuit_reads_as_clipped_and_finite():
-    for instrument in (BOARD, only(clipping=True), only(quantisation=True), only(floor=1.9e-6)):
-        Z, status = read_one(instrument, 0.0)
-        assert np.isfinite(Z)
-        assert bool(status & Status.CLIPPED) == instrument.clipping
+    short, status = read_one(only(clipping=True), 0.0)
+    assert np.isfinite(short)
+    assert status == Status.CLIPPED

@@ -57,17 +57,6 @@ def test_loads_of_a_board_of_magnitudes_are_found_with_their_errors(skin):
     assert agreement(ideal.predicted, ideal.measured).residual > 0.05
 
 
-def test_standard_errors_are_the_scatter_of_fits_to_different_noise(skin):
-    terms, rig = ("sink", "idle"), dataclasses.replace(RIG, sense_plus=0.0)
-    fits = [
-        fit_meter(skin, BOTH, flat_frames(rig, skin, 3e-5, seed, 1), terms, starts=1)
-        for seed in range(12)
-    ]
-    mean_error = np.mean([each.standard_errors for each in fits], axis=0)
-    # With 12 draws a standard deviation is known to 21 %.
-    assert np.std([each.values for each in fits], axis=0) == pytest.approx(mean_error, rel=0.6)
-
-
 def test_complex_readings_give_capacitances_and_the_phase_of_the_scale(skin):
     rig = FourTerminalMeter(sink=2e-3 + 1e-3j, idle=4e-4j, scale=2.0 * np.exp(0.4j))
     frames = flat_frames(rig, skin, 1e-6)
@@ -113,17 +102,6 @@ def test_terms_that_the_frames_do_not_call_for_are_left_out(skin):
     assert len(found.parameters) < len(terms)
     assert found.meter.sink == pytest.approx(3e-3, rel=0.3)
     assert np.isfinite(found.standard_errors).all()
-
-
-def test_readings_that_symmetry_makes_alike_are_counted():
-    ring = np.array(
-        [[1.0 / (1.0 + min(abs(i - j), 6 - abs(i - j))) for j in range(6)] for i in range(6)]
-    )
-    turned = Protocol.opposite(6)
-    Z = ring - ring.mean(axis=0) - ring.mean(axis=1)[:, None] + ring.mean()
-    frame = np.random.default_rng(0).uniform(1.0, 2.0, len(turned))
-    found = fit_meter(Z, turned, frame, ("sink",), reads="magnitude", starts=1)
-    assert found.distinct_readings <= 2 < len(turned)
 
 
 def test_frames_and_terms_that_do_not_fit_are_refused(skin):

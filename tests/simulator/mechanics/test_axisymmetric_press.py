@@ -1,6 +1,5 @@
 """Presses into layers against Hayes, Hertz, energy and symmetry."""
 
-import copy
 from functools import cache
 
 import numpy as np
@@ -14,7 +13,6 @@ from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.indenters import penetration
 
 MU = 20e3
@@ -31,10 +29,7 @@ def layer(thickness, law=None) -> Stack:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "published"),
-    [
-        *(pytest.param(*row, marks=pytest.mark.slow) for row in ((0.2, 1.281), (2.0, 9.15))),
-        (1.0, 3.619),
-    ],
+    [(0.2, 1.281), (1.0, 3.619), (2.0, 9.15)],
 )
 def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
     half_space = 8.0 * ratio
@@ -68,7 +63,6 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
 
 INDENTERS = {
     "rough cylinder": Cylinder(),
-    "smooth sphere": Sphere(0.0075, rough=False),
     "rough sphere": Sphere(0.0075),
     "profile": Profile((0.0, 0.002, 0.004, 0.006), (0.0, 0.0002, 0.001, 0.003), rough=False),
 }
@@ -81,57 +75,30 @@ def deeper_and_deeper(name):
     return press, [press.to_depth(d) for d in np.linspace(4e-4, 2e-3, 5)]
 
 
-@pytest.fixture(params=INDENTERS)
-def pressed(request):
-    return deeper_and_deeper(request.param)
-
-
 @pytest.mark.slow
-def test_layers_keep_their_volume_and_pressure_and_base_carry_the_force(pressed) -> None:
-    press, (*_, last) = pressed
+@pytest.mark.parametrize("name", INDENTERS)
+def test_volume_force_and_work_are_balanced_and_stiffness_is_the_slope_of_forces(name) -> None:
+    press, found = deeper_and_deeper(name)
+    last, x, solid, contact = found[-1], press.unknowns, press.solid, press.contact
     assert last.volume_ratios == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
     assert 0.02 < last.thinning(1) < 0.5
     r, p = last.radii, last.pressure
     assert np.all(p >= 0.0)
     inside = r < last.contact_radius
-    assert np.trapezoid(2 * np.pi * r[inside] * p[inside], r[inside]) == pytest.approx(
-        last.force, rel=0.15
-    )
-    base = np.flatnonzero(press.solid.nodes[:, 1] < 1e-12)
-    reaction = press.solid.displacement(press.solid.forces(press.unknowns))[base, 1].sum()
+    carried = np.trapezoid(2 * np.pi * r[inside] * p[inside], r[inside])
+    assert carried == pytest.approx(last.force, rel=0.15)
+    base = np.flatnonzero(solid.nodes[:, 1] < 1e-12)
+    reaction = solid.displacement(solid.forces(x))[base, 1].sum()
     assert reaction == pytest.approx(last.force, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_the_work_of_the_force_is_the_energy_stored(pressed) -> None:
-    press, found = pressed
-    depths = np.array([0.0, *(one.depth for one in found)])
-    forces = np.array([0.0, *(one.force for one in found)])
-    work = np.trapezoid(forces, depths)
-    stored = press.solid.energy(press.unknowns) + press.contact.energy(press.unknowns)
-    assert stored == pytest.approx(work, rel=0.03)
-
-
-@pytest.mark.slow
-def test_stiffness_is_the_slope_of_the_forces(pressed) -> None:
-    press, _ = pressed
-    contact, x = press.contact, press.unknowns
+    work = np.trapezoid([0.0, *(one.force for one in found)], [0.0, *(one.depth for one in found)])
+    assert solid.energy(x) + contact.energy(x) == pytest.approx(work, rel=0.03)
     forces, K = contact.linearise(x)
     assert forces == pytest.approx(contact.forces(x))
     assert abs(K - K.T).max() <= 1e-9 * abs(K).max()
     v = np.random.default_rng(0).normal(size=len(x))
-    step = 1e-12 * v / np.abs(v).max()  # small beside what is pressed in, far from the rim
+    step = 1e-12 * v / np.abs(v).max()  # small next to what is pressed in, far from the rim
     slope = (contact.forces(x + step) - contact.forces(x - step)) / 2
     assert K @ step == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
-
-
-@pytest.mark.slow
-def test_a_press_far_beyond_what_is_published_turns_no_cell_inside_out() -> None:
-    press = copy.copy(deeper_and_deeper("rough cylinder")[0])
-    for depth in (0.003, 0.006):
-        found = press.to_depth(depth)
-    assert found.thinning(1) > 0.55
-    assert press.solid.admissible(press.unknowns)
 
 
 # Shapes of indenters
@@ -168,26 +135,15 @@ def test_a_sphere_is_round() -> None:
         (lambda: Cylinder(-1.0), r"indenter radius.*positive.*-1"),
         (lambda: Sphere(7.5), r"1 um and 0.5 m.*7.5 m.*metres"),
         (lambda: Cylinder(edge=0.0), "edge from 0.001 to 1"),
-        (lambda: Cylinder(edge=5e-324), "edge from 0.001 to 1"),
         (lambda: Cylinder(1e-6), r"at least 0\.1 mm"),
-        (lambda: Sphere(1e-5), r"at least 0\.1 mm"),
-        (lambda: Sphere(float("nan")), "positive number"),
         (lambda: Profile((0.0, 0.001), (0.0,)), "as many heights"),
         (lambda: Profile((0.001, 0.002), (0.0, 0.001)), "starts with radius 0"),
         (lambda: Profile((0.0, 0.001), (0.0, 1.7e308)), "heights up to 10 m"),
-        (lambda: Profile((0.0, float("nan")), (0.0, 0.001)), "radii and heights up to"),
-        (lambda: Profile((0.0, 1e-300, 0.001), (0.0, 0.0, 0.001)), "rise by 1e-09 m"),
         (lambda: Profile((0.0, 0.001, 0.002), (0.0, 0.001, 0.0015)), "convex"),
         (lambda: Stack(()), "one layer"),
         (lambda: Sheet(0.0, NeoHookean(1.0)), "thickness"),
-        (
-            lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_force(0.0),
-            "force .*positive number of N",
-        ),
-        (
-            lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_depth(np.inf),
-            "depth .*positive number of m",
-        ),
+        (lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_force(0.0), "force .*positive"),
+        (lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_depth(np.inf), "depth .*positive"),
     ],
 )
 def test_what_cannot_be_pressed_is_refused(make, says) -> None:
@@ -201,10 +157,3 @@ def test_a_press_through_the_base_says_how_far_it_got() -> None:
     with pytest.raises(SolidError, match="m deep of") as error:
         press.to_depth(0.00208)
     assert 0.0 < error.value.reached < 1.0
-
-
-def test_a_flat_contact_starts_where_the_indenter_is_flat() -> None:
-    press = AxisymmetricPress(REFERENCE, Cylinder(edge=0.2), finest=6e-4)
-    assert isinstance(press.contact, PenaltyContact)
-    found = press.to_depth(1e-5)
-    assert found.contact_radius == pytest.approx(0.8 * 0.0075, rel=0.1)

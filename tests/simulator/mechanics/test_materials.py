@@ -85,20 +85,6 @@ def test_uniaxial_and_equibiaxial_closed_forms(law, stretch) -> None:
     assert biaxial == pytest.approx(scale * (s ** (alpha - 1) - s ** (-2 * alpha - 1)), rel=1e-9)
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
-def test_simple_shear_closed_form(law) -> None:
-    """P_12 = dW/dk with stretches l, 1/l, l - 1/l = k; mu k for neo-Hookean."""
-    k = 1.5
-    F = np.eye(3)
-    F[0, 1] = k
-    alpha = getattr(law, "alpha", 2.0)
-    long = (k + np.hypot(k, 2)) / 2
-    slope = long / (long + 1 / long)
-    expected = 2 * law.shear_modulus / alpha * slope * (long ** (alpha - 1) - long ** (-alpha - 1))
-    assert law.stress(F)[0, 1] == pytest.approx(expected, rel=1e-10)
-    assert NeoHookean(1.0).stress(F)[0, 1] == pytest.approx(k, rel=1e-12)
-
-
 def test_impossible_materials_are_refused() -> None:
     for modulus in (0.0, -1.0, np.nan, np.inf):
         for law in (NeoHookean, lambda mu: Ogden(mu, 2.0)):

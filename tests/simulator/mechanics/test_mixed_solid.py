@@ -5,7 +5,7 @@ import pytest
 import skfem
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.load_stepping import Load, SolidError, SparseLU, follow, newton
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden, cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -105,22 +105,6 @@ def test_layers_share_traction_and_their_pressures_may_differ() -> None:
     assert jump == pytest.approx(4.0 * 0.2**2 / 3 - 0.8**2 / 3, abs=1e-6)
 
 
-@EVERY_MESH
-def test_rigid_motions_give_no_stress(kind) -> None:
-    mesh, kinematics = MESHES[kind]
-    solid = Solid(distorted(mesh), [Ogden(2.0, 3.0)], kinematics=kinematics)
-    Q = np.eye(solid.dim)
-    if kinematics != "axisymmetric":
-        Q[:2, :2] = [[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]]
-    if solid.dim == 3:
-        Q = Q @ Q[[2, 0, 1]][:, [2, 0, 1]]
-    shift = np.eye(solid.dim)[-1]  # along the axis of rings
-    x = np.zeros(solid.unknowns)
-    x[: solid.nodes.size] = (solid.nodes @ Q.T + 0.3 * shift - solid.nodes).ravel()
-    assert solid.forces(x) == pytest.approx(np.zeros(solid.unknowns), abs=1e-12)
-    assert solid.energy(x) == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("kind", ["ring", "hexahedra", "tetrahedra"])
 @pytest.mark.parametrize("stretch", [0.6, 1.8])
 def test_bars_follow_the_uniaxial_law(kind, stretch) -> None:
@@ -149,41 +133,6 @@ def squeezed(solid, height):
     fixed = np.concatenate([spread(plates, 2), 2 * axis])
     moved = np.stack([0 * plates, (height - 1) * z[plates]], axis=1).ravel()
     return Load(fixed, np.concatenate([moved, 0.0 * axis]), np.zeros(solid.unknowns))
-
-
-def test_corrections_that_would_invert_cells_are_halved() -> None:
-    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
-    newton([solid], np.zeros(solid.unknowns), squeezed(solid, 3.0))
-
-
-def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
-    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
-    none, load, factorised = np.zeros(solid.unknowns), squeezed(solid, 0.95), []
-
-    def counted(matrix):
-        factorised.append(len(factorised))
-        return SparseLU(matrix)
-
-    exact = newton([solid], none, load, tolerance=1e-10)
-    solid.elimination = lambda *_: counted
-    counts = []
-    for chords in (False, True):
-        found = newton([solid], none, load, 1e-2, chords=chords)
-        assert np.abs(found - exact).max() < 1e-4 * np.abs(exact).max()
-        counts.append(len(factorised))
-    assert counts[1] - counts[0] < counts[0]
-
-
-def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
-    """Rounding leaves residuals that no correction makes smaller than themselves."""
-    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
-    load = squeezed(solid, 1.0)
-    tiny = 1e-20 * np.random.default_rng(0).normal(size=solid.unknowns)
-    held = Load(load.fixed, load.values, solid.forces(tiny))
-    with pytest.raises(SolidError, match="does not converge"):
-        newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2)
-    found = newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, scale=1e-6)
-    assert np.abs(found).max() < 1e-9
 
 
 def test_the_work_of_the_load_is_the_energy_stored() -> None:
@@ -215,38 +164,6 @@ def test_thick_cylinder_under_pressure() -> None:
         nu = (3 * bulk_ratio - 2) / (6 * bulk_ratio + 2)
         expected = SMALL / 6 * ((1 - 2 * nu) * r + 16 / r)
         assert solid.displacement(x)[:, 0] == pytest.approx(expected, rel=2e-5)
-
-
-def cantilever(nodes, ratio, length=8.0):
-    """Timoshenko and Goodier's end-loaded cantilever of unit depth and mu = 1, P = SMALL."""
-    nu = (3 * ratio - 2) / (6 * ratio + 2)
-    E, n = 2 * (1 + nu) / (1 - nu**2), nu / (1 - nu)  # plane strain
-    x, y = nodes.T
-    scale = SMALL / (6 * E / 12)
-    ux = scale * y * ((6 * length - 3 * x) * x + (2 + n) * (y**2 - 0.25))
-    uy = -scale * (3 * n * y**2 * (length - x) + (4 + 5 * n) * x / 4 + (3 * length - x) * x**2)
-    return np.stack([ux, uy], axis=1)
-
-
-def bent_cantilever(mesh, ratio):
-    solid = Solid(mesh, [NeoHookean(1.0)], bulk_ratio=ratio)
-    end = mesh.facets_satisfying(lambda p: np.isclose(p[0], 8.0), boundaries_only=True)
-    shear = traction_forces(
-        solid, end, lambda p: -6 * SMALL * np.stack([0 * p[0], 0.25 - p[1] ** 2])
-    )
-    root = np.flatnonzero(solid.nodes[:, 0] < 1e-9)
-    clamp = cantilever(solid.nodes[root], ratio).ravel()
-    x = newton([solid], np.zeros(solid.unknowns), Load(spread(root, 2), clamp, shear))
-    return solid, solid.displacement(x)
-
-
-@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6])
-@pytest.mark.parametrize("cells", [skfem.MeshQuad, skfem.MeshTri])
-def test_a_cantilever_does_not_lock(cells, ratio) -> None:
-    mesh = cells.init_tensor(np.linspace(0, 8, 25), np.linspace(-0.5, 0.5, 4))
-    solid, u = bent_cantilever(mesh, ratio)
-    expected = cantilever(solid.nodes, ratio)
-    assert u == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())
 
 
 def isochoric(X):
@@ -301,7 +218,7 @@ def rivlin(X, curvature):
     return x, stretch
 
 
-MOMENTS = {0.01: 0.99997, 0.1: 0.997, 0.5: 0.934, 1.0: 0.799, 2.0: 0.568}
+MOMENTS = {0.1: 0.997, 1.0: 0.799}
 
 
 def bent_block(curvature, n):
@@ -313,7 +230,7 @@ def bent_block(curvature, n):
     return solid, follow([solid], np.zeros(solid.unknowns), turned)[0]
 
 
-@pytest.mark.parametrize("curvature", [0.01, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("curvature", [0.1, 1.0])
 def test_bent_blocks_are_rivlins(curvature) -> None:
     solid, x = bent_block(curvature, n=8)
     places = solid.nodes + solid.displacement(x)
@@ -334,20 +251,15 @@ def test_blocks_bent_until_they_wrinkle_are_refused() -> None:
     assert 2.0 * error.value.reached == pytest.approx(1.54, abs=0.15)
 
 
-def test_impossible_solids_are_refused() -> None:
+def test_impossible_solids_and_loads_are_refused() -> None:
     mesh, _ = MESHES["hexahedra"]
-    law = NeoHookean(1.0)
     with pytest.raises(ConfigurationError, match="in 2 dimensions"):
-        Solid(mesh, [law], kinematics="axisymmetric")
+        Solid(mesh, [NeoHookean(1.0)], kinematics="axisymmetric")
     for ratio in (0.0, 1e9, np.nan):
         with pytest.raises(ConfigurationError, match="bulk_ratio"):
-            Solid(mesh, [law], kinematics="solid", bulk_ratio=ratio)
-
-
-def test_impossible_loads_are_refused_with_what_was_reached() -> None:
-    """A plate that would pass through the one below it."""
-    mesh = skfem.MeshQuad.init_tensor(UNIT, UNIT)
-    solid = Solid(mesh, [NeoHookean(1.0)])
+            Solid(mesh, [NeoHookean(1.0)], kinematics="solid", bulk_ratio=ratio)
+    # A plate that would pass through the one below it.
+    solid = Solid(skfem.MeshQuad.init_tensor(UNIT, UNIT), [NeoHookean(1.0)])
     y = solid.nodes[:, 1]
     plates = np.flatnonzero((y < 1e-9) | (y > 1 - 1e-9))
     down = np.stack([0 * y, -1.1 * y], axis=1)[plates]

@@ -9,7 +9,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.simulator import Cylinder, Instrument, Scene, Simulator, Sphere
+from eitskin.simulator import Cylinder, Scene, Simulator, Sphere
 from eitskin.simulator.robots.mujoco_skin import MujocoSkin
 from eitskin.simulator.robots.touch_table import TouchRules, TouchTable
 
@@ -19,7 +19,7 @@ mujoco = OnDemand("mujoco")
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "how-to" / "mujoco" / "press.py"
 SKIN = '<geom name="skin" type="box" size=".075 .03 .006" mass="1"/>'
-WEIGHT = 9.81  # N of one kilogram
+WEIGHT, DISC = 9.81, Disc(0.04)  # N of one kilogram
 
 
 @pytest.fixture(scope="module")
@@ -78,18 +78,6 @@ def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulat
     assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-4), pytest.approx(0.04, abs=1e-4))
 
 
-def test_only_the_upper_face_feels(simulator) -> None:
-    """The skin lies on a table and a ball leans on its side: neither is a touch."""
-    table = '<geom type="box" size=".2 .2 .01" pos="0 0 -.016"/>'
-    beside = (
-        '<body pos=".0822 0 0"><joint type="slide" axis="1 0 0"/>'
-        '<geom type="sphere" size=".0075" mass=".1"/></body>'
-    )
-    model, data = loaded(table + beside, SKIN + '<joint type="slide" axis="0 0 1"/>', time=0.2)
-    assert (data.contact.geom == model.geom("skin").id).any(axis=1).sum() > 1
-    assert not MujocoSkin(simulator, model, "skin").touches(data)
-
-
 def frames_of(skin, model, simulations, steps):
     """Frames by simulation, of so many steps."""
     found = [[] for _ in simulations]
@@ -114,6 +102,9 @@ def test_frames_come_at_their_rate_and_are_those_of_the_simulator(simulator) -> 
     assert [frame.time for frame in second] == pytest.approx(0.05 * np.arange(6))
     flat = simulator.measure_all([Scene()])[0]
     assert np.array_equal(first[0].impedance, flat)
+    mujoco.mj_resetData(model, falling)
+    again, _ = skin.update([falling, resting])
+    assert (again.session, again.number, again.time) == (1, 0, 0.0)
     lying = Scene(touches=skin.touches(resting))
     assert len(lying.touches) == 1
     change = simulator.measure_all([lying], tolerance=0.0)[0] - flat
@@ -145,48 +136,18 @@ def test_a_table_gives_frames_of_one_touch_and_the_simulator_those_of_more(
         MujocoSkin(simulator, model, "skin", rules=rules, touch_table=True)
 
 
-def test_a_simulation_that_starts_again_has_a_new_session(simulator) -> None:
-    model, data = loaded("", time=0.0)
-    skin = MujocoSkin(simulator, model, "skin", period=0.01)
-    frames_of(skin, model, [data], 12)
-    mujoco.mj_resetData(model, data)
-    ((frame, *_),) = frames_of(skin, model, [data], 1)
-    assert (frame.session, frame.number, frame.time) == (1, 0, 0.0)
-    with pytest.raises(ConfigurationError, match="1 simulations"):
-        skin.update([data, data])
-
-
-def test_each_simulation_has_a_board_with_errors_of_its_own(simulator) -> None:
-    model, one = loaded("", time=0.0)
-    other = mujoco.MjData(model)
-
-    def measured(seed):
-        instrument = Instrument.ad5940()
-        skin = MujocoSkin(simulator, model, "skin", instrument=instrument, seed=seed)
-        return [frame.impedance for frame in skin.update([one, other])]
-
-    first, second = measured(1)
-    flat = simulator.measure(Scene()).impedance
-    assert 1e-4 < np.abs(first / second - 1.0).max() < 0.05
-    assert np.abs(first / flat - 1.0).max() < 0.1
-    assert np.array_equal(measured(1), [first, second])
-    assert not np.array_equal(measured(2)[0], first)
-
-
 def test_wrong_geoms_sizes_and_sensors_are_refused(simulator) -> None:
     model, _ = loaded("", time=0.0)
-    with pytest.raises(ConfigurationError, match="the model has floor, skin"):
-        MujocoSkin(simulator, model, "pad")
-    with pytest.raises(ConfigurationError, match="is none"):
-        MujocoSkin(simulator, model, "floor")
-    half, _ = loaded("", '<geom name="skin" type="box" size=".15 .06 .006"/>', time=0.0)
-    with pytest.raises(ConfigurationError, match="half of that"):
-        MujocoSkin(simulator, half, "skin")
-    with pytest.raises(ConfigurationError, match="period"):
-        MujocoSkin(simulator, model, "skin", period=0.0)
-    disc = SensorDesign(Disc(0.04), 0.005, uniform(Disc(0.04), 8, 0.005))
-    with pytest.raises(ConfigurationError, match="disc"):
-        MujocoSkin(Simulator(disc, "coarse"), model, "skin")
+    twice, _ = loaded("", '<geom name="skin" type="box" size=".15 .06 .006"/>', time=0.0)
+    round_sensor = Simulator(SensorDesign(DISC, 0.005, uniform(DISC, 8, 0.005)), "coarse")
+    for given, message in (
+        ((simulator, model, "pad"), "the model has floor, skin"),
+        ((simulator, model, "floor"), "is none"),
+        ((simulator, twice, "skin"), "half of that"),
+        ((round_sensor, model, "skin"), "disc"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            MujocoSkin(*given)
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Rectangle, SensorDesign
-from eitskin.simulator import Cylinder, Footprint, Scene, Simulator, Sphere, Touch
+from eitskin.geometry import Rectangle
+from eitskin.simulator import Cylinder, Footprint, Scene, Sphere, Touch
 from eitskin.simulator.robots.touch_table import (
     TouchRules,
     TouchTable,
@@ -22,18 +22,6 @@ FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])
 
 
 # Rules
-
-
-def test_points_of_one_body_are_one_touch_at_the_centre_of_force():
-    points = [Touch(0.05, 0.02, 1.0), Touch(0.056, 0.02, 3.0), Touch(0.05, 0.026, 2.0)]
-    (touch,) = RULES.apply(points, GEL)
-    assert touch.force == pytest.approx(6.0)
-    assert (touch.x, touch.y) == (pytest.approx(0.053), pytest.approx(0.022))
-
-
-def test_touches_that_do_not_overlap_stay_apart_strongest_first():
-    points = [Touch(0.03, 0.03, 2.0), Touch(0.0451, 0.03, 4.0), Touch(0.1, 0.03, 3.0)]
-    assert [each.force for each in RULES.apply(points, GEL)] == [4.0, 3.0, 2.0]
 
 
 def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment():
@@ -77,12 +65,6 @@ def test_a_face_is_one_touch_with_its_shape_force_and_moment(sides) -> None:
     assert touch_of_face(small, Cylinder()).indenter == Cylinder()
     assert isinstance(touch_of_face(small, None).indenter, Footprint)
     assert touch_of_face(small[:1], None).indenter == Cylinder()
-
-
-def test_a_face_stays_on_the_gel() -> None:
-    face = Footprint(length=0.04, width=0.02)
-    (touch,) = RULES.apply([Touch(0.001, 0.059, 5.0, face)], GEL)
-    assert (touch.x, touch.y) == pytest.approx((0.02, 0.05))
 
 
 def test_limits_of_force_and_place():
@@ -151,21 +133,3 @@ def test_a_table_is_solved_once_for_all_it_depends_on() -> None:
     simulator.design = types.SimpleNamespace(thickness=0.004)
     solved()
     assert simulator.solved == 4 * scenes + 1
-
-
-@pytest.mark.slow
-def test_touches_of_the_reference_sensor_between_solved_ones_are_those_of_the_simulator() -> None:
-    """Places 2.5 mm apart near an electrode: within 2 % of the signal."""
-    simulator = Simulator(SensorDesign.reference(), "coarse")
-    x, y = 0.018 + 0.0025 * np.arange(4), 0.008 + 0.0025 * np.arange(4)
-    forces = np.array([0.0, 3.0, 6.0, 12.0])
-    places = [(Touch(a, b, force),) for a in x for b in y for force in forces[1:]]
-    flat, *solved = simulator.measure_all([Scene(), *(Scene(touches=each) for each in places)])
-    logarithms = np.log(np.array(solved) / flat)
-    changes = np.concatenate([logarithms.real, logarithms.imag], axis=1).reshape(4, 4, 3, -1)
-    table = TouchTable((x, y, forces), np.pad(changes, [(0, 0), (0, 0), (1, 0), (0, 0)]))
-
-    touches = [Touch(0.0213, 0.0121, force) for force in (1.0, 5.0, 11.0)]
-    expected = simulator.measure_all([Scene(touches=(each,)) for each in touches]) / flat
-    error = np.linalg.norm(table.factors(touches) - expected, axis=1)
-    assert np.all(error < 0.02 * np.linalg.norm(expected - 1.0, axis=1)), error
