@@ -4,8 +4,6 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,16 +83,6 @@ class TestParquet:
         about = json.loads(schema.metadata[b"eitskin"])
         assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
         assert about["protocol"][0] == [0, 1, 0, 1]
-
-    def test_the_lines_of_the_guide_read_it_with_pandas(self, saved, parquet):
-        page = Path(__file__).parents[2] / "docs" / "how-to" / "generate-data.md"
-        (lines,) = re.findall(r"```python\n(import numpy.*?)```", page.read_text(), re.DOTALL)
-        names = {}
-        exec(lines, names)  # noqa: S102
-        data = open_dataset(saved)
-        resistance, _ = names["training_rows"](parquet)
-        assert 0 < len(resistance) < len(data)
-        assert {*resistance[:, 0]} < {*data.impedance.real[:, 0]}
 
     def test_equal_sets_give_equal_bytes_and_sums_that_fit(self, saved, parquet, tmp_path):
         export_dataset(saved, tmp_path / "small", "parquet", file_bytes=20_000)

@@ -11,9 +11,7 @@ from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, sp
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Disc, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry import Bend
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
@@ -80,18 +78,6 @@ def test_listed_positions_are_pressed_repeats_times_each(per_bend):
     assert sorted((t.x, t.y) for (t,) in pressed) == sorted(places * 4)
 
 
-def test_touches_lie_on_the_sensor_whatever_its_outline():
-    disc = Disc(0.04)
-    design = SensorDesign(disc, 0.005, uniform(disc, 8))
-    group = SceneGroup("touch", count=50, touches=(1, 2), margin=0.010, spacing=0.02)
-    recipe = Recipe("round", scenes=(group,), sensor=design)
-    drawn = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
-    places = np.array([(touch.x, touch.y) for touches in drawn for touch in touches])
-    assert np.hypot(*(places - 0.04).T).max() <= 0.030
-    with pytest.raises(ConfigurationError, match=r"\(0.005, 0.005\) m is off the"):
-        Recipe("off", scenes=(SceneGroup("touch", positions=((0.005, 0.005),)),), sensor=design)
-
-
 # Grouping
 
 
@@ -124,13 +110,13 @@ def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("per_bend", [1, 4])
-def test_angles_forces_and_numbers_of_touches_are_spread_evenly(per_bend):
-    group = dataclasses.replace(TOUCHED, count=2000 * per_bend, per_bend=per_bend)
+def test_angles_forces_and_numbers_of_touches_are_spread_evenly():
+    per_bend, bends = 3, 600
+    group = dataclasses.replace(TOUCHED, count=bends * per_bend, per_bend=per_bend)
     scenes = [each.scene for each in all_samples(Recipe("even", scenes=(group,), seed=9))]
     angles = np.array([scene.bend.angle_deg for scene in scenes])[::per_bend]
     forces = np.array([touch.force for scene in scenes for touch in scene.touches])
-    assert len(np.unique(angles)) == 2000
+    assert len(np.unique(angles)) == bends
     for values, (low, high) in ((angles, group.angle_deg), (forces, group.force)):
         deviation = (high - low) / np.sqrt(12)
         assert values.mean() == pytest.approx(
@@ -141,5 +127,5 @@ def test_angles_forces_and_numbers_of_touches_are_spread_evenly(per_bend):
         assert high - 0.02 * (high - low) < values.max() <= high
     counts = np.bincount([len(scene.touches) for scene in scenes], minlength=5)
     shares = [0.0, 0.25, 0.25, 0.25, 0.25]
-    assert counts / len(scenes) == pytest.approx(shares, abs=4 * np.sqrt(0.25 * 0.75 / 2000))
+    assert counts / len(scenes) == pytest.approx(shares, abs=4 * np.sqrt(0.25 * 0.75 / bends))
     assert counts[0] == 0

@@ -96,15 +96,6 @@ def test_every_kind_of_file_gives_the_same_dataset(tmp_path, monkeypatch, name, 
     assert data.state.tolist() == [State.TOUCH] * 4
 
 
-@needs_excel
-def test_sheets_are_named(tmp_path):
-    excel_file(tmp_path / "a.xlsx", "presses")
-    data = read_recording(tmp_path / "a.xlsx", RecordingNames("v", sheet="presses"))
-    assert np.array_equal(data.impedance, PRESSED)
-    with pytest.raises(ConfigurationError, match=r"'pressed'.*Sheet, presses"):
-        read_recording(tmp_path / "a.xlsx", RecordingNames("v", sheet="pressed"))
-
-
 @pytest.mark.parametrize(("package", "ending"), [("openpyxl", "xlsx"), ("pyarrow", "parquet")])
 def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, package, ending):
     monkeypatch.setitem(__import__("sys").modules, package, None)

@@ -23,7 +23,6 @@ from eitskin.datasets import (
     read_recording,
 )
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -161,20 +160,6 @@ def test_documented_commands_import_the_real_recordings(command, tmp_path, monke
             np.unique(data.touch_depth[:, 0]).tolist() == np.float32([10e-3, 15e-3, 20e-3]).tolist()
         )
         assert np.abs(data.touch_x[:, 0] - 0.09).max() < 0.08
-
-
-def test_the_round_skin_drives_facing_electrodes_in_both_directions():
-    n, table = 8, []
-    for k in range(n):
-        drive = (k, (k + 4) % n)
-        table += [(*drive, (j + 1) % n, j) for j in range(n) if not {*drive} & {j, (j + 1) % n}]
-    folder = GUIDES / "recordings"
-    assert Protocol.from_name(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
-    electrodes = SensorDesign.from_toml(folder / "round-skin.toml").electrodes
-    turns = 2 * np.pi * np.arange(n) / n
-    places = 0.090 + 0.085 * np.stack([np.sin(turns), -np.cos(turns)], axis=1)
-    assert np.allclose([(each.x, each.y) for each in electrodes], places, atol=1e-6)
-    assert len(SensorDesign.from_toml(folder / "water-tank.toml").electrodes) == 32
 
 
 # Recordings that were damaged, or made to do harm: each is one error

@@ -10,7 +10,6 @@ import pytest
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import (
     deciding_specimens,
-    missing_bend_tables,
     missing_press_tables,
     prepare,
 )
@@ -287,18 +286,6 @@ def test_the_mounts_fill_their_ranges_evenly():
     places = np.array([[clamp.span, clamp.offset] for clamp in clamps])
     assert abs(np.corrcoef(places.T)[0, 1]) < 0.1
     assert {clamp.faces for clamp in clamps} == {"both", "bottom"}
-
-
-def test_specimens_have_the_mounts_in_turn_and_deviate_from_them():
-    asked = mounted()
-    made = [specimen(asked, number) for number in range(24)]
-    assert [each.fixture for each in made[:12]] == [each.fixture for each in made[12:]]
-    assert len({each.fixture for each in made}) == len(missing_bend_tables(asked)) == 12
-    assert len({each.design.conductivity for each in made}) == 24
-    # What a specimen is besides does not depend on the mounts.
-    without = mounted(Mounts())
-    assert [specimen(without, number).design for number in range(24)] == [x.design for x in made]
-    assert specimen(without, 3).fixture == Clamp()
 
 
 @pytest.mark.slow

@@ -59,14 +59,6 @@ def test_opened_frames_give_their_own_also_some_of_them(data):
     assert set(data.torch()[0]) == set(NAMES)
 
 
-def test_a_set_above_the_limit_says_what_to_take(folder, data):
-    names = set(TorchDataset(folder).names) - {"reference"}
-    size = sum(getattr(data, name).nbytes for name in names)
-    TorchDataset(folder, memory_limit=size)
-    with pytest.raises(ConfigurationError, match="ShuffledShards"):
-        TorchDataset(folder, memory_limit=size - 1)
-
-
 def test_specimens_are_those_of_the_set_in_every_shard(tmp_path):
     made = make(40, specimens=8, specimen=np.arange(40) // 5)
     save_dataset(made, tmp_path / "set", frames_per_shard=10)

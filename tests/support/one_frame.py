@@ -36,11 +36,6 @@ def candidates(angle_deg=0.0):
     return TouchCandidates(places(), RANGES.middle_force, ONE(touches, angle_deg))
 
 
-def misfit_sigma(found):
-    """Misfit above its expectation, in standard deviations."""
-    return (found.misfit - found.degrees_of_freedom) / np.sqrt(2.0 * found.degrees_of_freedom)
-
-
 def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
     """Objective of a frame drawn from the model itself."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
@@ -67,14 +62,6 @@ def changed(objective, change):
 
 def explained(objective, proposed=None):
     return fit_frame(objective, candidates(objective.reference_deg), proposed, FAULTS)
-
-
-def matched(found, true):
-    """Found touches in the order of the true ones."""
-    away = np.linalg.norm(np.asarray(true)[:, None, :2] - found[None, :, :2], axis=2)
-    order = away.argmin(axis=1)
-    assert sorted(order) == list(range(len(true)))
-    return order
 
 
 TOUCHES = {

@@ -13,9 +13,7 @@ from eitskin.errors import DataError
 from eitskin.training import Pipeline, PositionScore, TrainingSettings
 from eitskin.training.adaptation.locator import (
     MapGrid,
-    Places,
     PressLocator,
-    mixture_places,
 )
 from eitskin.training.adaptation.press_fit import LabelledPresses, learn_places
 
@@ -118,21 +116,3 @@ def test_a_grid_without_channels_is_that_of_maps_that_never_had_them():
     np.testing.assert_allclose(found.place, wanted.place, atol=1e-7)
     np.testing.assert_allclose(found.deviation, wanted.deviation, rtol=1e-4)
     np.testing.assert_allclose(found.misfit[:, keep], wanted.misfit, atol=1e-3)
-
-
-def test_mixed_places_have_the_moments_of_the_mixture():
-    rng = np.random.default_rng(1)
-    each = [
-        Places(rng.normal(size=(2, 2)), rng.uniform(0.1, 2.0, 2), np.ones(2), np.zeros((2, 4)))
-        for _ in range(3)
-    ]
-    mixed = mixture_places(each)
-    drawn = [
-        one.place + one.deviation[:, None] / np.sqrt(2.0) * rng.standard_normal((100_000, 2, 2))
-        for one in each
-    ]
-    points = np.concatenate(drawn)
-    np.testing.assert_allclose(mixed.place, points.mean(axis=0), atol=0.02)
-    spread = np.sqrt(points.var(axis=0).sum(axis=1))
-    np.testing.assert_allclose(mixed.deviation, spread, rtol=0.01)
-    assert mixture_places(each[:1]) is each[0]

@@ -1,15 +1,12 @@
 """Learned touch positions in a session: live, on a replay, saved and opened."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from touched_dataset import touched_dataset
 
 from eitskin.cli.commands import train
 from eitskin.datasets import State, save_dataset
-from eitskin.errors import DataError, FrameError, UnusableFrameError
-from eitskin.geometry import SensorDesign
+from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import open_pipeline
 
@@ -84,22 +81,3 @@ def test_bad_channels_are_left_out_and_other_frames_refused(learned):
         learned.process(Frame(FLAT, table))
     with pytest.raises(FrameError, match="40000 Hz"):
         learned.process(frame(FLAT, 3, frequency=1e3))
-
-
-def knowing(learned, **known):
-    return dataclasses.replace(learned, layout=dataclasses.replace(learned.layout, **known))
-
-
-def test_what_is_known_of_the_sensor_is_saved(learned, tmp_path):
-    known = knowing(learned, known_design=SensorDesign.reference())
-    opened = open_pipeline(known.save(tmp_path / "a.eitmodel"))
-    assert opened.layout.design == SensorDesign.reference()
-    assert (opened.layout.protocol, opened.layout.frequency) == (PROTOCOL, 40e3)
-    np.testing.assert_array_equal(opened.layout.extent, known.layout.extent)
-    alone = knowing(learned, known_protocol=None, frequency=float("nan"), extent=None)
-    opened = open_pipeline(alone.save(tmp_path / "b.eitmodel"))
-    assert (opened.layout.known_protocol, opened.layout.extent) == (None, None)
-    table = Protocol((PROTOCOL.table[1], PROTOCOL.table[0], *PROTOCOL.table[2:]), 6)
-    assert opened.process(Frame(FLAT, table, frequency=1e3)).touches == ()
-    with pytest.raises(DataError, match="no pipeline"):
-        open_pipeline(tmp_path / "none.eitmodel")

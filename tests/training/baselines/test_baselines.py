@@ -8,7 +8,6 @@ import pytest
 from eitskin.datasets import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.training import Pipeline, TrainingSettings, evaluate
-from eitskin.training.baselines.greit_centroid import best_threshold
 from eitskin.training.baselines.regressions import (
     PARAMETERS,
     ExtraTreesMethod,
@@ -105,18 +104,6 @@ def test_trees_are_those_of_scikit_learn(table):
         unseen = np.round(np.random.default_rng(1).normal(size=(200, 6)), 1)
         expected = forest.predict(unseen).reshape(200, -1)
         np.testing.assert_allclose(ExtraTreesMethod.apply(arrays, unseen), expected, atol=1e-6)
-
-
-def test_a_threshold_splits_at_the_least_balanced_error():
-    sizes = np.array([1.0, 2.0, 3.0, 4.0, 10.0, 11.0])
-    above = np.array([False, False, False, True, True, True])
-    assert best_threshold(sizes, above) == 3.5
-    rng = np.random.default_rng(2)
-    mixed = rng.normal(size=200) + 1.5 * (above := rng.random(200) < 0.2)
-    rates = [np.mean(mixed[above] <= t) + np.mean(mixed[~above] > t) for t in mixed]
-    found = best_threshold(mixed, above)
-    error = np.mean(mixed[above] <= found) + np.mean(mixed[~above] > found)
-    assert error == pytest.approx(min(rates))
 
 
 @pytest.mark.slow

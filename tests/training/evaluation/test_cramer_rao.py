@@ -97,23 +97,6 @@ def test_differences_are_of_second_order_next_to_limits_too(place, force):
         model.deformation(each)
 
 
-def test_each_bound_is_read_from_its_place_in_the_covariance():
-    rng = np.random.default_rng(8)
-    found = SceneDerivatives(np.ones(12), rng.normal(size=(2, 3, 12)), rng.normal(size=12))
-    rows = np.array([*found.by_touch.reshape(6, 12), found.by_angle])
-    C = np.linalg.inv(rows @ rows.T / (2.0 * 0.3**2))
-    least, variances = found.bound(0.3), np.diag(C)
-    places = variances[:6].reshape(2, 3)[:, :2]
-    assert least.place == pytest.approx(np.sqrt(places.sum(axis=1)))
-    assert least.force == pytest.approx(np.sqrt(variances[[2, 5]]))
-    assert least.angle_deg == pytest.approx(np.sqrt(variances[6]))
-    assert least.distance[1] == pytest.approx(mean_distance(C[3:5, 3:5]))
-
-
-def test_an_angle_that_changes_all_values_alike_is_that_of_their_mean():
-    assert ALIKE.bound(0.03, math.inf).angle_deg == pytest.approx(3.0 / np.sqrt(3.0))
-
-
 def test_an_untouched_sensor_has_an_angle(sim):
     found = scene_derivatives(sim, Scene(Bend(10.0))).bound(2e-4)
     assert len(found.place) == len(found.distance) == len(found.force) == 0

@@ -187,20 +187,6 @@ def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_pa
     assert 'name = "by hand"' in text
 
 
-@pytest.mark.slow
-def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path, monkeypatch):
-    names = ("training_curves.png", "bend_sequence.png", "touch_maps_counts.png")
-    monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})
-    order = np.tile(np.arange(len(FRAMES)), 4)
-    says = chosen(perceived(), order)
-    data = frames(bend_angle_deg=[0.0, 0.0, 10.0, -10.0, 0.0, 28.0, -20.0]).select(order)
-    data = dataclasses.replace(data, time=np.arange(len(order)) * 0.3)
-    folder = write_report(Evaluation.from_dataset(pipeline(says), data), tmp_path / "report", {})
-    document = json.loads((folder / "report.json").read_text())
-    assert set(document["left_out"]) == {"training_curves.png"}
-    assert "28 frames" in document["pictures"]["bend_sequence.png"]
-
-
 def test_an_earlier_report_is_replaced_whole(evaluation, tmp_path, monkeypatch):
     names = ("confusion.png", "bend_sequence.png")  # quick ones, of which there is one to draw
     monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})

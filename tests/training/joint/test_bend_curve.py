@@ -1,7 +1,5 @@
 """Bend curves: mixed model, calibration, and estimates of the angle."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from made_up_frames import made_up_frames
@@ -13,13 +11,13 @@ from eitskin.training.joint.bend_curve import (
     RANDOM_POWERS,
     BendCurve,
     BendCurvePrior,
-    mixture_curve,
 )
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
 from eitskin.training.joint.specimen_model import (
     NORMAL_DEG,
     AngleEstimate,
+    angle_standard_error,
     estimate_angle,
     posterior_angle,
 )
@@ -122,22 +120,26 @@ def test_conditioned_is_bayes_rule(curve, rng):
     np.testing.assert_allclose((turns.effects - said.effects).ravel() / size, 0.0, atol=1e-6)
 
 
-def test_a_mixture_has_the_moments_of_curves_drawn_from_it(curve, rng):
-    other = replace(curve, effects=curve.effects + 3e-3, covariance=2.0 * curve.covariance)
-    found = mixture_curve([curve, other], np.array([0.25, 0.75]))
-    size, draws = len(curve.covariance), []
-    for one, count in ((curve, 2000), (other, 6000)):
-        effects = one.effects.ravel() + rng.multivariate_normal(
-            np.zeros(size), one.covariance, count
+def estimated(curve, change):
+    """Angle and standard error of a frame, whose bad measurements are NaN."""
+    combined = COMBINATIONS.combine(change, 1.0, 0.0)
+    return estimate_angle(curve, combined.change, combined.noise)
+
+
+def test_stated_error_is_that_of_many_frames(curve, rng):
+    """Standardised errors over specimens and noise, with a bad channel in half of the frames."""
+    for angle in (-15.0, 10.0, 40.0):
+        own = rng.multivariate_normal(np.zeros(SIZE), curve.covariance, 300)
+        change = curve.value(angle) + np.tensordot(
+            own.reshape(-1, RANDOM_POWERS, CHANNELS), powers(angle, RANDOM_POWERS), axes=(1, 0)
         )
-        draws += [
-            BendCurve(one.mean, each.reshape(RANDOM_POWERS, CHANNELS), one.covariance, RANGE).value(
-                30.0
-            )
-            for each in effects
-        ]
-    np.testing.assert_allclose(found.value(30.0), np.mean(draws, axis=0), atol=2e-4)
-    np.testing.assert_allclose(np.diag(found.uncertainty(30.0)), np.var(draws, axis=0), rtol=0.1)
+        change += 2e-4 * rng.standard_normal(change.shape)
+        change[::2, 4] = np.nan
+        said = np.array([estimated(curve, frame) for frame in change])
+        z = (said[:, 0] - angle) / said[:, 1]
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
+        whole = angle_standard_error(curve, angle, NOISE)
+        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.15)
 
 
 # The angle of a frame

@@ -125,27 +125,6 @@ def test_wrong_channel_is_told_and_is_no_touch(method, size):
         assert PROTOCOL.labels[channel] in said.problems[0][0]
 
 
-@pytest.mark.parametrize("kind", ["noise", "gain", "clipped", "swapped", "huge"])
-def test_nonsense_is_told_and_never_without_numbers(method, kind):
-    rng = np.random.default_rng(6)
-    V = FLAT * np.exp(method.bend_prior.predict([0.0]).value(20.0))
-    nonsense = {
-        "noise": V * np.exp(0.01 * rng.standard_normal(28)),
-        "gain": V * 1.1,
-        "clipped": np.minimum(V, np.sort(V)[-8]),
-        "swapped": V[[1, 0, 3, 2, *range(4, 28)]],
-        "huge": V * np.exp(3.0 * rng.standard_normal(28)),
-    }[kind]
-    said = method.predict(observed(method, (), 20.0, wrong=np.log(nonsense / V)))
-    assert said.problems[0]
-    for values in (said.probabilities, said.bend_angle_deg, said.bend_deviation_deg):
-        assert np.isfinite(values).all()
-    (found,) = said.touches
-    assert np.isfinite(found.place).all()
-    assert (found.deviation > 0).all()
-    assert np.isfinite(said.touch_map).all()
-
-
 # Copies, and one sensor
 
 
@@ -195,22 +174,6 @@ def test_calibration_makes_angles_right_and_surer(method):
     assert after.bend_deviation_deg[0] < before.bend_deviation_deg[0]
     assert np.array(told.error_after_deg).max() < np.array(told.error_before_deg).max()
     assert told.residual_deg < 0.3
-
-
-def test_the_noise_of_a_sensor_is_found_in_its_untouched_frames(method):
-    """Known frames twice as noisy as in training double the noise of later frames."""
-    rng, angles = np.random.default_rng(7), np.full(40, 20.0)
-    before = np.tile(method.bend_prior.predict([0.0]).value(20.0), (40, 1))
-    change = before + 2.0 * NOISE * rng.standard_normal((40, 28)) + 1e-3  # and a common drift
-    one, told = method.adapt(known_frames(FLAT, 4, change, angles, before=before))
-    assert told.noise_scale == one.own_noise_scale == pytest.approx(2.0, rel=0.1)
-    frame = observed(method, [TOUCH])
-    single = one.predict(frame).touches[0].deviation, method.predict(frame).touches[0].deviation
-    assert single[0] > 1.3 * single[1]
-    assert JointMethod.from_arrays(one.arrays(), LAYOUT).own_noise_scale == told.noise_scale
-    # A frame that is compared with the flat sensor alone tells nothing of its noise.
-    flat = known_frames(FLAT, 4, before[:5], angles[:5])
-    assert method.adapt(flat)[1].noise_scale == 1.0
 
 
 def test_known_touches_tell_how_far_to_trust_standard_errors(method):

@@ -15,7 +15,6 @@ from one_frame import (
     changed,
     explained,
     frame,
-    matched,
     residual,
 )
 
@@ -86,20 +85,6 @@ def test_residuals_are_whitened_with_noise_bend_and_response():
 
 
 # Recovery
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
-@pytest.mark.parametrize("angle_deg", [0.0, 35.0])
-def test_touches_are_recovered_without_noise(count, angle_deg):
-    """Accuracy is limited by the pull of the weak priors."""
-    found = explained(frame(TOUCHES[count], angle_deg, angle_deg))
-    assert len(found.touches) == count
-    order = matched(found.touches, TOUCHES[count])
-    off = found.touches[order] - TOUCHES[count]
-    np.testing.assert_allclose(off[:, :2], 0.0, atol=3e-4)
-    np.testing.assert_allclose(off[:, 2], 0.0, atol=0.2)
-    assert found.angle_deg == pytest.approx(angle_deg, abs=0.3)
-    assert found.faults == ()
 
 
 # Errors, and false alarms

@@ -51,15 +51,6 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
         assert learned.evaluate(np.array(features)) == pytest.approx(expected)
 
 
-def test_a_scale_of_few_or_no_touches_stays_near_one():
-    assert ErrorScale.fit(np.zeros((0, 1, 2)), [], np.zeros((0, 3))) == ErrorScale()
-    touches, found, features = many(ErrorScale(0.01), 2)
-    assert 0.5 < ErrorScale.fit(touches, found, features).evaluate(np.zeros(2)) <= 1.0
-    # Errors that only strange sensors have leave the others a scale above zero.
-    touches, found, features = many(ErrorScale(0.0, 2.0))
-    assert ErrorScale.fit(touches, found, features).evaluate(np.zeros(2)) > 0.1
-
-
 SIZE, RADIUS = (0.150, 0.060), 0.0075
 FINE = (240, 600)  # pixels of 0.25 mm
 

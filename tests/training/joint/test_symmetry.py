@@ -61,11 +61,3 @@ REFERENCE = SensorDesign.reference()
 )
 def test_outline_and_electrodes_must_have_images(design, kept):
     assert flips(design, Protocol.pairwise(len(design.electrodes))) == kept
-
-
-def test_protocol_must_have_the_images():
-    """Without measurement 6-7, its images 4-3 and 0-7 have no image."""
-    design = SensorDesign.reference()
-    assert flips(design, Protocol(PAIRWISE.table[:-1], 8)) == [NONE]
-    ring = Protocol(tuple(row for row in PAIRWISE.table if row[:2] in ((0, 1), (4, 5))), 8)
-    assert flips(design, ring) == [NONE, TURNED]

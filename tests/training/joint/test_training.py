@@ -121,21 +121,6 @@ def test_what_is_learned_is_the_sensor(trained):
 
 
 @pytest.mark.slow
-def test_learned_method_perceives_frames_never_seen(trained):
-    unseen = dataset(150, 24, seed=1)
-    said = trained[0].predict(Observations.from_dataset(unseen))
-    assert np.mean(said.state == unseen.state) > 0.9
-    free = unseen.state != State.TOUCH
-    assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg)[free] ** 2)) < 1.5
-    away = []
-    for i in np.flatnonzero(unseen.touch_count == 1):
-        found = said.touches[i].place
-        true = [unseen.touch_x[i, 0], unseen.touch_y[i, 0]]
-        away.append(np.hypot(*(found - true).T).min() if len(found) else np.inf)
-    assert np.median(away) < 0.005
-
-
-@pytest.mark.slow
 def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
     """To the scale that an unscaled method has there; no other specimen takes part."""
     method, _ = trained
@@ -212,31 +197,6 @@ def test_touches_without_forces():
     found = np.array([said.touches[i].place[0] for i in single])
     assert np.median(np.hypot(*(found - true).T)) < 0.008
     assert all(np.isnan(touches.force).all() for touches in said.touches)
-
-
-def test_strength_of_touches_follows_their_force_and_number():
-    """Of noise-free touches at one place: proportional to the force, and shared by equal ones."""
-    place, force = [0.04, 0.02], np.array([2.0, 4.0, 8.0])
-    touch = np.array([[*place, f] for f in force])
-    log = np.concatenate([touch_change(touch), np.zeros((1, 28))])
-    x = np.full((4, 4), np.nan)
-    x[:3, 0] = 0.04
-    data = replace(
-        dataset(8).select(slice(4)),
-        impedance=(FLAT * np.exp(log)).astype(np.complex64),
-        touch_reference=np.tile(FLAT, (4, 1)).astype(np.complex64),
-        touch_x=x,
-        touch_y=x / 2,
-        state=np.array([State.TOUCH] * 3 + [State.IDLE], np.int8),
-    )
-    strength = joint_training._with_strengths(data).touch_force
-    np.testing.assert_allclose(strength[:3, 0], force / 4.0, rtol=1e-3)
-    assert np.isnan(strength[:, 1]).all()
-    assert np.isnan(strength[3]).all()
-    x[0, 1] = 0.09
-    pair = joint_training._with_strengths(replace(data, touch_x=x, touch_y=x / 2)).touch_force
-    np.testing.assert_allclose(pair[0, 0] / pair[2, 0], 0.25 / np.sqrt(2.0), rtol=1e-3)
-    assert pair[0, 0] == pair[0, 1]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.clamps import usual_curves
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import SCALE
-from eitskin.training.joint.specimen_model import SpecimenModel, mixture_moments
+from eitskin.training.joint.specimen_model import SpecimenModel
 
 CHANNELS, NOISE = 6, 2e-4
 COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
@@ -96,15 +96,6 @@ def test_no_group_is_found_where_none_is(alike, various):
 
 
 # Two hypotheses of one frame
-
-
-def test_a_mixture_has_the_moments_of_its_parts():
-    which = np.random.default_rng(4).random(400_000) < 0.3
-    normal = np.random.default_rng(5).normal
-    drawn = np.where(which, normal(24.0, 0.5, len(which)), normal(20.0, 3.0, len(which)))
-    angle, deviation = mixture_moments((20.0, 3.0), (24.0, 0.5), 0.3)
-    assert angle == pytest.approx(drawn.mean(), abs=0.03)
-    assert deviation == pytest.approx(drawn.std(), rel=0.01)
 
 
 @pytest.mark.parametrize("alike", [True, False])

@@ -72,17 +72,6 @@ def test_a_failed_electrode_is_named_and_left_out(learned, electrode, at, kind, 
 
 
 @pytest.mark.slow
-def test_a_pipeline_is_learned_from_what_was_healthy():
-    broken = recording(3, 150)
-    (fault,) = follow_recording(broken)[1]
-    assert (fault.electrode, fault.number) == (3, 150)
-    late = Pipeline.fit(broken, TrainingSettings("touch position"))
-    score = PositionScore.from_dataset(late, broken)
-    assert score.mean_error_mm < 0.2 * score.guess_error_mm
-    assert [text.startswith("electrode 3 ") for text in score.faults] == [True]
-
-
-@pytest.mark.slow
 def test_a_session_names_the_electrode_and_goes_on(learned, tmp_path):
     pipeline = Pipeline.load(learned.save(tmp_path / "a.eitmodel"))
     broken = recording(6, 260, creep=5e-4)

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from eitskin.training.method.stored_fields import (
@@ -49,15 +48,3 @@ def test_arrays_have_the_names_of_fields_and_restore_them():
     assert (again.part.size, again.part.ends) == (0.5, (2, 4))
     np.testing.assert_array_equal(again.half, WHOLE.half)
     assert [layer.shape for layer in again.layers] == [(2, 2), (1,)]
-
-
-def test_what_is_missing_has_its_default_or_is_refused():
-    arrays = WHOLE.arrays()
-    assert Whole.from_arrays(arrays | {"names": np.arange(2)}, sensor="").names == (0, 1)
-    del arrays["names"]
-    assert Whole.from_arrays(arrays, sensor="").names == (7,)
-    with pytest.raises(ValueError, match="numbers less in 'numbers'"):
-        Whole.from_arrays(arrays | {"part.numbers": np.ones(4)}, sensor="")
-    del arrays["part.values"]
-    with pytest.raises(KeyError):
-        Whole.from_arrays(arrays, sensor="")

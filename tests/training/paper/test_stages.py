@@ -245,18 +245,6 @@ def bends(count=200, seed=0):
     return dV, angle
 
 
-def test_bend_angle_follows_a_curved_signal():
-    """Two degrees of curvature over the range; the paper's lines miss by one."""
-    angle = np.linspace(-20.0, 50.0, 100)
-    dV = np.outer(angle - 0.002 * angle**2, [1e-3, 2e-3])
-    stage = BendAngle.fit(dV, angle, np.zeros(100))
-    assert np.abs(stage.apply(dV) - angle).max() < 0.4
-    stage = BendAngle.fit(dV, angle, np.zeros(100), squares=False)
-    assert set(stage.features) <= {0, 1}
-    line = np.polynomial.Polynomial.fit(dV[:, 0], angle, 1)
-    np.testing.assert_allclose(stage.apply(dV), line(dV[:, 0]), atol=1e-9)
-
-
 @pytest.mark.parametrize(("specimens", "count"), [(1, 200), (7, 200), (9, 53), (1, 11), (6, 13)])
 def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens, count):
     """scikit-learn's own search, also where there are more features than frames of a fold."""

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.datasets import State
 from eitskin.errors import DataError, FrameError
-from eitskin.simulator import Frame, Protocol, Status
+from eitskin.simulator import Frame, Protocol
 from eitskin.training import Pipeline, evaluate
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
@@ -118,26 +118,6 @@ def test_a_new_session_begins_with_new_references_and_is_told(session, change):
     assert again.state is State.IDLE
     assert again.bend_angle_deg == pytest.approx(0.0, abs=1.0)
     assert "a new session begins" in again.problems[0]
-
-
-def with_bad(sensor, angle_deg=0.0, place=None):
-    """Changes that make channel 0-2 flagged and 0-4 not finite."""
-    impedance = sensor.impedance(angle_deg, place)
-    impedance[3] = np.nan
-    impedance[1] *= 2.0
-    return {"impedance": impedance, "status": np.uint8(Status.OPEN) * (np.arange(28) == 1)}
-
-
-def test_a_channel_that_was_bad_at_the_beginning_stays_out(pipeline, session, sensor):
-    session(**with_bad(sensor))
-    assert session(30.0).state is State.BEND
-    touched = session(30.0, PLACE)
-    assert touched.state is State.TOUCH
-    assert "channel 0-2 is left out: it was bad when the session began" in touched.problems
-    before = pipeline.references.bend.copy()
-    with pytest.raises(FrameError, match="13 of 28"):
-        session(status=np.where(np.arange(28) < 13, 0, Status.OPEN).astype(np.uint8))
-    np.testing.assert_array_equal(pipeline.references.bend, before)
 
 
 SWAPPED = Protocol((PAIRS.table[1], PAIRS.table[0], *PAIRS.table[2:]), 8)

@@ -165,17 +165,6 @@ def test_a_capacitance_across_electrodes_is_told_by_phases(session):
         assert any("a capacitance" in each for each in said.problems) == told
 
 
-def test_contacts_that_age_together_are_no_bend(session):
-    table = np.array(session.pipeline.layout.protocol.table)
-    rates = np.random.default_rng(7).uniform(0.0, 2.0, 8)
-    ageing = np.array([rates[[row[0], row[1]]].sum() for row in table])
-    for share in np.linspace(0.1, 1.0, 6):
-        flat = session.simulator.measure(Scene(), Instrument(), session.rng).impedance
-        said = session(Scene(), impedance=flat + share * ageing)
-        assert said.state is not State.BEND or said.problems
-    assert any("contacts of several" in each for each in said.problems)
-
-
 @pytest.mark.slow
 def test_it_tells_angles_of_another_clamp_and_how_surely():
     """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""

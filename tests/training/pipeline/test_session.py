@@ -78,15 +78,6 @@ def test_a_touch_freezes_the_references_and_a_new_beginning_forgets_them():
     np.testing.assert_array_equal(session.bend, BENT)
 
 
-def test_a_bad_channel_keeps_its_reference_and_a_late_one_gets_one():
-    hole = np.arange(28) == 3
-    session = averaged([FLAT], [np.where(hole, np.nan, FLAT) * 1.00001])
-    assert session.touch[3] == FLAT[3]
-    np.testing.assert_allclose(averaged([np.where(hole, np.nan, FLAT)], [FLAT]).touch, FLAT)
-    session = averaged(frames(FLAT, 10), [np.where(hole, np.nan, BENT)])
-    assert error(np.delete(session.touch, 3), np.delete(BENT, 3)) < 1e-12
-
-
 def last_step(*frames):
     """Last step of frames given as (number, time) or (number, time, session)."""
     order = SessionOrder()

@@ -54,21 +54,6 @@ def merit_of(maker):
     return figures_of_merit(shown[maker.grid.inside], maker.grid, place, -1e-4)
 
 
-def test_data_do_not_know_the_unit_of_the_frames(greit):
-    """Nor a gain of the board: absolute differences fit one factor, relative ones need none."""
-    before = np.asarray(greit.model.impedance)
-    after = before + greit.model.sensitivity[:, 300]
-    expected = greit.data(after, before)
-    assert expected == pytest.approx(np.real(after - before) / np.sqrt(np.mean(before.real**2)))
-    for gain in (1e-3, -20.0, np.exp(0.3j)):
-        assert greit.data(gain * after, gain * before) == pytest.approx(expected)
-    relative = made()
-    gains = np.random.default_rng(0).uniform(0.5, 2.0, len(PROTOCOL))
-    assert relative.data(gains * after, gains * before) == pytest.approx(
-        np.real((after - before) / before)
-    )
-
-
 def test_bad_channels_are_left_out(greit):
     before = np.asarray(greit.model.impedance)
     after = before * (1.0 + 0.01 * np.sin(np.arange(len(PROTOCOL))))

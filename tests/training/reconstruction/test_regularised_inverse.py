@@ -1,12 +1,12 @@
-"""Gauss-Newton pictures against dense least squares, and the rules for lambda."""
+"""Pictures by regularised least squares, and the pixels of their grids."""
 
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.training.reconstruction.picture_methods import least_variation, prior_matrix
-from eitskin.training.reconstruction.pixel_grid import PixelGrid
+from eitskin.training.reconstruction.pixel_grid import PixelGrid, figures_of_merit
 from eitskin.training.reconstruction.regularised_inverse import Regularisation, gauss_newton
 
 GRID = PixelGrid.from_outline(Rectangle(0.12, 0.06), 72)
@@ -32,12 +32,6 @@ def test_picture_is_that_of_dense_least_squares(name):
     stacked = np.concatenate([J, parameter * roots[name]])
     expected = np.linalg.lstsq(stacked, np.concatenate([y, np.zeros(len(roots[name]))]))[0]
     assert family(name).matrix(parameter) @ y == pytest.approx(expected, rel=1e-4, abs=1e-6)
-
-
-def test_missing_channels_are_those_of_a_smaller_jacobian():
-    missing = np.arange(15) % 4 == 1
-    smaller = gauss_newton(J[~missing], np.ones(72)).matrix(0.3)
-    assert family().drop_channels(missing).matrix(0.3) == pytest.approx(smaller)
 
 
 def test_noise_figure_is_that_of_drawn_noise():
@@ -100,6 +94,45 @@ def test_step_of_one_dimension_has_its_closed_form():
     assert found[[0, -1]] == pytest.approx(expected[[0, -1]], abs=0.015)
 
 
-def test_data_within_the_misfit_need_no_change():
-    grid = PixelGrid.from_outline(Rectangle(0.1, 0.1), 25)
-    assert not least_variation(grid, np.eye(25), np.full(25, 0.1), 1.0).any()
+# Pixels of rectangles, discs and polygons
+
+L_SHAPE = Polygon(((0, 0), (0.12, 0), (0.12, 0.05), (0.06, 0.05), (0.06, 0.1), (0, 0.1)))
+
+
+def test_reference_sensor_has_squares_of_two_millimetres():
+    grid = PixelGrid.from_outline(Rectangle(0.150, 0.060))
+    assert grid.shape == (30, 75)
+    assert len(grid) == 2250
+    assert grid.sides == pytest.approx((2e-3, 2e-3))
+    assert (grid.x[0], grid.y[-1]) == pytest.approx((1e-3, 59e-3))
+
+
+@pytest.mark.parametrize(("outline", "area"), [(Disc(0.05), np.pi * 0.05**2), (L_SHAPE, 0.009)])
+def test_mask_has_the_area_of_the_outline(outline, area):
+    grid = PixelGrid.from_outline(outline, 4000)
+    assert len(grid) * grid.area == pytest.approx(area, rel=0.02)
+    picture = grid.image(np.arange(len(grid)))
+    assert np.isnan(picture).sum() == picture.size - len(grid)
+    assert (picture[grid.inside] == np.arange(len(grid))).all()
+
+
+def test_differences_of_a_slope_are_its_gradient_and_none_crosses_the_rim():
+    grid = PixelGrid.from_outline(L_SHAPE, 300)
+    x, y = grid.centres.T
+    along_x, along_y = (grid.differences @ (3.0 * x - 2.0 * y)).reshape(2, -1)
+    for values, expected in ((along_x, 3.0 * grid.sides[0]), (along_y, -2.0 * grid.sides[1])):
+        assert values[values != 0.0] == pytest.approx(expected)
+    assert (along_x == 0.0).sum() == grid.shape[0]  # the last pixel of every row
+
+
+# ---- figures of merit ----
+
+
+DISC = PixelGrid.from_outline(Disc(0.1), 10_000)
+CENTRE, RADIUS = (0.13, 0.09), 0.02
+INTEGRAL = np.pi * RADIUS**2
+
+
+def test_picture_of_nothing_is_refused():
+    with pytest.raises(DataError, match="got none"):
+        figures_of_merit(np.zeros(len(DISC)), DISC, CENTRE, INTEGRAL)
