@@ -138,6 +138,7 @@ def test_compact_writes_the_same_frames_into_few_files(tmp_path):
 # eitskin import
 
 
+@pytest.mark.slow
 def test_presses_are_imported_by_name_and_combined(tmp_path):
     rng = np.random.default_rng(0)
     for name in ("one", "two"):

@@ -39,6 +39,7 @@ def test_bash_completes_commands_and_options(words, expected):
     assert set(said.split()) == expected
 
 
+@pytest.mark.slow
 def test_heavy_packages_are_loaded_by_commands_only():
     code = "import sys, eitskin.cli.main; print(*{name.partition('.')[0] for name in sys.modules})"
     loaded = subprocess.run(

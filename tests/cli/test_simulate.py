@@ -80,6 +80,7 @@ def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path
     assert abs(found["change_ohm"][0]) > 1e-3
 
 
+@pytest.mark.slow
 def test_every_touch_tells_what_became_of_it(scene, tmp_path) -> None:
     picture = tmp_path / "scene.png"
     free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())

@@ -73,6 +73,7 @@ def exchanged(values, one, other):
 # ---- healthy sensors ----
 
 
+@pytest.mark.slow
 def test_healthy_specimens_are_not_accused_on_noisy_nor_quiet_boards():
     for number in range(4):
         assert check(flat(number), seed=number).findings == ()
@@ -272,6 +273,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["check", *arguments])
 
 
+@pytest.mark.slow
 def test_the_command_finds_nothing_on_a_healthy_board():
     result = run("--board", "virtual:?speed=max", "--frames", "8")
     assert result.exit_code == 0

@@ -40,6 +40,7 @@ def files(tmp_path_factory):
         yield {path: path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(st.data())
 def test_a_file_cut_or_changed_anywhere_is_made_again(files, data):

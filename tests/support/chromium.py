@@ -1,8 +1,7 @@
 """A headless Chromium, driven by Selenium: tabs, sizes, screenshots, console errors, signals."""
 
-import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,23 +51,12 @@ class Browser:
         self.driver.get(url)
         return tab
 
-    def signal(self, number: int) -> None:
-        """Send a signal to every process of the browser and to its driver."""
-        os.killpg(self.driver.service.process.pid, number)
-
-    def console_errors(self, url: str, network: bool = True) -> list[str]:
-        """Console errors and uncaught exceptions of pages at `url` since the last call.
-
-        Args:
-            url: beginning of their addresses.
-            network: count requests that failed, too; pages elsewhere may have made these.
-        """
+    def console_errors(self, url: str) -> list[str]:
+        """Console errors and uncaught exceptions of pages at `url` since the last call."""
         return [
             entry["message"]
             for entry in self.driver.get_log("browser")
-            if entry["level"] == "SEVERE"
-            and entry["message"].startswith(url)
-            and (network or entry["source"] != "network")
+            if entry["level"] == "SEVERE" and entry["message"].startswith(url)
         ]
 
 
@@ -135,7 +123,7 @@ class Tab:
 
 
 @contextmanager
-def chromium(flags: Sequence[str] = ()) -> Iterator[Browser]:
+def chromium() -> Iterator[Browser]:
     """Run a Chromium with a new profile; raises ConfigurationError where there is none."""
     webdriver = require("selenium.webdriver", "dev")
     program = next(filter(None, map(shutil.which, NAMES)), None)
@@ -148,11 +136,9 @@ def chromium(flags: Sequence[str] = ()) -> Iterator[Browser]:
     options = webdriver.ChromeOptions()
     options.binary_location = program
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    for flag in (*FLAGS, *flags):
+    for flag in FLAGS:
         options.add_argument(flag)
-    # A session of its own, so that `Browser.signal` reaches the browser and nothing else.
-    service = webdriver.ChromeService(driver_program, popen_kw={"start_new_session": True})
-    driver = webdriver.Chrome(options, service)
+    driver = webdriver.Chrome(options, webdriver.ChromeService(driver_program))
     driver.set_script_timeout(ANSWERS_WITHIN)
     try:
         yield Browser(driver)

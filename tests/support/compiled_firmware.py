@@ -178,9 +178,6 @@ class CompiledFirmware:
         number = self.number
         return self._run(lambda: (self.streaming and self.number == number) or self._can_send)
 
-    def fall_behind(self, seconds):
-        """The compiled firmware has a clock of its own."""
-
     def skip(self):
         line, self.line = self.line, 0
         self._outgoing += self.frame()

@@ -334,6 +334,7 @@ def test_head_and_body_are_read_up_to_their_limits(page):
             assert client.recv(100).startswith(status)
 
 
+@pytest.mark.slow
 def test_threads_and_connections_are_bounded_whatever_comes(connection):
     """Half requests that will never be whole: others get answers all the same."""
     before = threading.active_count()
