@@ -159,25 +159,18 @@ def _solve_missing(
 
     specimens = needed_specimens(recipe, shard)
     bends = len(missing_bend_tables(recipe, specimens))
-    if bends:
-        output.note(
-            f"solving {bends} table{'s' * (bends > 1)} of bends that no clamped sensor has needed "
-            f"so far, once: about half a minute each; kept in {cache_folder()}"
-        )
     absent = missing_press_tables(recipe, specimens)
     plates = sum(path.name.startswith("plates-") for path in absent)
-    if plates:
-        output.note(
-            f"solving {plates} table{'s' * (plates > 1)} of presses on plates that no sensor has "
-            "needed so far, once: about a quarter of an hour of one core each, less on several; "
-            f"kept in {cache_folder()}"
-        )
-    missing = len(absent) - plates
-    if missing:
-        output.note(
-            f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
-            f"so far, once: from ten seconds to a few minutes each; kept in {cache_folder()}"
-        )
+    for count, what, duration in (
+        (bends, "bends that no clamped sensor", "about half a minute each"),
+        (plates, "presses on plates that no sensor", "about a quarter of an hour of one core each"),
+        (len(absent) - plates, "presses that no sensor", "ten seconds to a few minutes each"),
+    ):
+        if count:
+            output.note(
+                f"solving {count} table{'s' * (count > 1)} of {what} has needed so far, once: "
+                f"{duration}; kept in {cache_folder()}"
+            )
     solved = solved_frames(recipe)
     if solved:
         output.note(

@@ -2,13 +2,15 @@
 
 Every trial is either taken or refused by one error of the package. Anything else (a raw exception,
 an endless loop, a half-written file, damage that is accepted) is printed with the number that makes
-the trial again: `--only shards --trial 17`. The suite runs a few trials of each kind.
+the trial again: `--only options --trial 17`. The suite runs a few trials of each kind.
 """
 
 import argparse
 import contextlib
+import dataclasses
 import errno
 import functools
+import json
 import os
 import random
 import resource
@@ -32,146 +34,109 @@ if __name__ == "__main__":
     sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
 
 import numpy as np
-from session_attacks import AcceptedDamageError, damaged, live, network, pipeline, pipelines
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.datasets import (
-    Recipe,
-    export_dataset,
-    generate,
-    open_dataset,
-    save_dataset,
-    verify,
-)
-from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.store.shard import append_checksum, verify_checksum
+from eitskin.datasets import export_dataset, save_dataset
 from eitskin.errors import EitskinError
 from eitskin.files import TEMPORARY
 from eitskin.geometry import SensorDesign
-from eitskin.simulator import Protocol
-from eitskin.training import StoredReference, Zero
+from eitskin.hardware import Counts, run_live
+from eitskin.hardware.streams import reading_record
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import StoredReference, Zero, open_pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
 import small_dataset
-from shards_here import in_this_process, made_here
 
 MAX_SECONDS = 60  # of a trial
-NUMBERS = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-300, 1e300, 1e38, -1e38, 2.0**31, 1e6, 361.0)
 TEXTS = (
-    *(
-        "",
-        " ",
-        "-",
-        "--",
-        "a" * 300,
-        "\0",
-        "\x1b[2J",
-        "\u202e",
-        "../..",
-        "/dev/zero",
-        "/proc/self/mem",
-    ),
-    *(
-        "-5",
-        "1e400",
-        "nan",
-        "inf",
-        "0",
-        "0.5",
-        "1" * 5000,
-        "9" * 20,
-        "x:y",
-        ":",
-        "::1",
-        "[",
-        "a b",
-        "$(id)",
-    ),
-    *(
-        "pairwise:8",
-        "adjacent:1e9",
-        "coarse",
-        "true",
-        "{}",
-        "0-4",
-        "1,2,3",
-        "virtual:?seed=-5",
-        "set",
-        "none",
-    ),
+    *("", " ", "a b", "a" * 300, "1" * 5000, "9" * 20, "\0", "\x1b[2J", "\u202e", "-", "--"),
+    *("-5", "1e400", "nan", "inf", "0", "0.5", "0-4", "1,2,3", "x:y", ":", "::1", "[", "{}"),
+    *("$(id)", "../..", "/dev/zero", "/proc/self/mem", "pairwise:8", "adjacent:1e9", "coarse"),
+    *("true", "virtual:?seed=-5", "set", "none"),
 )
 
 
-RECIPE = Recipe(
-    "attacked", frames_per_shard=2, resolution="coarse", scenes=(SceneGroup("idle", count=4),)
-)
+class AcceptedDamageError(Exception):
+    """Damage that was taken for data."""
 
 
 @functools.cache
-def whole(folder: Path) -> dict[str, bytes]:
-    """Files of a generated set by name."""
-    made_here(RECIPE, folder / "whole")
-    return {path.name: path.read_bytes() for path in (folder / "whole").iterdir()}
+def pipeline() -> Any:
+    """The shipped pipeline."""
+    return open_pipeline(SHIPPED_PATH)
 
 
-def shards(rng: random.Random, folder: Path) -> None:
-    """Resume a set with shards of a stranger, under seals that are right."""
-    files, out = whole(folder), folder / "resumed"
-    shutil.rmtree(out, ignore_errors=True)
-    shutil.copytree(folder / "whole", out)
-    name = "shard-000000.h5"
-    image, _ = verify_checksum(files[name])
-    if rng.random() < 0.5:
-        broken = damaged(image, rng)
-    else:
-        path, broken = folder / "foreign.h5", image
-        path.write_bytes(image)
-        change_hdf5(path, rng)
-        broken = path.read_bytes()
-    (out / name).write_bytes(append_checksum(broken))
-    if rng.random() < 0.7:
-        (out / "manifest.json").unlink()
-    with mock_workers():
-        generate(RECIPE, out, resume=True)
-    found = {path.name: path.read_bytes() for path in out.iterdir()}
-    changed = [each for each in found if found[each] != files.get(each)]
-    if changed:
-        verify(out)
-        data, sound = open_dataset(out), open_dataset(folder / "whole")
-        for field in ("seed", "recipe", "source", "design", "protocol"):
-            if getattr(data, field) != getattr(sound, field):
-                raise AcceptedDamageError(f"another {field} was resumed")
+def rest_frame(of: Any, numbers: np.random.Generator, count: int) -> Frame:
+    """Frame of a sensor at rest, with noise."""
+    noise = 1 + 2e-4 * numbers.standard_normal(len(of.layout.reference))
+    values = (of.layout.reference * noise).astype(complex)
+    return Frame(values, of.layout.protocol, 0.3 * count, count, frequency=of.layout.frequency)
 
 
-@contextlib.contextmanager
-def mock_workers() -> Iterator[None]:
-    """Let shards be made in this process."""
-    import pytest
+def damaged_frame(good: Frame, rng: random.Random) -> Frame:
+    """Frame with odd values, times, numbers or status."""
+    numbers = np.random.default_rng(rng.randrange(2**32))
+    values, count = good.impedance.copy(), len(good.impedance)
+    chosen = numbers.random(count) < rng.choice((0.04, 0.5, 1.0))
+    odd = numbers.choice([np.nan, np.inf, -np.inf, 0, -1, 1e300, 1e-300, 5e-324, 1e12, 1j], count)
+    with np.errstate(all="ignore"):
+        values = rng.choice(
+            (
+                np.where(chosen, odd, values),
+                np.where(chosen, -values, values),
+                np.where(chosen, values * 10 ** numbers.uniform(-12, 12), values),
+                values * np.exp(2j * np.pi * rng.random()),
+                numbers.permutation(values),
+                values * (1 + 0.2 * numbers.standard_normal(count)),
+            )
+        )
+    status = numbers.integers(0, 256, count).astype(np.uint8) * (chosen & (rng.random() < 0.2))
+    time_, number = rng.choice(
+        ((good.time, good.number),) * 3 + ((-1e10, 0), (np.nan, -5), (1e300, 2**40))
+    )
+    return dataclasses.replace(good, impedance=values, status=status, time=time_, number=number)
 
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        yield
+
+class FrameSource:
+    """Board of frames that are made as they are asked for."""
+
+    counts = Counts()
+
+    def __init__(self, made: Iterator[Frame]) -> None:
+        self.made = made
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
+        """The frames."""
+        return self.made
 
 
-def change_hdf5(path: Path, rng: random.Random) -> None:
-    """Change an attribute or a number of an HDF5 file."""
-    import h5py
+def live(rng: random.Random, folder: Path, frames: int = 100) -> None:  # noqa: ARG001
+    """Run a session of frames most of which are damaged, by a clock that is set back."""
+    pipeline().reset()
+    draws = np.random.default_rng(rng.randrange(2**32))
 
-    with h5py.File(path, "r+") as file:
-        if rng.random() < 0.5:
-            name = rng.choice(list(file.attrs))
-            value = rng.choice((*NUMBERS[:8], -5, 2**63 - 1, "", "a" * 70000, "[[", [1.0, 2.0]))
-            with contextlib.suppress(TypeError, OSError):
-                file.attrs[name] = value
-            return
-        names: list[str] = []
-        file.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
-        array = file[rng.choice(names)]
-        values = array[...]
-        if values.size:
-            with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
-                values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
-            array[...] = values
+    def source() -> Iterator[Frame]:
+        for number in range(frames):
+            good = rest_frame(pipeline(), draws, number)
+            yield good if number == 0 or rng.random() < 0.3 else damaged_frame(good, rng)
+
+    clock = lambda: rng.choice((time.perf_counter(), 0.0, -1e9, 1e12))  # noqa: E731
+    steps = time.time if rng.random() < 0.5 else clock
+    with mock.patch("time.time", steps):
+        for reading in run_live(FrameSource(source()), pipeline(), clock=clock):
+            if reading.problem.startswith("the pipeline failed"):
+                raise ArithmeticError(reading.problem)
+            json.dumps(reading_record(reading, FrameSource.counts), allow_nan=False)
+            estimate = reading.estimate
+            found = (
+                []
+                if estimate is None
+                else [estimate.bend_angle_deg or 0.0, *np.ravel(estimate.touches)]
+            )
+            if estimate is not None and not (estimate.problems or np.isfinite(found).all()):
+                raise ArithmeticError(f"not finite, without a problem: {estimate}")
 
 
 @functools.cache
@@ -312,15 +277,7 @@ def command(*words: object) -> None:
 
 
 KINDS: Mapping[str, Callable[[random.Random, Path], None]] = {
-    each.__name__: each
-    for each in (
-        shards,
-        options,
-        pipelines,
-        live,
-        disks,
-        network,
-    )
+    each.__name__: each for each in (options, live, disks)
 }
 
 
