@@ -1,22 +1,20 @@
 """`eitskin adapt`: pipelines of both kinds, errors by frames used, and what is refused."""
 
 import dataclasses
-import io
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import printed_json, run
-from rich.console import Console
 from toy_skin import toy_presses
 
-from eitskin.cli.commands.own_sensor.adapt import curve_table, twin_in_words
+from eitskin.cli.commands.own_sensor.adapt import twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.training import Pipeline, open_pipeline
 from eitskin.training.adaptation.press_fit import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
-from eitskin.training.evaluation.adaptation_curve import CurvePoint, press_curve
+from eitskin.training.evaluation.adaptation_curve import press_curve
 from eitskin.training.method.interface import TwinTrial
 
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
@@ -92,20 +90,6 @@ def test_known_angles_of_a_recording_adapt_a_pipeline_and_errors_fall(bends, pip
     off = adapted.perceive(bends).bend_angle_deg - bends.bend_angle_deg
     assert np.sqrt(np.mean(off**2)) < 0.5 * before
     assert pipeline.adaptation == {}  # curve and command leave the pipeline itself alone
-
-
-def test_the_table_of_errors_is_whole_on_a_narrow_terminal():
-    """A row for each method: columns for each would be cut."""
-    points = [
-        CurvePoint(method, 50, angle_deg=0.4, place_mm=2.0, found=0.9)
-        for method in ("as trained", "adapted", "ExtraTrees", "without the design")
-    ]
-    console = Console(width=80, file=io.StringIO())
-    console.print(curve_table(points))
-    shown = console.file.getvalue()
-    assert "without the design" in shown
-    assert "angle, deg rms" in shown
-    assert "\u2026" not in shown
 
 
 def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):

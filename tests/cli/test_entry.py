@@ -40,11 +40,8 @@ def test_an_unexpected_exception_is_one_sentence_and_a_report(monkeypatch, tmp_p
     assert "command: eitskin train 'a file'" in written
     assert "KeyError" in written
     assert max(map(len, written.splitlines())) <= 300
-
-
-def test_a_report_that_cannot_be_written_is_said(monkeypatch, tmp_path, capsys):
-    code = ended(monkeypatch, tmp_path / "none", RuntimeError("x"))
-    assert code == entry.EXIT_UNEXPECTED
+    monkeypatch.undo()
+    assert ended(monkeypatch, tmp_path / "none", RuntimeError("x")) == entry.EXIT_UNEXPECTED
     assert re.search(r"RuntimeError.* in raising, line \d+", capsys.readouterr().err)
 
 

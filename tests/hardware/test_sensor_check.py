@@ -203,11 +203,6 @@ def test_values_that_are_no_numbers_are_one_finding(channels, value, status, exp
     assert found(check_sensor(marked, expected())) == [expected_finding]
 
 
-def test_values_that_are_all_zero_are_not_taken_for_a_sensor():
-    result = check_sensor([Frame(np.zeros(28), PROTOCOL)] * 8, expected())
-    assert {what for what, _ in found(result)} == {FindingKind.FROZEN, FindingKind.FACTOR}
-
-
 # ---- several faults ----
 
 

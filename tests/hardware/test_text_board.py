@@ -300,7 +300,6 @@ def test_a_board_without_whole_frames_says_what_is_wrong(events, said):
         "{}, {}, {}",
         "{};{};{};",
         "{} {}\t{}",
-        "[{}, {}, {}],",
         '{{"n": 7, "eit": [{}, {}, {}]}}',
         "EIT={},{},{}",
     ],
