@@ -142,10 +142,7 @@ class SensorFindings(NamedTuple):
                 f"{100.0 * law.median:.2g} %, largest {100.0 * law.largest:.2g} %"
             )
         if not self.laws:
-            yield (
-                "this protocol measures nothing twice: neither reciprocity, swapped pairs nor "
-                "loop sums"
-            )
+            yield "no redundant measurements in this protocol, so its consistency was not tested"
 
 
 def sensor_findings(
@@ -208,7 +205,7 @@ def _report(
     """Print the findings, or that there are none; raises Exit where there are."""
     for sentence in found.sentences:
         output.note(sentence)
-    healthy = f"healthy: nothing was found in {frames} frames"
+    healthy = f"healthy: no fault in {frames} frames"
     result = {
         "healthy": not found.findings,
         "frames": frames,

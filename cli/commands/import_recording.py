@@ -167,10 +167,16 @@ def _preview(output: Output, recording: "datasets.Recording", context: typer.Con
     """Print what is understood of a recording, and the command that says all of it."""
     description, options = recording.describe_format()
     words = given_words(context, {"preview", "out", "as_json", "quiet"})
-    for option, value in options.items():
-        words += [] if option in words else [option, value]
+    given = set(words)
+    for option, value in options:
+        words += [] if option in given - {"--column"} else [option, value]
     if recording.unused:
-        description["not read"] += "; a label among them: --column LABEL=NAME"
+        suggested = any(option == "--column" for option, _ in options)
+        description["not read"] += (
+            "; the command reads those with usual names as labels"
+            if suggested
+            else "; a label among them: --column LABEL=NAME"
+        )
     description["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
     output.result(description, "\n".join(f"{name}: {text}" for name, text in description.items()))
 

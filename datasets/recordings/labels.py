@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -38,6 +38,26 @@ MAX_FRAME_PERIOD: Final = 30.0  # s from frame to frame
 MAX_EPOCH_TIME: Final = 1e11  # s since 1970
 _WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
 """Periods of counters of milliseconds and microseconds in 32 bits [s]."""
+
+_SYNONYMS: Final = {
+    State.IDLE: ("none", "untouched", "flat", "rest", "baseline", "reference", "background"),
+    State.TOUCH: ("touched", "press", "pressed", "contact", "pressing"),
+    State.BEND: ("bent", "bending"),
+}
+_AXIS: Final = "(pos|position|touch|press|contact|loc|location|target)?{0}(pos|position|coord)?"
+_USUAL_NAMES: Final = {
+    "state": "state|label|class|condition",
+    "t": "t|times?|timestamp|elapsed(time)?",
+    "x": _AXIS.format("x"),
+    "y": _AXIS.format("y"),
+    "force": "force|load|fz",
+    "depth": "depth|indentation",
+    "angle_deg": "(bend|bending)?angle",
+}
+"""Usual names of columns, without unit and in small letters, by label."""
+_WITH_UNIT: Final = re.compile(
+    r"(?P<name>.+?)(?:[\s_]*[\[(]|[\s_]+)(?P<unit>m|cm|mm|um|s|ms|us|ns|N|deg)[\])]?"
+)
 
 _UNIT: Final = "--length-unit mm, cm or um where they are in another unit"
 
@@ -113,6 +133,23 @@ def find_labels(
             "--column, or leave both out"
         )
     return places
+
+
+def suggest_options(names: Iterable[str], labels: Collection[str]) -> list[tuple[str, str]]:
+    """Options for columns with usual names of labels, other than those in `labels`, and units."""
+    columns: dict[str, str] = {}
+    units: dict[str, str] = {}
+    for name in names:
+        match = _WITH_UNIT.fullmatch(name)
+        word = re.sub(r"[\W_]", "", match["name"] if match else name).casefold()
+        for label, usual in _USUAL_NAMES.items():
+            if label not in {*labels, *columns} and re.fullmatch(usual, word):
+                columns[label] = name
+                if match and label in ("t", "x", "y", "depth") and match["unit"] not in ("m", "N"):
+                    units["--time-unit" if label == "t" else "--length-unit"] = match["unit"]
+    if ("x" in columns) != ("y" in columns):
+        columns = {label: name for label, name in columns.items() if label not in "xy"}
+    return [("--column", f"{label}={name}") for label, name in columns.items()] + [*units.items()]
 
 
 def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dict[str, Any]:
@@ -279,11 +316,16 @@ def _touches(table: NDArray[np.float64], label: str) -> NDArray[np.float64]:
 def _states(values: NDArray[Any]) -> NDArray[np.uint8]:
     """States from names or numbers, (n,); an empty cell is unknown."""
     numbers_by_name = {state.name.lower(): int(state) for state in State}
+    for state, words in _SYNONYMS.items():
+        numbers_by_name |= dict.fromkeys(words, int(state))
     numbers_by_name |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
     cells = [str(cell).strip().lower().removesuffix(".0") for cell in values.tolist()]
     if wrong := sorted(set(cells) - set(numbers_by_name)):
         got = ", ".join(quote_value(cell) for cell in wrong[:3])
-        raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {got}")
+        raise DataError(
+            f"'state' must be idle, touch, bend or 0, 1, 2, got {got}; without that column, rows "
+            "with a position are touches"
+        )
     return np.array([numbers_by_name[cell] for cell in cells], dtype=np.uint8)
 
 

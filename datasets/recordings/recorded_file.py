@@ -215,6 +215,7 @@ class RecordedFile:
         values = [source.require(names.values or usual or "", "values")]
         titles = source.titles(values[0])
         factor = unit_factor(titles) if form.scale == 1.0 else form.scale
+        self._names_volts = form.scale == 1.0 and all(t.rstrip("])").endswith("V") for t in titles)
         self._form, self._scale = (form := replace(form, scale=factor)), factor
         named = protocol_of_names(titles)
         self.counts_from_one = named is not None and counts_from_one(titles)
@@ -297,6 +298,8 @@ class RecordedFile:
             options["--protocol"] = name
         if self._form.scale != 1.0:
             options["--scale"] = f"{self._form.scale:g}"
+        if self._names_volts and not self._form.quantity:
+            options["--quantity"] = "voltage"
         return options
 
     @property

@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
-from eitskin.datasets import open_dataset, read_recording
+from eitskin.datasets import State, open_dataset, read_recording
 from eitskin.datasets.recordings.orders import in_order
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
@@ -299,6 +299,24 @@ def test_a_preview_says_the_command_that_reads_the_same(tmp_path):
     said = command_line.printed_json(*words, "--values", "ch")
     assert "adjacent:8" in said["protocol"]
     assert said["protocol"].startswith("unknown")
+
+
+def test_a_preview_suggests_labels_by_usual_names_and_units(tmp_path):
+    """The command that it prints imports them; other words for the states are read, too."""
+    columns = ("Timestamp (ms)", [0, 100, 200]), ("Label", ["none", "pressed", "bent"])
+    places = (("PosX [mm]", ["", 20, ""]), ("pos_y [mm]", ["", 30, ""]))
+    rows = numbered(prefix="ch")
+    for name, values in (*columns, *places):
+        cells = [name, *map(str, values)]
+        rows = [f"{cell},{row}" for cell, row in zip(cells, rows, strict=True)]
+    text(rows)(tmp_path / "a.csv")
+    said = command_line.printed_json("import", str(tmp_path / "a.csv"), "--preview")
+    again = shlex.split(said["command"])
+    command_line.run(*again[1:-1], str(tmp_path / "out"))
+    data = open_dataset(tmp_path / "out")
+    assert data.time == pytest.approx([0, 0.1, 0.2])
+    assert data.state.tolist() == [State.IDLE, State.TOUCH, State.BEND]
+    assert (data.touch_x[1, 0], data.touch_y[1, 0]) == pytest.approx((0.02, 0.03))
 
 
 def test_a_protocol_that_is_not_that_of_the_names_is_refused(tmp_path):
