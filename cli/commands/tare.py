@@ -57,7 +57,7 @@ def command(
     else:
         with options.opened_board(str(board), seed) as opened:
             output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
-            reference = taken_from_board(pipeline, opened, frames, zero)
+            reference = measure_reference(pipeline, opened, frames, zero)
     reference.write(out)
     facts = {"frames": reference.frames, "noise": reference.noise, "taken": reference.taken}
     result = {"out": str(out), "zero": str(zero), **facts, "board": reference.board}
@@ -65,7 +65,7 @@ def command(
     output.note(f"use it by --reference {out}, with this sensor on this board only")
 
 
-def taken_from_board(
+def measure_reference(
     pipeline: "training.Pipeline", board: "hardware.Board", frames: int, zero: "training.Zero"
 ) -> "training.StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""

@@ -168,7 +168,7 @@ class MeshBody:
         inverted = volumes(points, cells) < 0
         swapped = [0, 2, 1, 3, 5, 4] if plane else [0, 2, 1, 3]
         cells[inverted] = cells[inverted][:, swapped]
-        named = sorted(given_mesh.boundaries, key=_in_order)
+        named = sorted(given_mesh.boundaries, key=_natural_sort_key)
         names: Sequence[str | ArrayLike] = named if electrodes is None else electrodes
         numbers = np.full(len(given_mesh.points), -1)
         numbers[used] = np.arange(len(used))
@@ -247,7 +247,7 @@ def _turn(a: Array, b: Array, p: Array) -> Array:
     return turn
 
 
-def _in_order(name: str) -> list[tuple[int, str]]:
+def _natural_sort_key(name: str) -> list[tuple[int, str]]:
     """Key that puts e2 before e10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 

@@ -214,7 +214,9 @@ def _turned_sum(
     places = np.array([(t.x, t.y) for _, t, _ in scene.parts])
     if not len(places):
         return ()
-    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _pairs([scene])]).reshape(-1, 2)
+    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _touch_pairs([scene])]).reshape(
+        -1, 2
+    )
     turns = [sensor.frame(bend, x, y).rotation for x, y in np.concatenate([places, pairs]).tolist()]
     sums, scales = _slot_sums(scene, len(turns) + 1, sensor)
     others = _evaluate([scene], sensor, sums, apart=True)[0]
@@ -241,7 +243,7 @@ def _evaluate(
     presses = [(k, t, dent) for k, one in enumerate(scenes) for _, t, dent in one.parts]
     count, owners = len(presses), np.array([k for k, *_ in presses])
     places = np.array([(t.x, t.y, dent.depth) for _, t, dent in presses])
-    index_pairs = _pairs(scenes)
+    index_pairs = _touch_pairs(scenes)
     slots = np.arange(count + len(index_pairs) + 1) if apart else owners
     fields: list[tuple[int, int, Field]] = []
     extra = np.zeros(count)
@@ -272,7 +274,7 @@ def _evaluate(
     return fields, extra
 
 
-def _pairs(scenes: list[_DentedScene]) -> list[tuple[int, int]]:
+def _touch_pairs(scenes: list[_DentedScene]) -> list[tuple[int, int]]:
     """Pairs of the parts of each scene, numbered through all, that are of different touches."""
     owners = [(k, number) for k, one in enumerate(scenes) for number, *_ in one.parts]
     pairs = combinations(range(len(owners)), 2)

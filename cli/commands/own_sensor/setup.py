@@ -238,7 +238,7 @@ class Setup:
 
     def _tare(self, start: "training.Pipeline", board: "hardware.Board") -> str:
 
-        reference = tare.taken_from_board(start, board, tare.FRAMES, training.Zero.FLAT)
+        reference = tare.measure_reference(start, board, tare.FRAMES, training.Zero.FLAT)
         start.use(None)
         self.zero = reference.write(self.out.with_suffix(".json"))
         return f"{self.zero} is the zero of this sensor, for --reference"
