@@ -46,10 +46,8 @@ def open_board(uri: str, **options: Any) -> Board:
         known_schemes = {*_SCHEMES, *_installed_boards()}
         near = difflib.get_close_matches(scheme, known_schemes, n=1)
         hint = f"; did you mean '{near[0]}:'?" if near else ""
-        if "/" in scheme:
-            hint = "; a path is named as serial:PATH, or text:PATH?protocol=pairwise:8"
         raise ConfigurationError(
-            f"expected a board as serial:PORT, text:PORT, virtual: or replay:DIRECTORY"
+            f"expected a board as serial:PORT, text:PORT?protocol=..., virtual: or replay:DIRECTORY"
             f"{''.join(f', {name}:' for name in _installed_boards())}, got {uri!r}{hint}"
         )
     if scheme not in _SCHEMES:

@@ -1,9 +1,10 @@
 """`eitskin import`: measured voltages with labels, as a dataset."""
 
+import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -13,6 +14,21 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.summary import DatasetSummary
+
+_AXIS: Final = "(pos|position|touch|press|contact|loc|location|target)?{0}(pos|position|coord)?"
+_USUAL_NAMES: Final = {
+    "state": "state|label|class|condition",
+    "t": "t|times?|timestamp|elapsed(time)?",
+    "x": _AXIS.format("x"),
+    "y": _AXIS.format("y"),
+    "force": "force|load|fz",
+    "depth": "depth|indentation",
+    "angle_deg": "(bend|bending)?angle",
+}
+"""Usual names of a label's column, in small letters and without its unit."""
+_WITH_UNIT: Final = re.compile(
+    r"(?P<name>.+?)(?:[\s_]*[\[(]|[\s_]+)(?P<unit>m|cm|mm|um|s|ms|us|ns|N|deg)[\])]?"
+)
 
 
 @with_output
@@ -167,18 +183,36 @@ def _preview(output: Output, recording: "datasets.Recording", context: typer.Con
     """Print what is understood of a recording, and the command that says all of it."""
     description, options = recording.describe_format()
     words = given_words(context, {"preview", "out", "as_json", "quiet"})
-    given = set(words)
-    for option, value in options:
-        words += [] if option in given - {"--column"} else [option, value]
+    for option, value in options.items():
+        words += [] if option in words else [option, value]
+    read = {label.partition(" = ")[0] for label in description["labels"].split(", ")}
+    suggestions = _suggest_options(recording.unused, read)
+    words += [word for pair in suggestions for word in pair]
     if recording.unused:
-        suggested = any(option == "--column" for option, _ in options)
         description["not read"] += (
             "; the command reads those with usual names as labels"
-            if suggested
+            if suggestions
             else "; a label among them: --column LABEL=NAME"
         )
     description["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
     output.result(description, "\n".join(f"{name}: {text}" for name, text in description.items()))
+
+
+def _suggest_options(names: Iterable[str], labels: Collection[str]) -> list[tuple[str, str]]:
+    """Options for columns with usual names of labels, other than those in `labels`, and units."""
+    columns: dict[str, str] = {}
+    units: dict[str, str] = {}
+    for name in names:
+        match = _WITH_UNIT.fullmatch(name)
+        word = re.sub(r"[\W_]", "", match["name"] if match else name).casefold()
+        for label, usual in _USUAL_NAMES.items():
+            if label not in {*labels, *columns} and re.fullmatch(usual, word):
+                columns[label] = name
+                if match and label in ("t", "x", "y", "depth") and match["unit"] not in ("m", "N"):
+                    units["--time-unit" if label == "t" else "--length-unit"] = match["unit"]
+    if ("x" in columns) != ("y" in columns):
+        columns = {label: name for label, name in columns.items() if label not in "xy"}
+    return [("--column", f"{label}={name}") for label, name in columns.items()] + [*units.items()]
 
 
 def _tell(

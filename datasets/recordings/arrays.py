@@ -51,9 +51,7 @@ class ArrayReader(Reader):
                     )
             rows = shapes[0][0]
             labels = {
-                name: _label_columns(
-                    np.asarray(self.array(file, name)[()]), name, rows, request.paired
-                )
+                name: _columns(np.asarray(self.array(file, name)[()]), name, rows, request.paired)
                 for name in request.labels
             }
             for start in range(0, rows, request.block_rows):
@@ -277,7 +275,7 @@ def _frames(array: Any, rows: slice, transposed: bool) -> NDArray[Any]:
     return np.asarray(array[:, rows]).T
 
 
-def _label_columns(array: NDArray[Any], name: str, rows: int, paired: bool) -> NDArray[Any]:
+def _columns(array: NDArray[Any], name: str, rows: int, paired: bool) -> NDArray[Any]:
     """Labels (rows, columns) of a vector or matrix; raises DataError for another number of rows."""
     table = array[:, None] if array.ndim == 1 else array
     if table.ndim == 2 and len(table) == 1 and table.shape[1] in (rows, rows / 2):

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -39,25 +39,12 @@ MAX_EPOCH_TIME: Final = 1e11  # s since 1970
 _WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
 """Periods of counters of milliseconds and microseconds in 32 bits [s]."""
 
-_SYNONYMS: Final = {
-    State.IDLE: ("none", "untouched", "flat", "rest", "baseline", "reference", "background"),
-    State.TOUCH: ("touched", "press", "pressed", "contact", "pressing"),
-    State.BEND: ("bent", "bending"),
+_STATES: Final = {
+    State.IDLE: "idle none untouched flat rest baseline reference background",
+    State.TOUCH: "touch touched press pressed pressing contact",
+    State.BEND: "bend bent bending",
 }
-_AXIS: Final = "(pos|position|touch|press|contact|loc|location|target)?{0}(pos|position|coord)?"
-_USUAL_NAMES: Final = {
-    "state": "state|label|class|condition",
-    "t": "t|times?|timestamp|elapsed(time)?",
-    "x": _AXIS.format("x"),
-    "y": _AXIS.format("y"),
-    "force": "force|load|fz",
-    "depth": "depth|indentation",
-    "angle_deg": "(bend|bending)?angle",
-}
-"""Usual names of columns, without unit and in small letters, by label."""
-_WITH_UNIT: Final = re.compile(
-    r"(?P<name>.+?)(?:[\s_]*[\[(]|[\s_]+)(?P<unit>m|cm|mm|um|s|ms|us|ns|N|deg)[\])]?"
-)
+"""Words for each state."""
 
 _UNIT: Final = "--length-unit mm, cm or um where they are in another unit"
 
@@ -67,12 +54,14 @@ class Place:
     """Place of a label in a file: a column of a table, or one value for all frames.
 
     Attributes:
+        text: the place as an option says it.
         table: name of the table; None for one value.
         column: column of the table; None for all its columns, one per touch.
         factor: factor that makes SI units of the numbers.
         value: value of all frames that have a touch, where there is no table.
     """
 
+    text: str
     table: str | None
     column: int | None = None
     factor: float = 1.0
@@ -82,7 +71,7 @@ class Place:
     def from_text(cls, text: str) -> "Place":
         """Place of NAME, NAME:COLUMN, NAME*FACTOR, or a number; raises ConfigurationError."""
         try:
-            return cls(None, value=float(text))
+            return cls(text, None, value=float(text))
         except ValueError:
             pass
         match = _PLACE.fullmatch(text)
@@ -95,7 +84,7 @@ class Place:
                 "expected NAME, NAME:COLUMN, NAME*FACTOR or a number as the place of a label, got "
                 f"'{text}'"
             )
-        return cls(match["name"], int(match["column"]) if match["column"] else None, factor)
+        return cls(text, match["name"], int(match["column"]) if match["column"] else None, factor)
 
 
 def find_labels(
@@ -114,9 +103,9 @@ def find_labels(
             raise ConfigurationError(
                 f"expected a label of {', '.join(_LABELS)}, got '{label}'{hint}"
             )
-    places = {name: Place(name) for name in _LABELS if name in source.names}
+    places = {name: Place(name, name) for name in _LABELS if name in source.names}
     if positions:
-        places |= {"x": Place(positions, 0), "y": Place(positions, 1)}
+        places |= {n: Place(f"{positions}:{i}", positions, i) for i, n in enumerate("xy")}
     places |= {label: Place.from_text(text) for label, text in options.items()}
     for label, place in places.items():
         if place.table is not None:
@@ -133,23 +122,6 @@ def find_labels(
             "--column, or leave both out"
         )
     return places
-
-
-def suggest_options(names: Iterable[str], labels: Collection[str]) -> list[tuple[str, str]]:
-    """Options for columns with usual names of labels, other than those in `labels`, and units."""
-    columns: dict[str, str] = {}
-    units: dict[str, str] = {}
-    for name in names:
-        match = _WITH_UNIT.fullmatch(name)
-        word = re.sub(r"[\W_]", "", match["name"] if match else name).casefold()
-        for label, usual in _USUAL_NAMES.items():
-            if label not in {*labels, *columns} and re.fullmatch(usual, word):
-                columns[label] = name
-                if match and label in ("t", "x", "y", "depth") and match["unit"] not in ("m", "N"):
-                    units["--time-unit" if label == "t" else "--length-unit"] = match["unit"]
-    if ("x" in columns) != ("y" in columns):
-        columns = {label: name for label, name in columns.items() if label not in "xy"}
-    return [("--column", f"{label}={name}") for label, name in columns.items()] + [*units.items()]
 
 
 def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dict[str, Any]:
@@ -315,17 +287,13 @@ def _touches(table: NDArray[np.float64], label: str) -> NDArray[np.float64]:
 
 def _states(values: NDArray[Any]) -> NDArray[np.uint8]:
     """States from names or numbers, (n,); an empty cell is unknown."""
-    numbers_by_name = {state.name.lower(): int(state) for state in State}
-    for state, words in _SYNONYMS.items():
-        numbers_by_name |= dict.fromkeys(words, int(state))
-    numbers_by_name |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
+    numbers_by_name = {"": UNKNOWN_STATE}
+    for state, words in _STATES.items():
+        numbers_by_name |= dict.fromkeys([str(int(state)), *words.split()], int(state))
     cells = [str(cell).strip().lower().removesuffix(".0") for cell in values.tolist()]
     if wrong := sorted(set(cells) - set(numbers_by_name)):
         got = ", ".join(quote_value(cell) for cell in wrong[:3])
-        raise DataError(
-            f"'state' must be idle, touch, bend or 0, 1, 2, got {got}; without that column, rows "
-            "with a position are touches"
-        )
+        raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {got}")
     return np.array([numbers_by_name[cell] for cell in cells], dtype=np.uint8)
 
 

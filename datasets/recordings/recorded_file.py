@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final, Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,18 +125,11 @@ class RecordingForm:
 
     def __post_init__(self) -> None:
         """Check the choices; raises ConfigurationError."""
-        choices = (
-            ("rows", Rows),
-            ("length_unit", LengthUnit),
-            ("phase_unit", PhaseUnit),
-            ("time_unit", TimeUnit),
-            ("order", Order),
-        )
-        for name, kind in (*choices, ("quantity", Quantity), ("bad_values", BadValues)):
-            if getattr(self, name) not in get_args(kind):
+        for name, kind in get_type_hints(type(self)).items():
+            if (choices := get_args(kind)) and getattr(self, name) not in choices:
                 raise ConfigurationError(
                     f"{name.replace('_', ' ')} must be one of "
-                    f"{', '.join(filter(None, get_args(kind)))}, got '{getattr(self, name)}'"
+                    f"{', '.join(filter(None, choices))}, got '{getattr(self, name)}'"
                 )
         if not abs(self.scale) > 0 or abs(self.scale) == float("inf"):
             raise ConfigurationError(f"the scale must be a finite factor, got {self.scale:g}")
@@ -282,13 +275,7 @@ class RecordedFile:
     @property
     def labels(self) -> dict[str, str]:
         """Place of each label, as options say it."""
-        labels = {}
-        for label, place in self._places.items():
-            column = "" if place.column is None else f":{place.column}"
-            factor = "" if place.factor == 1.0 else f"*{place.factor:g}"
-            where = f"{place.value:g}" if place.table is None else f"{place.table}{column}{factor}"
-            labels[label] = where
-        return labels
+        return {label: place.text for label, place in self._places.items()}
 
     @property
     def detected_options(self) -> dict[str, str]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from eitskin.bounds import require_positive
 from eitskin.datasets.recordings.blocks import Block, ReferenceMeans, add_previous_readings
-from eitskin.datasets.recordings.labels import suggest_options
 from eitskin.datasets.recordings.orders import law_misfit
 from eitskin.datasets.recordings.recorded_file import (
     RecordedFile,
@@ -155,11 +154,8 @@ class Recording:
             yield part
             first += len(rows)
 
-    def describe_format(self) -> tuple[dict[str, str], list[tuple[str, str]]]:
-        """Reading of the first file, in words; and the options that say the same.
-
-        Options for labels are suggestions, by usual names of columns that are not read.
-        """
+    def describe_format(self) -> tuple[dict[str, str], dict[str, str]]:
+        """Reading of the first file, in words; and the options that say the same."""
         file, summary = self._files[0], DatasetSummary()
         parts = summary.add_parts(self.parts())
         part = next(parts)
@@ -188,8 +184,7 @@ class Recording:
             "units": f"lengths in {self._form.length_unit}, values times {scale}",
             "not read": ", ".join(self.unused) or "nothing",
         }
-        options = [*file.detected_options.items(), *suggest_options(self.unused, file.labels)]
-        return {name: text for name, text in description.items() if text}, options
+        return {name: text for name, text in description.items() if text}, file.detected_options
 
     def _blocks(self) -> Iterator[tuple[RecordedFile, Block]]:
         """Blocks of all files, one file after the other."""

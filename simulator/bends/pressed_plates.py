@@ -188,9 +188,7 @@ class PlatesCase:
 def solve_place(case: PlatesCase, place: tuple[float, float]) -> PressFields:
     """Fields d over the depth of presses at a place [m], (angles, parts, nx, ny, nz, 4)."""
     about, (x, y), outline = case.indentations, place, case.outline
-    dents = about.press_to_depths(
-        [part * case.deepest(x) / about.thickness for part in _PARTS]
-    ).dents
+    dents = about.with_depths([part * case.deepest(x) / about.thickness for part in _PARTS]).dents
     body, middle = about.mesh(outline, [place], _FINENESS), 0.5 * outline.length
 
     def solve_dents(

@@ -72,7 +72,7 @@ class Indentations:
     indenter: Indenter
     dents: tuple[Indentation, ...] = ()
 
-    def press_to_depths(self, depths: Sequence[float]) -> "Indentations":
+    def with_depths(self, depths: Sequence[float]) -> "Indentations":
         """The same with dents to depths over the thickness of the stack."""
         press = AxisymmetricPress(self.stack, self.indenter, finest=_CELL * self.indenter.rims[1])
         return replace(self, dents=tuple(press.to_depth(part * self.thickness) for part in depths))
@@ -224,7 +224,7 @@ def solve_strip(
     case: Indentations, width: float, report: Report, workers: int = 1
 ) -> SolutionTable:
     """Presses on a long strip, in coordinates from the press along x, by distance and depth."""
-    case = case.press_to_depths(DEPTHS)
+    case = case.with_depths(DEPTHS)
     side = case.side_axis(0.5 * width)
     solve = partial(_on_strip, case, width, _ON_STRIP)
     solved = solve_each(solve, report, workers, side.nodes.tolist())
@@ -249,7 +249,7 @@ def strip_bases(thickness: float, width: float) -> tuple[Polynomials, Polynomial
 
 def solve_end(case: Indentations, width: float, report: Report, workers: int = 1) -> SolutionTable:
     """Differences of presses near an end of a strip to those far from it, from the end along x."""
-    case = case.press_to_depths(DEPTHS)
+    case = case.with_depths(DEPTHS)
     side, H = case.side_axis(0.5 * width), case.thickness
     ends = case.least + H * np.array(_FROM_SIDE)
     strips = solve_each(
@@ -288,7 +288,7 @@ def solve_side(case: Indentations, report: Report, workers: int = 1) -> Solution
     Fields are in a frame with x along the side from the foot of the press and y into the gel, from
     the size `middle`.
     """
-    case, H = case.press_to_depths(DEPTHS), case.thickness
+    case, H = case.with_depths(DEPTHS), case.thickness
     distances = case.least + H * np.array(_FROM_EDGE)
     solved = solve_each(partial(_solve_side, case), report, workers, distances.tolist())
     vanished = np.append(distances, distances[-1] + _EDGE_VANISHED * H)
@@ -341,7 +341,7 @@ def solve_disc(
             f"an indenter of {1e3 * case.indenter.rims[1]:.1f} mm radius leaves no room for a "
             f"table on a disc of {1e3 * radius:.1f} mm radius; use touch_model='solved'"
         )
-    case = case.press_to_depths(DEPTHS)
+    case = case.with_depths(DEPTHS)
     reach = _DISC_REACH * radius
     cells = max(4, math.ceil(reach / (_DISC_CELL * H)))
     nodes = np.linspace(-reach, reach, 2 * cells + 1)

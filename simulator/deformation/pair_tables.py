@@ -55,7 +55,7 @@ def solve_pair(case: Indentations, report: Report, workers: int = 1) -> Solution
     both depths, so that unequal ones are scaled by their product. Fields are in the frame of the
     pair, x from press to press.
     """
-    case = case.press_to_depths(_PAIR_DEPTHS)
+    case = case.with_depths(_PAIR_DEPTHS)
     apart = _pair_axis(case)
     solved = solve_each(partial(_on_wide, case), report, workers, apart.nodes[:-1].tolist())
     product_axis = Axis("product", "bilinear", case.depth_axis.nodes)
@@ -160,7 +160,7 @@ def solve_pair_sides(
     one depth; ends are left out, of which electrodes are far. Fields are from the middle of the
     pair along x. Places are 0 where the pair is nearest to a side, and 1 in the middle.
     """
-    case = case.press_to_depths(_PAIR_DEPTHS)
+    case = case.with_depths(_PAIR_DEPTHS)
     every = _pair_axis(case).nodes
     apart = Axis("axis_distance", "logarithmic", every[[*_SIDES_APART, -1]])
     directions = Axis("direction", "direction", np.arange(_QUARTER + 1) * math.pi / 2 / _QUARTER)

@@ -214,10 +214,8 @@ def _turned_sum(
     places = np.array([(t.x, t.y) for _, t, _ in scene.parts])
     if not len(places):
         return ()
-    pairs = np.array([(places[a] + places[b]) / 2.0 for a, b in _touch_pairs([scene])]).reshape(
-        -1, 2
-    )
-    turns = [sensor.frame(bend, x, y).rotation for x, y in np.concatenate([places, pairs]).tolist()]
+    middles = [(places[a] + places[b]) / 2.0 for a, b in _touch_pairs([scene])]
+    turns = [sensor.frame(bend, x, y).rotation for x, y in np.stack([*places, *middles]).tolist()]
     sums, scales = _slot_sums(scene, len(turns) + 1, sensor)
     others = _evaluate([scene], sensor, sums, apart=True)[0]
     fields: list[ColumnField] = [field.rotate(turns[slot]) for _, slot, field in others]

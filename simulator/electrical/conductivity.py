@@ -66,8 +66,7 @@ def warn_of_edges(entries: Numbers) -> None:
         warnings.warn(
             f"the conductivity changes by up to a factor of {jumps.max():.3g} in {cells} cells, "
             "so that changes of the measurements may be several percent off, or more; "
-            "give its edges as ForwardModel(design, inclusions=[Inclusion(...)]), or one value per "
-            "cell of a mesh that follows them",
+            "give its edges as ForwardModel(design, inclusions=[Inclusion(...)]) or by a mesh",
             stacklevel=4,
         )
 

@@ -66,7 +66,7 @@ def coupled(held: PlateBend, x: float, y: float, depth: float) -> tuple[np.ndarr
     """What the plates change of a press, from two solutions on one mesh."""
     case = PlatesCase(DESIGN, CLAMP, MECHANICS, PUNCH)
     about, middle = case.indentations, 0.5 * SIZE.length
-    (dent,) = about.press_to_depths([depth / about.thickness]).dents
+    (dent,) = about.with_depths([depth / about.thickness]).dents
     body = about.mesh(SIZE, [(x, y)], pressed_plates._FINENESS)
     over_base = INSIDE[:, 0] + np.array([0.0, 0.0, 0.0035])
 

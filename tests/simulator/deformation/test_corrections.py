@@ -107,7 +107,7 @@ def solved_bells(monkeypatch):
 
     monkeypatch.setattr(Indentations, "solve", solve)
     monkeypatch.setattr(
-        Indentations, "press_to_depths", lambda about, _: dataclasses.replace(about, dents=dents)
+        Indentations, "with_depths", lambda about, _: dataclasses.replace(about, dents=dents)
     )
     return Indentations(MECHANICS.stack(DESIGN), MECHANICS, Rigid(), PUNCH)
 
