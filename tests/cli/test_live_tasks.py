@@ -105,7 +105,7 @@ def test_the_live_loop_tares_when_enough_frames_have_come(running, pipeline):
 def test_the_check_says_what_the_command_would(running):
     running.ask("/check")
     assert running.finish() == ("done", "healthy: no fault in 16 frames")
-    assert "nothing twice" in running.task["lines"][0]
+    assert "no redundant measurements" in running.task["lines"][0]
     running.bad = [0, 1, 2]
     running.ask("/check")
     progress, text = running.finish()

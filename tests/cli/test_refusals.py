@@ -70,6 +70,7 @@ REFUSALS = [
     ("adapt none two --specimen 0 --out a.eitmodel", DATA, "at least 5"),
     ("adapt none bare --twin . --specimen 0 --out a.eitmodel", USAGE, "--twin"),
     (f"adapt {MODEL} ring --out a.eitmodel", FRAME, "trained for pairwise:8"),
+    (f"live {MODEL} --board virtual:?protocol=adjacent", FRAME, "trained for pairwise:8"),
     (f"calibrate {MODEL} --board virtual: --out made.eitmodel", USAGE, "--replace"),
     (f"calibrate {MODEL} --board virtual: --angles a --out a.eitmodel", USAGE, "by commas"),
     (f"setup {MODEL} --board virtual: --out made.eitmodel", USAGE, "--replace"),

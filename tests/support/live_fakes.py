@@ -1,6 +1,7 @@
 """Fake pipelines and boards for the live loop."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import typer
@@ -29,6 +30,7 @@ class FakePipeline:
     """Gives one estimate for every frame; may be slow, or be interrupted."""
 
     stored_reference, expected_magnitudes, flat_sensors = None, None, "known"
+    layout = SimpleNamespace(require_same_measurements=lambda *_: None)
 
     def __init__(self, estimate=None, interrupt_at=None):
         self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
