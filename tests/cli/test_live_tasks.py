@@ -234,7 +234,7 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
 @pytest.mark.parametrize("quiet", [(), ("-q",)])
 def test_addresses_with_tokens_are_told_once_and_whole(monkeypatch, tmp_path, quiet):
     pipeline = FakePipeline()
-    pipeline.layout = types.SimpleNamespace(known_design=SensorDesign.reference())
+    pipeline.layout.known_design = SensorDesign.reference()
     served = ("--page", "--page-port", "0", "--page-token-file", str(tmp_path / "tokens"))
     board = ("--board", "virtual:?speed=max", "--frames", "2")
     ran = run_command(monkeypatch, pipeline, *board, *served, *quiet)

@@ -30,10 +30,10 @@ class FakePipeline:
     """Gives one estimate for every frame; may be slow, or be interrupted."""
 
     stored_reference, expected_magnitudes, flat_sensors = None, None, "known"
-    layout = SimpleNamespace(require_same_measurements=lambda *_: None)
 
     def __init__(self, estimate=None, interrupt_at=None):
         self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
+        self.layout = SimpleNamespace(require_same_measurements=lambda *_: None)
         self.seen = []
 
     def process(self, frame):
