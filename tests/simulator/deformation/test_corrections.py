@@ -246,22 +246,6 @@ def test_names_of_files_depend_on_everything() -> None:
     assert store.missing(problems) == {}
 
 
-def test_specimens_share_tables_and_outlines_of_straight_sides_have_one() -> None:
-    def names(design, mechanics=MECHANICS, *grid):
-        return {p.name for p in correction_problems(design, mechanics, PUNCH, *grid, pairs=False)}
-
-    for outline, others in ((L_SHAPE, [WIDE, Rectangle(0.08, 0.05)]), (ROUND, [])):
-        (own,) = names(design_on(outline))
-        assert all(names(design_on(other)) == {own} for other in others)
-        heights = {"thickness": 0.0052, "encapsulated_thickness": 0.01248}
-        thicker = dataclasses.replace(design_on(outline), **heights)
-        softer, grid = Mechanics(encapsulation=NeoHookean(26e3)), SensorGrid(thickness=0.005)
-        shared = names(thicker, softer, grid)
-        assert len(shared) == 5
-        assert own in shared
-    assert not names(design_on(ROUND)) & names(design_on(Disc(0.06)))
-
-
 def test_stresses_go_with_the_modulus_of_the_gel(shipped) -> None:
     soft = Mechanics(gel=NeoHookean(10e3), encapsulation=NeoHookean(14e3))
     expected, found = (

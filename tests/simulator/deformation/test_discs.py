@@ -7,21 +7,16 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Disc
-from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation.corrections import (
-    _KINDS,
     Corrections,
-    correction_problems,
-    corrections,
 )
 from eitskin.simulator.deformation.field import CubicSplines, Field
-from eitskin.simulator.deformation.solution_store import missing, prepare
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
 
 from pressed_stacks import THICKNESS, design_on
 
 RADIUS, HEIGHT, DEEPEST = 0.05, THICKNESS, 0.003
-OUTLINE, MECHANICS, PUNCH = Disc(RADIUS), Mechanics(), Cylinder()
+OUTLINE = Disc(RADIUS)
 DESIGN = design_on(OUTLINE)
 
 
@@ -123,26 +118,3 @@ def test_weighted_tables_add_up(table) -> None:
     found = sum(map(values, parts.fields))
     assert found / scale == pytest.approx(expected / scale, abs=1e-6)
     assert parts.extra_depth == pytest.approx(extra)
-
-
-def test_a_stored_table_takes_the_place_of_solving(table, tmp_path, monkeypatch) -> None:
-    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    calls = []
-    solve = lambda *given: calls.append(given) or table  # noqa: E731
-    monkeypatch.setitem(_KINDS, "disc", (solve, 1))
-    for cached in (corrections, correction_problems):
-        cached.cache_clear()
-    try:
-        problems = correction_problems(DESIGN, MECHANICS, PUNCH)
-        assert len(missing(problems)) == 1  # pairs are shipped
-        prepare(problems)
-        assert not missing(problems)
-        found = corrections(DESIGN, MECHANICS, PUNCH)
-        touch = Scene(touches=(Touch(0.07, 0.06, 2.0),))
-        impedance = Simulator(DESIGN, "coarse", touch_model="tabulated").measure(touch).impedance
-    finally:
-        for cached in (corrections, correction_problems):
-            cached.cache_clear()
-    assert len(calls) == 1
-    assert np.isfinite(impedance).all()
-    assert found.base.modes == pytest.approx(table.modes, rel=1e-6, abs=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
+from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
@@ -13,7 +13,6 @@ from eitskin.simulator.deformation.stack_mesh import (
     Contact,
     Fineness,
     StackMesh,
-    _faces,
     stack_mesh,
 )
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
@@ -47,22 +46,6 @@ def stack() -> FiniteStack:
 @pytest.fixture(scope="module")
 def pressed(stack, dents):
     return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
-
-
-def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
-    """Gel and margin have the volumes of the L shape and of its surroundings."""
-    end, leg, margin = 0.06, 0.035, MECHANICS.margin
-    outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
-    assert _faces(outline) == [[(leg, 1.0)], [(leg, 1.0)]]
-    contacts = [Contact(0.02, 0.02, PUNCH.radius)]
-    coarse = Fineness(ends=0.0, sides=0.0, layers=1)
-    body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)
-    corners = body.mesh.p[:, body.mesh.t]
-    volumes = np.prod(corners.max(axis=1) - corners.min(axis=1), axis=0)
-    area = end**2 - (end - leg) ** 2
-    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
-    around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
-    assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
 
 
 def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.stability.closed_forms import block, shunt_pair, shunt_resistance
-from eitskin.geometry import Disc, Electrode, Rectangle, SensorDesign
+from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
+from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
@@ -147,34 +147,3 @@ def test_concentric_disc(ratio) -> None:
             n, 2 * count, width, lambda m: closed_forms.concentric_disc(m, ratio, radius)
         )
         assert measured == pytest.approx(exact, rel=1e-4)
-
-
-# Discs on prisms, against an integral equation
-
-
-def test_integral_equation_meets_the_shunt_limit() -> None:
-    """z -> 0 is K(1-m) / K(m) too: the disc is a half-plane, m the cross-ratio of four chords."""
-    m = np.sin(0.5) ** 2
-    exact = shunt_resistance(m, 1 - m)
-    Z = closed_forms.disc_impedance([0, np.pi], 1.0, 1e-14)
-    assert pair(Z) == pytest.approx(exact, rel=1e-10)
-
-
-@pytest.mark.slow
-def test_any_electrodes_on_a_disc() -> None:
-    """All transfer impedances of seven unequal electrodes with unequal contacts."""
-    rng = np.random.default_rng(4)
-    angles = np.arange(7) * 2 * np.pi / 7 + rng.uniform(0, 0.3, 7)
-    widths, z = rng.uniform(0.05, 0.5, 7), 10 ** rng.uniform(-6, 0, 7)
-    exact = closed_forms.disc_impedance(angles, widths, z, points=32)
-    radius, thickness = 0.1, 0.01
-    electrodes = tuple(
-        Electrode(radius * (1 + np.cos(a)), radius * (1 + np.sin(a)), w * radius, one * radius)
-        for a, w, one in np.stack([angles, widths, z], axis=1).tolist()
-    )
-    design = SensorDesign(Disc(radius), thickness, electrodes)  # sigma is 1 S/m
-    Z = ForwardModel(design, ((3,), Grading(1e-5, 1e-2, 0.7))).impedance()
-    centring = np.eye(7) - 1 / 7
-    contacts = centring @ np.diag(z / widths) @ centring
-    body = exact - contacts
-    assert pytest.approx(body, abs=3e-4 * np.abs(body).max()) == Z * thickness - contacts

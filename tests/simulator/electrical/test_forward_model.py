@@ -9,11 +9,8 @@ from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.deformation.kinematics import area_ratio
 from eitskin.geometry.meshing.mesh_design import Grading
 from eitskin.simulator import ForwardModel
-
-from alternatives import plain_impedance, pulled_back
 
 REFERENCE = SensorDesign.reference()
 COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)
@@ -55,53 +52,6 @@ def test_conductivity_per_cell_equals_the_same_field(model) -> None:
     assert model.impedance(tensors[:, 0, 0]) == pytest.approx(by_cell, rel=1e-12, abs=1e-9)
     smooth = model.impedance(lambda x: 1 + 5 * x[..., 0])
     assert by_cell == pytest.approx(smooth, rel=3e-3, abs=0.7)
-
-
-def skewed(x):
-    """A smooth map of space that keeps nothing straight."""
-    moved = x.copy()
-    moved[..., 0] += 0.1 * x[..., 2] + 0.3 * x[..., 1] * x[..., 0]
-    moved[..., 1] += 0.2 * x[..., 0] ** 2
-    moved[..., 2] += 0.5 * x[..., 0] * x[..., 2]
-    return moved
-
-
-def trilinear_gradients(mesh, moved, cells, points):
-    """d moved / dX at `points` (n, 3) of the boxes `cells` (n,), (n, 3, 3)."""
-    corners, images = mesh.points[mesh.cells[cells]], moved[mesh.cells[cells]]
-    size = corners[:, 6] - corners[:, 0]
-    t = (points - corners[:, 0]) / size
-    F = np.zeros((len(points), 3, 3))
-    for corner in range(8):
-        sign = np.sign(corners[:, corner] - corners.mean(axis=1))
-        factors = np.where(sign > 0, t, 1 - t)
-        for axis in range(3):
-            others = np.delete(factors, axis, axis=1).prod(axis=1)
-            slope = sign[:, axis] / size[:, axis] * others
-            F[:, :, axis] += images[:, corner] * slope[:, None]
-    return F
-
-
-def test_pull_back_equals_a_truly_deformed_mesh() -> None:
-    """The same trilinear displacement, once as a tensor and once as moved mesh points."""
-    model = ForwardModel(REFERENCE, ((1, 1), COARSE))
-    mesh, assembly = model.mesh, model.assembly
-    moved = skewed(mesh.points)
-
-    def F(points, cells):
-        return np.stack(
-            [trilinear_gradients(mesh, moved, c, p) for p, c in zip(points, cells, strict=True)]
-        )
-
-    q = assembly.points.shape[1]
-    cells = np.repeat(np.arange(len(mesh.cells))[:, None], q, axis=1)
-    owners = mesh.contacts.cell[:, None].repeat(assembly.facet_points.shape[1], axis=1)
-    Z = model.impedance(
-        lambda x: pulled_back(F(x, cells)), lambda x, normal: area_ratio(F(x, owners), normal)
-    )
-    truth = plain_impedance(mesh, 1e-3, points=moved)
-    assert abs(truth / plain_impedance(mesh, 1e-3) - 1).max() > 0.02
-    assert pytest.approx(truth, rel=1e-10, abs=1e-8) == Z
 
 
 @pytest.mark.parametrize(

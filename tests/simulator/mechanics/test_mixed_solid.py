@@ -88,43 +88,6 @@ def test_affine_displacements_of_the_boundary_strain_the_inside_alike(kind) -> N
     assert pytest.approx(np.broadcast_to(P[0, 0], P.shape), abs=1e-7) == P
 
 
-def test_layers_share_traction_and_their_pressures_may_differ() -> None:
-    """Two layers in shear: mu_1 k_1 = mu_2 k_2, which linear shapes hold exactly."""
-    mesh = skfem.MeshQuad.init_tensor(UNIT, UNIT)
-    upper = (mesh.p[1, mesh.t].mean(axis=0) > 0.5).astype(np.int64)
-    solid = Solid(mesh, [NeoHookean(1.0), NeoHookean(4.0)], upper, bulk_ratio=1e7)
-    y = solid.nodes[:, 1]
-    u = np.stack([0.8 * np.minimum(y, 0.5) + 0.2 * np.maximum(y - 0.5, 0.0), 0 * y], axis=1)
-    x = driven(solid, u)
-    assert solid.displacement(x) == pytest.approx(u, abs=1e-8)
-    P = solid.stress(x)
-    assert P[..., 0, 1] == pytest.approx(0.8, abs=1e-7)
-    # The mean stress is -mu k^2 / 3 + constant once P_22 is the same on both sides.
-    mean = solid.pressure(x).mean(axis=1)
-    jump = mean[upper == 1].mean() - mean[upper == 0].mean()
-    assert jump == pytest.approx(4.0 * 0.2**2 / 3 - 0.8**2 / 3, abs=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["ring", "hexahedra", "tetrahedra"])
-@pytest.mark.parametrize("stretch", [0.6, 1.8])
-def test_bars_follow_the_uniaxial_law(kind, stretch) -> None:
-    """Pulled between frictionless plates: force mu (s - 1/s^2) times the undeformed area."""
-    mesh, kinematics = MESHES[kind]
-    solid = Solid(mesh, [NeoHookean(2.0)], kinematics=kinematics, bulk_ratio=1e7)
-    dim, X = solid.dim, solid.nodes
-    held = [dim * np.flatnonzero(X[:, k] < 1e-9) + k for k in range(dim)]
-    top = dim * np.flatnonzero(X[:, -1] > 1 - 1e-9) + dim - 1
-    fixed = np.concatenate([*held, top])
-    target = np.concatenate([np.zeros(sum(map(len, held))), np.full(len(top), stretch - 1)])
-    none = np.zeros(solid.unknowns)
-    x, _ = follow([solid], none, lambda t: Load(fixed, t * target, none))
-    area = np.pi if kinematics == "axisymmetric" else 1.0
-    force = solid.forces(x)[top].sum()
-    assert force == pytest.approx(2.0 * area * (stretch - stretch**-2), rel=1e-6)
-    side = X @ np.diag([stretch**-0.5] * (dim - 1) + [stretch]) - X
-    assert solid.displacement(x) == pytest.approx(side, abs=1e-6)
-
-
 def squeezed(solid, height):
     """Load that brings a cylinder of unit height between rough plates to `height`."""
     z = solid.nodes[:, 1]

@@ -64,22 +64,6 @@ def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -
     assert np.median(back) < 0.995
 
 
-def test_the_signal_of_a_roll_and_of_a_bend_about_the_middle_is_second_order(flat) -> None:
-    """The sign of the angle is lost, and half the angle is a quarter of the signal."""
-    neutral = Simulator(REFERENCE, "fast", fixture=Hinge(offset=0.0))
-    for angle, scene_of in (
-        (10.0, lambda a: Scene(Bend(a))),
-        (40.0, lambda a: Scene(roll=Roll(a))),
-    ):
-        one, back, half = (
-            neutral.measure(scene_of(a)).impedance.real / flat - 1
-            for a in (angle, -angle, angle / 2)
-        )
-        size = np.linalg.norm(one)
-        assert np.linalg.norm(one - back) < 0.1 * size
-        assert size == pytest.approx(4 * np.linalg.norm(half), rel=0.1)
-
-
 @pytest.mark.slow
 def test_what_does_nothing_changes_nothing(sim, flat) -> None:
     plain, touch = Scene(Bend(20.0), (TOUCH,)), Touch(0.06, 0.02, 1e-6)

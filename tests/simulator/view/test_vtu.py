@@ -94,17 +94,6 @@ def test_fields_are_those_of_the_model(sim, written) -> None:
         assert ends[of == plus][0] - ends[of == minus][0] == pytest.approx(value, rel=1e-9)
 
 
-# Choices and refusals
-
-
-def test_one_drive_can_be_chosen(sim) -> None:
-    names = scene_grids(sim, Scene(), [(6, 1)])[BODY].point_data.keys()
-    assert [n for n in names if n.startswith("potential")] == ["potential_6_1_V_per_A"]
-    for wrong in ((0, 8), (-1, 0), (3, 3)):
-        with pytest.raises(ConfigurationError, match="0 to 7"):
-            scene_grids(sim, Scene(), [wrong])
-
-
 # The command
 
 
