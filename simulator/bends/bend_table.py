@@ -9,14 +9,12 @@ at one thickness and one modulus of the gel.
 import dataclasses
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from eitskin.compiled import compiled_kernels
 from eitskin.errors import ConfigurationError
@@ -65,9 +63,6 @@ class BentLayer(Deformation):
         half_sizes: half sizes of the layer [m], (3,).
         thickness: thickness of the whole stack [m].
         angle_deg: angle between the plates.
-        energy: stored in the whole sensor [J].
-        moment: moment of each plate about the axis, the derivative of the energy by the angle in
-            radians [N m].
     """
 
     field: Field
@@ -75,8 +70,6 @@ class BentLayer(Deformation):
     half_sizes: Array
     thickness: float
     angle_deg: float
-    energy: float
-    moment: float
 
     def map_points(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and gradients, continuous everywhere."""
@@ -125,18 +118,28 @@ def _mirror_quarter(nodes: Sequence[Array], values: Array) -> Field:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendTable:
-    """Bends of the gel of one sensor, by solved tables with weights.
+    """Bends of the gel of one sensor.
 
     Attributes:
-        tables: over the angle, of the same angles; weights add up to 1.
+        angles_deg: solved angles, rising [deg].
+        values: displacements of the nodes of a quarter, (angles, nx, ny, nz, 3) [m].
+        sizes: nodes x, y and z, centre of the layer and thickness of the stack [m].
     """
 
-    tables: tuple[tuple[SolutionTable, float], ...]
+    angles_deg: Array
+    values: Array
+    sizes: Mapping[str, Array]
 
-    @property
-    def angles_deg(self) -> Array:
-        """Solved angles, rising [deg]."""
-        return self.tables[0][0].nodes("angle")
+    @classmethod
+    def from_tables(cls, tables: Sequence[tuple[SolutionTable, float]]) -> "BendTable":
+        """Sum of solved tables with weights that add up to 1, over the angles of all."""
+        angles = reduce(np.intersect1d, (table.nodes("angle") for table, _ in tables))
+        values = sum(weight * table.evaluate(angle=angles)[0] for table, weight in tables)
+        sizes = {
+            name: np.asarray(sum(weight * table.sizes[name] for table, weight in tables))
+            for name in tables[0][0].sizes
+        }
+        return cls(angles, np.asarray(values), sizes)
 
     def check(self, angle_deg: float) -> None:
         """Raise ConfigurationError for an angle outside the tables [deg]."""
@@ -154,51 +157,14 @@ class BendTable:
         Raises ConfigurationError for an angle outside.
         """
         self.check(angle_deg)
-        summed = _sum_fields(self)
-        values = np.tensordot(summed.weights(angle_deg), summed.values, axes=1)
-        energy, moment = summed.energy(angle_deg), np.degrees(summed.energy(angle_deg, 1))
+        over_angle = Axis("angle", "spline", self.angles_deg)
+        (weights,) = over_angle.weights(np.array([angle_deg]))[0]
+        values = np.tensordot(weights, self.values, axes=1)
         x, y, z, centre, thickness = (
-            summed.sizes[name] for name in ("x", "y", "z", "centre", "thickness")
+            self.sizes[name] for name in ("x", "y", "z", "centre", "thickness")
         )
         field, ends = _mirror_quarter((x, y, z), values), np.array([x[-1], y[-1], z[-1]])
-        sizes = centre, ends, float(thickness)
-        return BentLayer(field, *sizes, angle_deg, float(energy), float(moment))
-
-
-class _FieldSum(NamedTuple):
-    """Weighted sum of tables: at the solved angles and between, (angles, nx, ny, nz, 3).
-
-    Attributes:
-        weights: spline of the weights of the solved angles [deg].
-        values: displacements of the nodes [m].
-        energy: spline over the angle [deg], whose slope is the moment.
-        sizes: sizes of the bent layer [m].
-    """
-
-    weights: CubicSpline
-    values: Array
-    energy: CubicHermiteSpline
-    sizes: dict[str, Array]
-
-
-@lru_cache(maxsize=16)
-def _sum_fields(bends: BendTable) -> _FieldSum:
-    angles, (first, _) = bends.angles_deg, bends.tables[0]
-    values = sum(weight * table.evaluate(angle=angles)[0] for table, weight in bends.tables)
-    energy, moment = (
-        sum(weight * table.numbers[name] for table, weight in bends.tables)
-        for name in ("energy", "moment")
-    )
-    sizes = {
-        name: np.asarray(sum(weight * table.sizes[name] for table, weight in bends.tables))
-        for name in first.sizes
-    }
-    return _FieldSum(
-        CubicSpline(angles, np.eye(len(angles))),
-        np.asarray(values),
-        CubicHermiteSpline(angles, energy, np.radians(moment)),
-        sizes,
-    )
+        return BentLayer(field, centre, ends, float(thickness), angle_deg)
 
 
 def tabulate_bends(
@@ -240,7 +206,7 @@ def tabulate_bends(
     return SolutionTable.from_solutions(
         [Axis("angle", "spline", np.array([bent.angle_deg for bent in solved]))],
         values[:, inside[0]][:, :, inside[1]][:, :, :, inside[2]],
-        {name: [getattr(bent, name) for bent in solved] for name in ("energy", "moment")},
+        {},
         {
             "x": x,
             "y": y,
@@ -293,9 +259,8 @@ def bend_table(
     design: SensorDesign, clamp: Clamp, mechanics: Mechanics, grid: SensorGrid = OWN_GRID
 ) -> BendTable:
     """Bend table of a clamped sensor; the first time takes half a minute."""
-    weighted = [(case.table(), each) for case, each in _cases(design, clamp, mechanics, grid)]
-    common = reduce(np.intersect1d, (table.nodes("angle") for table, _ in weighted))
-    return BendTable(tuple((table.restrict(common), weight) for table, weight in weighted))
+    cases = _cases(design, clamp, mechanics, grid)
+    return BendTable.from_tables([(case.table(), weight) for case, weight in cases])
 
 
 @lru_cache(maxsize=64)
@@ -322,7 +287,8 @@ class _Case:
 
     def problem(self) -> Problem:
         """Table of the case, described at the solved thickness and modulus."""
-        (length, modulus), clamp, mechanics = self._scales, self.clamp, self.mechanics
+        length, clamp, mechanics = self._length, self.clamp, self.mechanics
+        modulus = mechanics.gel.shear_modulus / _MODULUS
         slab, compliance = self.slab, clamp.compliance * modulus / length
         laws = [
             dataclasses.replace(law, shear_modulus=law.shear_modulus / modulus)
@@ -343,22 +309,18 @@ class _Case:
     def table(self) -> SolutionTable:
         """Table of the case, solved where it is not stored."""
         table = load_or_solve(self.problem(), _from_arrays)
-        length, modulus = self._scales
-        return table.rescale(length, modulus * length**3, length)
+        return table.rescale(self._length)
 
     def _solve(self, report: Report) -> Arrays:
         log.info("solving the bends of a clamped sensor, which takes half a minute")
         x, y, z = (np.array(line) for line in self.lines)
         stack = ClampedStack(self.slab, self.clamp, self.mechanics, lines=(x, y, z))
-        length, modulus = self._scales
-        table = tabulate_bends(stack, ANGLES_DEG, report)
-        return table.rescale(1.0 / length, 1.0 / (modulus * length**3), 1.0 / length).arrays()
+        return tabulate_bends(stack, ANGLES_DEG, report).rescale(1.0 / self._length).arrays()
 
     @property
-    def _scales(self) -> tuple[float, float]:
-        """Thickness and modulus relative to the solved ones."""
-        modulus = self.mechanics.gel.shear_modulus / _MODULUS
-        return self.slab.encapsulated_thickness / _THICKNESS, modulus
+    def _length(self) -> float:
+        """Thickness relative to the solved one."""
+        return self.slab.encapsulated_thickness / _THICKNESS
 
 
 def _from_arrays(arrays: Arrays) -> SolutionTable:

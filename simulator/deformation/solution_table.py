@@ -160,26 +160,10 @@ class SolutionTable:
         scaled = (self.modes * self.scales).astype(self.modes.dtype)
         return scaled.reshape(len(scaled), -1)
 
-    def restrict(self, nodes: Array) -> "SolutionTable":
-        """Table of some of the solved values of the first parameter."""
-        chosen = np.isin(self.axes[0].nodes, nodes)
-        return replace(
-            self,
-            axes=(self.axes[0]._replace(nodes=nodes), *self.axes[1:]),
-            amplitudes=self.amplitudes[chosen],
-            numbers={name: values[chosen] for name, values in self.numbers.items()},
-        )
-
-    def rescale(
-        self, components: ArrayLike, numbers: float = 1.0, sizes: float = 1.0
-    ) -> "SolutionTable":
-        """Table whose components of fields (k,), numbers and sizes are multiplied."""
-        return replace(
-            self,
-            scales=self.scales * np.asarray(components),
-            numbers={name: numbers * values for name, values in self.numbers.items()},
-            sizes={name: sizes * value for name, value in self.sizes.items()},
-        )
+    def rescale(self, length: float) -> "SolutionTable":
+        """Table whose fields and sizes, which are all lengths, are multiplied."""
+        sizes = {name: length * value for name, value in self.sizes.items()}
+        return replace(self, scales=length * self.scales, sizes=sizes)
 
 
 def product_in_blocks(rows: NDArray[np.floating], matrix: NDArray[np.floating]) -> NDArray[Any]:
