@@ -1,9 +1,8 @@
 """Deformed layer: pulled-back conductivity and electrode area ratio."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,36 +95,3 @@ class DeformedLayer:
         if not factors:
             return np.ones(x.shape[:-1])
         return area_ratio(reduce(np.matmul, factors), normal)
-
-
-class MeshPoints(NamedTuple):
-    """Points of a mesh at which the layers of scenes are evaluated.
-
-    Attributes:
-        cells: quadrature points of the cells, (cells, q, 3) [m].
-        facets, normals: of the pieces of electrodes, (pieces, q, 3) [m], (pieces, 1, 3).
-    """
-
-    cells: Array
-    facets: Array
-    normals: Array
-
-
-class LayerFields(NamedTuple):
-    """One deformed layer at the points of a mesh.
-
-    Attributes:
-        tensors: entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T, (cells, q, 6) [S/m].
-        area_ratio: deformed over flat area of the electrodes, (pieces, q).
-    """
-
-    tensors: Array
-    area_ratio: Array
-
-
-def layer_fields(layers: Iterable[DeformedLayer], points: MeshPoints) -> Iterator[LayerFields]:
-    """Fields of layers at the points of one mesh, in the order of the layers."""
-    for layer in layers:
-        yield LayerFields(
-            layer.entries(points.cells), layer.area_ratio(points.facets, points.normals)
-        )

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import compiled_kernels
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer, LayerFields
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
+from eitskin.simulator.electrical.assembly import Assembly
 from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix
 from eitskin.simulator.electrical.forward_model import ForwardModel
 
@@ -45,6 +46,24 @@ _ROUNDING = {np.float32: 1e-9, np.float64: 1e-13}  # change, over the impedances
 # Energy of a vector beyond those before it, over its own, up to which that is rounding alone; in
 # single precision vectors of rounding would be taken for corrections.
 _DEPENDENT = {np.float32: 1e-4, np.float64: 1e-12}
+
+
+class LayerFields(NamedTuple):
+    """One deformed layer at the points of a mesh.
+
+    Attributes:
+        tensors: entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T, (cells, q, 6) [S/m].
+        area_ratio: deformed over flat area of the electrodes, (pieces, q).
+    """
+
+    tensors: Array
+    area_ratio: Array
+
+    @classmethod
+    def from_layer(cls, layer: DeformedLayer, assembly: Assembly) -> "LayerFields":
+        """Layer at the points at which matrices are assembled."""
+        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+        return cls(layer.entries(assembly.points), ratio)
 
 
 class Base(NamedTuple):
@@ -95,9 +114,9 @@ class BatchSolver:
             )
         assembly, pattern = model.assembly, model.pattern
         self.model = model
-        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
-        contact = assembly.electrode_terms(layer.contact_impedance, ratio)
-        stiffness = assembly.condense(assembly.matrices(layer.entries(assembly.points)))
+        fields = LayerFields.from_layer(layer, assembly)
+        contact = assembly.electrode_terms(layer.contact_impedance, fields.area_ratio)
+        stiffness = assembly.condense(assembly.matrices(fields.tensors))
         system = pattern.system(stiffness.values, contact)
         self.lift, self.grounded = system.lift, float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)

@@ -13,16 +13,12 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.deformation.deformed_layer import (
-    DeformedLayer,
-    LayerFields,
-    MeshPoints,
-    layer_fields,
-)
+from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.batch import (
     EXACT,
     Base,
     BatchSolver,
+    LayerFields,
     Tolerance,
 )
 from eitskin.simulator.electrical.cem_system import zero_sums
@@ -206,7 +202,7 @@ class SensorImpedances:
                 )
             solver = self._shared.solver(model)
             layers = self._layers(some)
-            fields = self._fields(layers, model)
+            fields = (LayerFields.from_layer(layer, assembly) for layer in layers)
             solutions = solver.solve(fields, z, base, tolerance, potentials=True)
             for scene, layer, solution in zip(some, layers, solutions, strict=True):
                 if solution is None:
@@ -230,7 +226,7 @@ class SensorImpedances:
         impedances: dict[Scene, Numbers] = {}
         deformed: list[Scene] = []
 
-        def layers() -> Iterator[DeformedLayer]:
+        def fields() -> Iterator[LayerFields]:
             for start in range(0, len(scenes), _AT_ONCE):
                 some = scenes[start : start + _AT_ONCE]
                 for scene, layer in zip(some, self._layers(some), strict=True):
@@ -238,10 +234,10 @@ class SensorImpedances:
                         impedances[scene] = base.impedance
                     else:
                         deformed.append(scene)
-                        yield layer
+                        yield LayerFields.from_layer(layer, model.assembly)
 
-        fields, z = self._fields(layers(), model), self._design.contact_impedance
-        solutions = self._shared.solver(model).solve(fields, z, base, tolerance)
+        z = self._design.contact_impedance
+        solutions = self._shared.solver(model).solve(fields(), z, base, tolerance)
         for scene, solution in zip(deformed, solutions, strict=True):
             start = None if solution is None else solution.impedance
             impedances[scene] = self._alone(model, scene, tolerance) if start is None else start
@@ -266,13 +262,6 @@ class SensorImpedances:
         layers = self._layers_of(scenes)
         return [dataclasses.replace(layer, shift=self._shift) for layer in layers]
 
-    def _fields(
-        self, layers: Iterable[DeformedLayer], model: ForwardModel
-    ) -> Iterator[LayerFields]:
-        assembly = model.assembly
-        points = MeshPoints(assembly.points, assembly.facet_points, assembly.facet_normals)
-        return layer_fields(layers, points)
-
     def _base(self, model: ForwardModel) -> Base | None:
         """The flat sensor as solved on a shared mesh.
 
@@ -286,7 +275,8 @@ class SensorImpedances:
                 if self._shift is not None:
                     flat = DeformedLayer(self._design, None, Piezoresistivity(), shift=self._shift)
                     z = self._design.contact_impedance
-                    (own,) = solver.solve(self._fields([flat], model), z, coarse_model, _BASE, True)
+                    fields = LayerFields.from_layer(flat, model.assembly)
+                    (own,) = solver.solve([fields], z, coarse_model, _BASE, True)
                     coarse_model = None if own is None else Base(own.impedance, own.potentials)
             self._bases[model] = coarse_model
         return self._bases[model]

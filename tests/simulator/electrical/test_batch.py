@@ -12,8 +12,7 @@ from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import EXACT, ForwardModel, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.deformation.deformed_layer import MeshPoints, layer_fields
-from eitskin.simulator.electrical.batch import TOLERANCE, BatchSolver
+from eitskin.simulator.electrical.batch import TOLERANCE, BatchSolver, LayerFields
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
@@ -82,9 +81,7 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
 
 def solved(solver, layer, tolerance=TOLERANCE):
     """Impedances [ohm] of one layer, begun with the factorised one."""
-    assembly = solver.model.assembly
-    points = MeshPoints(assembly.points, assembly.facet_points, assembly.facet_normals)
-    fields = layer_fields([layer], points)
+    fields = [LayerFields.from_layer(layer, solver.model.assembly)]
     return solver.solve(fields, layer.contact_impedance, solver.base, tolerance)[0].impedance
 
 
