@@ -33,9 +33,8 @@ from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bends.pressed_plates import held_by_plates
 from eitskin.simulator.deformation.dents import Dents, PlacedDent
-from eitskin.simulator.deformation.finite_stack import solved_presses
 from eitskin.simulator.deformation.press_table import press_table
-from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel, solved_presses
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID
 from eitskin.simulator.deformation.touches import (
     dents,

@@ -95,8 +95,9 @@ class Simulator:
             mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
             touch_model: corrections of dents in the finite stack are "tabulated", solved once for
                 each stack and indenter, which takes minutes, or "solved" for each scene, which
-                takes seconds. When omitted they are tabulated where a table comes with the package
-                (the reference sensor's), and solved otherwise.
+                takes half a minute. When omitted they are tabulated where a table comes with the
+                package (the reference sensor's), and solved otherwise. Scenes with a footprint are
+                always solved.
             nominal: sensor whose mesh and factors `measure_all` takes, where this one differs from
                 it in electrode positions along the sides of a rectangle, in thickness, conductivity
                 and contacts: many such sensors share them.

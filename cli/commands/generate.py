@@ -174,8 +174,8 @@ def _solve_missing(
     solved = solved_frames(recipe)
     if solved:
         output.note(
-            f"solving the touches of up to {solved} frames in 3D, since there are no tables for "
-            "their support or outline: half a minute to some minutes each. Progress is counted in "
+            f"solving the touches of up to {solved} frames in 3D, since no tables are made for "
+            "their support, outline or indenter: half a minute to minutes each. Progress is in "
             f"files of {recipe.frames_per_shard} frames; a smaller frames_per_shard shows it sooner"
         )
     if bends or absent:

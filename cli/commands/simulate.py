@@ -245,7 +245,7 @@ def announce_unsolved(
     if sim.solves_presses(scene):
         output.note(
             "solving the scene's touches in 3D, since no tables ship for them or they are beyond "
-            "these: half a minute to some minutes"
+            "these: half a minute to some minutes, but for footprints that were solved before"
         )
 
 

@@ -32,7 +32,7 @@ from eitskin.simulator.deformation.sensor_grid import SensorGrid
 from eitskin.simulator.deformation.solution_store import missing
 from eitskin.simulator.deformation.solution_store import prepare as solve_missing
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter
 
 Progress = Callable[[int, int], None]
@@ -62,12 +62,12 @@ def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None)
 def solved_frames(recipe: Recipe) -> int:
     """Largest number of frames whose touches are solved in 3D, as no tables are made for them."""
 
-    def is_solved(support: Support | None) -> bool:
-        sensor = recipe.sensor
-        return not is_tabulable(dataclasses.replace(sensor, support=support or sensor.support))
+    def is_solved(support: Support | None, indenter: AnyIndenter | None = None) -> bool:
+        sensor = dataclasses.replace(recipe.sensor, support=support or recipe.sensor.support)
+        return isinstance(indenter, Footprint) or not is_tabulable(sensor)
 
     touched = [group for group in recipe.scenes if group.state == "touch"]
-    frames = sum(group.frames for group in touched if is_solved(group.support))
+    frames = sum(group.frames for group in touched if is_solved(group.support, group.indenter))
     episodes = [episode for episode in recipe.episodes if episode.largest_force]
     if is_solved(None):
         frames += sum(episode.count * episode.frames for episode in episodes)
@@ -114,16 +114,15 @@ def prepare(
 
 
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
-    """Indenters that press, each with the largest force of its touches [N]."""
+    """Indenters that have tables, each with the largest force of its touches [N]."""
     indenters: dict[AnyIndenter, float] = {}
     groups = [
         (group.touch_indenter, group.force[1]) for group in recipe.scenes if group.state == "touch"
     ]
     episodes = [(Cylinder(), each.largest_force) for each in recipe.episodes if each.largest_force]
     for indenter, force in (*groups, *episodes):
-        # On the body by whose tables it presses, at the same mean pressure.
-        alike = force * (indenter.table_indenter.rims[1] / indenter.rims[1]) ** 2
-        indenters[indenter] = max(alike, indenters.get(indenter, 0.0))
+        if not isinstance(indenter, Footprint):
+            indenters[indenter] = max(force, indenters.get(indenter, 0.0))
     return indenters
 
 

@@ -329,9 +329,7 @@ class PlateBend:
         return np.asarray(extra * depth / higher)
 
     def _case(self, indenter: Indenter) -> PlatesCase:
-        return nominal_case(
-            self.design, self.clamp, self.mechanics, indenter.correction_indenter, self.grid
-        )
+        return nominal_case(self.design, self.clamp, self.mechanics, indenter, self.grid)
 
     def _deepest(self, case: PlatesCase, x: float) -> float:
         """Deepest tabulated dent at x of this sensor [m]."""

@@ -19,9 +19,9 @@ from eitskin.simulator.bodies.tetrahedral_solid import (
     mesh_body,
     require_surface,
 )
+from eitskin.simulator.mechanics.face import PenaltyContact
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
-from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.scene import Touch
 
 Array = NDArray[np.float64]

@@ -1,8 +1,9 @@
 """Contact of an indenter: its frame on a bent top, its dent, and the area that it holds."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
@@ -25,9 +26,9 @@ Indices = NDArray[np.int64]
 
 _GRADIENT_OFFSET = 1e-4  # [m]; gradients of a solution in boxes jump between them
 _AXIS = 1e-9  # [m]
-_SHALLOW = 0.05  # depth of a flat punch over the thickness of the stack
 _ON_ROUNDING = 0.25  # of the rounding of an edge, that is not touched
 _MAX_OFF_CENTRE = 0.02  # distance of a punch's middle from its force, over its size
+_PULLED = 0.02  # pull at which a tilted punch leaves the face, over the mean pressure
 _CHUNK_POINTS = 8_000  # points, so that gathered splines stay small
 _PARTS = 12  # of a facet that the rim may cut, along each side, with 2 x 2 points each
 
@@ -262,27 +263,22 @@ class DentField:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PunchedArea:
-    """Area under a flat punch, which sinks without a tilt.
+    """Area under a flat punch, which is level unless its force acts off its middle.
 
     Attributes:
         x, y: where its force acts [m].
         indenter: its footprint.
-        force: force on it [N].
-        thickness: thickness of the stack [m].
+        depth: depth to which it presses, or a typical one where it presses with a force [m].
+        force: force on it [N]; None where it presses to the depth.
         frame: frame of a bent stack; None on a flat one.
     """
 
     x: float
     y: float
     indenter: Footprint
-    force: float
-    thickness: float
+    depth: float
+    force: float | None
     frame: ContactFrame | None = None
-
-    @property
-    def depth(self) -> float:
-        """Scale of its depth [m]."""
-        return _SHALLOW * self.thickness
 
     @property
     def contact_radius(self) -> float:
@@ -307,10 +303,10 @@ class PunchedArea:
         return _ON_ROUNDING * Cylinder().edge * Cylinder().radius
 
     @property
-    def is_aligned(self) -> bool:
-        """Whether its edges run along x and y, so that no cell is cut."""
-        plain = self.indenter
-        return not (plain.corners or plain.round or plain.angle_deg % 90.0)
+    def tilts(self) -> bool:
+        """Whether its force acts off its middle."""
+        middle = float(np.linalg.norm(self.indenter.middle))
+        return self.force is not None and middle > _MAX_OFF_CENTRE * self.contact_radius
 
     def inside(self, away: Array) -> Array:
         """Distance of points (..., 2) from its place within the footprint to its edge [m]."""
@@ -321,62 +317,100 @@ class PunchedArea:
         return np.diag([*[float(self.indenter.rough)] * 2, 1.0])
 
     def require_room(self, outline: PlaneOutline, margin: float) -> None:
-        """Raise ConfigurationError for a punch that overhangs the stack or would tilt."""
+        """Raise ConfigurationError for a punch that overhangs the stack."""
         corners = self.indenter.outline @ self.indenter.rotation.T + np.array([self.x, self.y])
         if not outline.contains(corners, -margin).all():
             raise ConfigurationError(
                 f"a flat punch at ({self.x:g}, {self.y:g}) m must lie on the stack, which ends "
                 f"{1e3 * margin:g} mm beyond the gel; press farther in"
             )
-        middle = self.indenter.middle
-        if np.linalg.norm(middle) > _MAX_OFF_CENTRE * self.contact_radius:
-            raise ConfigurationError(
-                "a flat punch whose force acts off its middle tilts, which is not solved in 3D: "
-                f"its corners are about {np.round(middle, 6).tolist()} m; place them about their "
-                "middle, or use touch_model='tabulated'"
-            )
 
 
-def held_contact(
-    solid: Solid,
-    facets: Indices,
-    dent: DentField | PunchedArea,
-    within: float,
-    stiffness: float,
-    numbers: tuple[int, int],
-    given: Callable[[Array], Array] | None = None,
-) -> LinearSprings:
-    """Springs that hold the displacement c of a contact area at -d n - g.
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldContact:
+    """Contact area of a face, whose displacement c springs hold at -d n - g.
 
     n is the normal of the face, and g the displacement of the area by the dents of other indenters
-    and by the curvature of a bend. The indenter neither tilts nor moves sideways, and sinks by a
-    further d under a force unchanged. A smooth indenter holds c along its normal only. The unknown
-    d [m] follows those of the solid. The springs are integrated over a circle on a face that is
-    level before any bend, and bent to the dent's frame.
+    and by the curvature of a bend. The indenter does not move sideways, and sinks by a further d
+    under a force unchanged. It tilts where the face has levers for that. A smooth indenter holds c
+    along its normal only.
 
-    Args:
-        solid: the body.
-        facets: boundary facets of its mesh that the contact may reach.
-        dent: dent of the indenter.
-        within: the rim of the undeformed contact, by which the springs end before it [m].
-        stiffness: stiffness of the springs [Pa/m].
-        numbers: numbers of the contact, among those of the solid, and of all of these.
-        given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
+    Attributes:
+        face: contact area, with the unknown motions of the indenter.
+        held: stiffness of the springs, (3, 3) or at each point (facets, q, 3, 3) [Pa/m].
+        given: g (facets, q, 3) [m]; None where it is zero.
     """
-    number, contacts = numbers
-    size, frame = solid.unknowns + contacts, dent.frame
-    turn, stretches = (
-        (np.eye(3), np.ones(2)) if frame is None else (frame.rotation, frame.stretches)
-    )
-    face = Face(solid, facets, _composite_rule(), solid.unknowns + number, turn[:, 2])
-    away = (face.points[..., :2] - np.array([dent.x, dent.y])) * stretches
-    face.weights *= dent.inside(away) > within
-    held = stiffness * (turn @ dent.constraint_projections(away) @ turn.T)
-    at_rest = np.zeros(size)
-    if given is not None:
-        g = given(face.points.reshape(-1, 3)).reshape(face.points.shape)
-        at_rest = face.forces((held @ g[..., None])[..., 0], size)
-    return LinearSprings(face.stiffness(held, size), at_rest)
+
+    face: Face
+    held: Array
+    given: Array | None = None
+
+    @classmethod
+    def from_facets(
+        cls,
+        solid: Solid,
+        facets: Indices,
+        dent: DentField | PunchedArea,
+        within: float,
+        stiffness: float,
+        motions: Sequence[int],
+        given: Callable[[Array], Array] | None = None,
+    ) -> "HeldContact":
+        """Contact on a face that is level before any bend, and bent to the dent's frame.
+
+        Args:
+            solid: the body.
+            facets: boundary facets of its mesh that the contact may reach.
+            dent: dent of the indenter.
+            within: the rim of the undeformed contact, by which the springs end before it [m].
+            stiffness: stiffness of the springs [Pa/m].
+            motions: numbers of the unknown d [m] and of two tilts, if any.
+            given: g (n, 3) [m] at points (n, 3) of the face; zero when omitted.
+        """
+        turn, stretches = np.eye(3), np.ones(2)
+        if dent.frame is not None:
+            turn, stretches = dent.frame.rotation, dent.frame.stretches
+        face = Face(solid, facets, _composite_rule(), motions, turn[:, 2])
+        away = (face.points[..., :2] - np.array([dent.x, dent.y])) * stretches
+        face.weights *= dent.inside(away) > within
+        face.levers[..., 1:] = away[..., : len(motions) - 1]
+        held = stiffness * (turn @ dent.constraint_projections(away) @ turn.T)
+        points = face.points
+        at_points = None if given is None else given(points.reshape(-1, 3)).reshape(points.shape)
+        return cls(face, held, at_points)
+
+    def springs(self, size: int) -> LinearSprings:
+        """Springs among a number of unknowns."""
+        at_rest = np.zeros(size)
+        if self.given is not None:
+            at_rest = self.face.forces((self.held @ self.given[..., None])[..., 0], size)
+        return LinearSprings(self.face.stiffness(self.held, size), at_rest)
+
+    def pressure(self, x: Array) -> Array:
+        """Pressure of the indenter by the unknowns, force over undeformed area, (facets, q)."""
+        moved = self.face.values @ self.face.displacements(x)
+        moved += (self.face.levers @ x[list(self.face.motions)])[..., None] * self.face.direction
+        if self.given is not None:
+            moved += self.given
+        return np.asarray((self.held @ moved[..., None])[..., 0] @ self.face.direction)
+
+    def force_and_peak(self, x: Array) -> tuple[float, float]:
+        """Force on the indenter [N], and largest mean pressure of a facet [Pa]."""
+        weights = self.face.weights
+        forces, areas = (self.pressure(x) * weights).sum(axis=1), weights.sum(axis=1)
+        means = np.divide(forces, areas, out=np.zeros_like(forces), where=areas > 0.0)
+        return float(forces.sum()), float(means.max(initial=0.0))
+
+    def release(self, x: Array) -> "HeldContact":
+        """Contact without the points at which the indenter pulls."""
+        pressure = self.pressure(x)
+        mean = float((pressure * self.face.weights).sum() / self.face.weights.sum())
+        pulled = (pressure < -_PULLED * mean) & (self.face.weights > 0.0)
+        if not pulled.any():
+            return self
+        face = copy(self.face)
+        face.weights = np.where(pulled, 0.0, face.weights)
+        return replace(self, face=face)
 
 
 def _composite_rule() -> tuple[Array, Array]:

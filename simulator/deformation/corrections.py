@@ -184,7 +184,7 @@ def correction_problems(
     """
     if not is_tabulable(design):
         return ()
-    sensor = TabledSensor(on_even_base(design), mechanics, indenter.correction_indenter)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter)
     base, weights = sensor.stacks(grid)
     problems = [*sensor.singles(base), *(sensor.stack_table(stack) for stack in weights)]
     return (*problems, *(sensor.pairs(base) if pairs else ()))
@@ -195,7 +195,7 @@ def corrections(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> "Corrections":
     """Corrections on a design that `is_tabulable`; those not stored take minutes to solve."""
-    sensor = TabledSensor(on_even_base(design), mechanics, indenter.correction_indenter)
+    sensor = TabledSensor(on_even_base(design), mechanics, indenter)
     base, weights = sensor.stacks(grid)
     return Corrections(
         design,

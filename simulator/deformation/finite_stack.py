@@ -16,12 +16,14 @@ its pressure, and dents that are turned to the bent top (`ContactFrame`). The re
 the right-hand side, as that of coarse quadrature, and the contact takes back the curvature of the
 bent top.
 
-A flat punch has no dent: c is all that it does, and its force acts on the unknown depth.
+A flat punch has no dent: c is all that it does, and its force acts on the unknown depth. One whose
+force acts off its middle tilts, and leaves the face where it would pull.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 
 import numpy as np
 import skfem
@@ -31,22 +33,19 @@ from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.deformation.contact import (
     BentState,
-    ContactFrame,
     DentField,
+    HeldContact,
     PunchedArea,
-    held_contact,
 )
-from eitskin.simulator.deformation.stack_mesh import Contact, StackMesh, stack_mesh
-from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.deformation.solution_store import Arrays
+from eitskin.simulator.deformation.stack_mesh import StackMesh
 from eitskin.simulator.mechanics.box_fields import QuadraticField
 from eitskin.simulator.mechanics.face import Face
-from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import (
-    LinearSprings,
+    ForceTerm,
     Load,
     SolidError,
     follow,
@@ -54,14 +53,13 @@ from eitskin.simulator.mechanics.load_stepping import (
 )
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 from eitskin.simulator.mechanics.mixed_solid import Solid, StrainState
-from eitskin.simulator.scene.indenters import Footprint
-from eitskin.simulator.scene.scene import AnyIndenter, Touch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Springs that hold a contact, relative to shear modulus over its radius.
-_STIFFNESS = 200.0
+# Springs that hold a contact, relative to shear modulus over its radius. Those of a punch carry all
+# of its force: they are relative to the modulus over the thickness where the punch is wider.
+_STIFFNESS, _PUNCH_STIFFNESS = 200.0, 2000.0
 # A cell that the rim of a contact cuts is held almost as a whole, as by a larger contact, which
 # takes up to 7 % from the signal. The springs therefore end before the rim, by this part of a cell.
 _WITHIN, _LEAST_HELD = 0.15, 0.5  # the least over the radius of the contact
@@ -74,8 +72,6 @@ _NEGLIGIBLE = 1e-4
 _FIRST_STEP, _REMEDY = 0.25, "Press it less, or farther from its edge"
 # Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
 _MAX_UNKNOWNS = 250_000
-_CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
-_MAX_SCENES = 64  # in memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,15 +82,52 @@ class Correction:
         displacement: c in the whole stack, heights over the base [m].
         mean_stress: function of points, q in the gel [Pa], heights over the base.
         bottom: height of the gel's lower face over the base [m].
-        sunk: by which each indenter sinks deeper than in the unbounded stack, (presses,) [m].
-        unknowns: unknowns of the solid, from which a neighbouring correction may start.
+        sunk: by which each indenter sinks deeper than in the unbounded stack; of a footprint its
+            depth, (presses,) [m].
+        holding: what holds each contact: force [N], largest mean pressure of a cell [Pa], and part
+            of a footprint that touches, (presses, 3). For dents those of the correction alone.
+        unknowns: unknowns of the solid, from which a neighbouring correction may start; none where
+            it was stored.
     """
 
     displacement: QuadraticField
     mean_stress: RegularGridInterpolator
     bottom: float
     sunk: Array
+    holding: Array
     unknowns: Array
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> "Correction":
+        """Correction as it was stored."""
+        x, y, z = (arrays[f"lines {axis}"] for axis in "xyz")
+        return cls(
+            QuadraticField((x, y, z), arrays["displacement"]),
+            _interpolator([arrays[f"stress {axis}"] for axis in "xyz"], arrays["mean_stress"]),
+            float(arrays["bottom"]),
+            arrays["sunk"],
+            arrays["holding"],
+            np.zeros(0),
+        )
+
+    def arrays(self) -> Arrays:
+        """Arrays by name, as they are stored."""
+        stress = self.mean_stress
+        return {
+            **{f"lines {k}": a for k, a in zip("xyz", self.displacement.lines, strict=True)},
+            **{f"stress {k}": a for k, a in zip("xyz", stress.grid, strict=True)},
+            "displacement": self.displacement.values,
+            "mean_stress": stress.values,
+            "bottom": np.array(self.bottom),
+            "sunk": self.sunk,
+            "holding": self.holding,
+        }
+
+    def thinning(self, x: float, y: float) -> float:
+        """Thinning of the gel at (x, y) [m]: 1 - thickness over undeformed thickness."""
+        heights = self.mean_stress.grid[2][[0, -1]]
+        ends = self.displacement(np.column_stack([[x, x], [y, y], heights]))[:, 2]
+        return float((ends[0] - ends[1]) / np.diff(heights)[0])
 
     def in_gel(self, points: Array) -> Array:
         """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
@@ -189,11 +222,11 @@ class FiniteStack:
         solid: the meshed stack about the dents.
     """
 
-    def __init__(self, body: StackMesh, presses: int = 1, bend: BentState | None = None) -> None:
-        """Number the unknowns of a number of presses on a mesh that is refined for them.
+    def __init__(self, body: StackMesh, motions: int = 1, bend: BentState | None = None) -> None:
+        """Number the unknowns on a mesh that is refined for presses.
 
-        The stack is pressed in its state `bend`, or flat. Raises ConfigurationError for more
-        unknowns than memory is allowed for.
+        Each press has a motion, that of a tilting punch three. The stack is pressed in its state
+        `bend`, or flat. Raises ConfigurationError for more unknowns than memory is allowed for.
         """
         self.body, self._bent = body, bend
         self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
@@ -203,7 +236,7 @@ class FiniteStack:
                 f"{_MAX_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
                 "model a smaller part of the sensor"
             )
-        self._size = self.solid.unknowns + presses
+        self._size = self.solid.unknowns + motions
         held = self.solid.facet_nodes(body.facets("held"))
         base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
         self._fixed = _unknowns(held)
@@ -218,26 +251,56 @@ class FiniteStack:
     ) -> Correction:
         """Correction of dents in equilibrium, found from none or from the unknowns `start`.
 
-        Flat punches follow the dents in the numbers of presses.
-
-        Where Newton's method fails, the load is applied in steps. Raises SolidError where no
-        stable equilibrium is found, with the fraction of the missing forces that were applied.
+        Flat punches follow the dents in the numbers of presses. Where Newton's method fails, the
+        load is applied in steps. Raises SolidError where no stable equilibrium is found, with the
+        fraction of the missing forces that were applied.
         """
         areas: list[DentField | PunchedArea] = [*dents, *punches]
-        contacts = [
-            self._contact_constraint(area, [dent for dent in dents if dent is not area], number)
-            for number, area in enumerate(areas)
-        ]
-        terms = self.solid, *contacts
-        pressing = [0.0] * len(dents) + [area.force for area in punches]
+        tilts = iter(range(self.solid.unknowns + len(areas), self._size))
+        contacts = []
+        for number, area in enumerate(areas, self.solid.unknowns):
+            tilting = isinstance(area, PunchedArea) and area.tilts
+            motions = [number, *(islice(tilts, 2) if tilting else ())]
+            others = [dent for dent in dents if dent is not area]
+            contacts.append(self._hold_contact(area, others, motions))
+        pressing = np.zeros(self._size - self.solid.unknowns)
+        pressing[len(dents) : len(areas)] = [area.force or 0.0 for area in punches]
         forces = np.append(self._assemble_dent_load(dents), pressing)
-        scale = _NEGLIGIBLE * max(area.depth for area in areas)
-        solve = partial(newton, tolerance=_TOLERANCE, scale=scale, chords=True)
+        to_depth = [n for n, area in enumerate(punches, len(dents)) if area.force is None]
+        load = Load(
+            np.append(self._fixed, np.array(to_depth, dtype=np.int64) + self.solid.unknowns),
+            np.append(np.zeros(len(self._fixed)), [areas[n].depth for n in to_depth]),
+            forces,
+        )
+        solve = partial(
+            newton,
+            tolerance=_TOLERANCE,
+            scale=_NEGLIGIBLE * max(area.depth for area in areas),
+            chords=True,
+        )
+        touched = contacts
+        x = self._equilibrium(touched, load, solve, start)
+        while True:
+            released = [each.release(x) if len(each.face.motions) > 1 else each for each in touched]
+            if released == touched:
+                return self._result(x, contacts, touched)
+            touched = released
+            x = self._equilibrium(touched, load, solve, x)
+
+    def _equilibrium(
+        self,
+        contacts: Sequence[HeldContact],
+        load: Load,
+        solve: Callable[[Sequence[ForceTerm], Array, Load], Array],
+        start: Array | None,
+    ) -> Array:
+        """Unknowns in equilibrium with contacts under a load."""
+        terms = self.solid, *(contact.springs(self._size) for contact in contacts)
         none = np.zeros(self._size)
         x = none if start is None else start
         try:
             if self.solid.admissible(x):
-                return self._result(solve(terms, x, self._load(forces)))
+                return solve(terms, x, load)
         except SolidError:
             pass
         if not self.solid.admissible(none):
@@ -248,12 +311,9 @@ class FiniteStack:
         own = self.solid.forces(none)  # in which the dents are an equilibrium
 
         def path(t: float) -> Load:
-            return self._load(own + t * (forces - own))
+            return Load(load.fixed, t * load.values, own + t * (load.forces - own))
 
-        return self._result(follow(terms, none, path, _FIRST_STEP, solve, _REMEDY)[0])
-
-    def _load(self, forces: Array) -> Load:
-        return Load(self._fixed, np.zeros(len(self._fixed)), forces)
+        return follow(terms, none, path, _FIRST_STEP, solve, _REMEDY)[0]
 
     def reaction(self, correction: Correction) -> Array:
         """Force of the support against the presses of the last correction [N], (3,).
@@ -304,12 +364,12 @@ class FiniteStack:
         traction = np.einsum("fqij,fqj->fqi", stress, sides.normals)
         return sides.forces(traction, self.solid.unknowns)
 
-    def _contact_constraint(
-        self, dent: DentField | PunchedArea, others: Sequence[DentField], number: int
-    ) -> LinearSprings:
+    def _hold_contact(
+        self, dent: DentField | PunchedArea, others: Sequence[DentField], motions: Sequence[int]
+    ) -> HeldContact:
         frame = dent.frame
 
-        def constraint_springs(points: Array) -> Array:
+        def given(points: Array) -> Array:
             moved = sum((other.evaluate(points).displacement for other in others), np.zeros((1, 3)))
             if self._bent is None or frame is None:
                 return moved
@@ -332,18 +392,25 @@ class FiniteStack:
         ]
         # A contact may be smaller than a cell, as those of balls are.
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
-        stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
-        numbers = number, self._size - self.solid.unknowns
-        moves = constraint_springs if others or frame is not None else None
-        within = 0.0 if isinstance(dent, PunchedArea) and dent.is_aligned else radius - held
-        return held_contact(self.solid, top[near], dent, within, stiffness, numbers, moves)
+        stiff, size, within = _STIFFNESS, radius, radius - held
+        if isinstance(dent, PunchedArea):
+            stiff, size = _PUNCH_STIFFNESS, min(radius, self.body.stack.levels[-1])
+            within = 0.0 if dent.indenter.is_aligned else within
+        stiffness = stiff * self.body.stack.sheets[-1].law.shear_modulus / size
+        moved = given if others or frame is not None else None
+        return HeldContact.from_facets(
+            self.solid, top[near], dent, within, stiffness, motions, moved
+        )
 
     def _in_design(self, points: Array) -> Array:
         """Points (n, 3) with their heights over the gel's lower face [m]."""
         bottom = self.body.stack.levels[self.body.stack.gel]
         return np.asarray(points - np.array([0.0, 0.0, bottom]))
 
-    def _result(self, x: Array) -> Correction:
+    def _result(
+        self, x: Array, contacts: Sequence[HeldContact], touched: Sequence[HeldContact]
+    ) -> Correction:
+        """Correction by the unknowns, where of some contacts some points touch."""
         solid, lines = self.solid, self.body.lines
         gel = self.body.stack.sheets[self.body.stack.gel].law
         middles = [np.sort(np.append(line, 0.5 * (line[1:] + line[:-1]))) for line in lines]
@@ -355,7 +422,13 @@ class FiniteStack:
             displacement=QuadraticField(lines, moved),
             mean_stress=_gel_interpolator(pressures, lines),
             bottom=self.body.stack.levels[self.body.stack.gel],
-            sunk=x[solid.unknowns :].copy(),
+            sunk=x[solid.unknowns : solid.unknowns + len(contacts)].copy(),
+            holding=np.array(
+                [
+                    [*now.force_and_peak(x), now.face.weights.sum() / whole.face.weights.sum()]
+                    for now, whole in zip(touched, contacts, strict=True)
+                ]
+            ),
             unknowns=x,
         )
 
@@ -393,50 +466,12 @@ def _gel_interpolator(values: Array, lines: tuple[Array, Array, Array]) -> Regul
     axes = [np.flatnonzero(inside_gel.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     inside = tuple(slice(found[0], found[-1] + 1) for found in axes)
     grid = [line[part] for line, part in zip(lines, inside, strict=True)]
-    return RegularGridInterpolator(grid, values[inside], bounds_error=False, fill_value=None)
+    return _interpolator(grid, values[inside])
 
 
-@lru_cache(maxsize=_MAX_SCENES)
-def solved_presses(
-    design: SensorDesign,
-    mechanics: Mechanics,
-    presses: tuple[Touch, ...],
-    bend: BentState | None = None,
-) -> Correction:
-    """Correction of presses on a design, flat or bent, solved in 3D; seconds to some minutes.
-
-    The depths of the presses are those in the unbounded stack.
-
-    Raises ConfigurationError for a press that overhangs the stack, SolidError where presses are not
-    carried.
-    """
-    if isinstance(design.outline, Surface):
-        raise ConfigurationError("presses on a body from a surface file are solved on tetrahedra")
-    stack, contacts = mechanics.stack(design), []
-    dents: list[DentField] = []
-    punches: list[PunchedArea] = []
-    for press in presses:
-        x, y, depth, indenter = press.x, press.y, press.depth, press.indenter
-        frame = None if bend is None else ContactFrame.from_bent_top(bend, x, y, stack)
-        along, across = (1.0, 1.0) if frame is None else frame.stretches.tolist()
-        if isinstance(indenter, Footprint):
-            punches.append(PunchedArea(x, y, indenter, press.force, stack.levels[-1], frame))
-            punches[-1].require_room(design.outline, mechanics.margin)
-            low, high = punches[-1].bounds
-            middle, half = 0.5 * (low + high), 0.5 * (high - low)
-            radius, (along, across) = float(half.max()), (half.max() / half).tolist()
-            at_x, at_y = middle.tolist()
-            contacts.append(Contact(at_x, at_y, radius, (along, across), is_punch=True))
-            continue
-        if depth is None:
-            raise ConfigurationError("presses are solved to depths, got one without")
-        require_on_stack(design.outline, x, y, indenter.rims[1] - mechanics.margin)
-        contacts.append(Contact(x, y, indenter.rims[1], (along, across)))
-        dents.append(DentField(x, y, indenter, _dent(stack, indenter, depth), frame))
-    body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
-    found = FiniteStack(body, len(presses), bend).correction(dents, None, punches)
-    order = np.argsort([isinstance(press.indenter, Footprint) for press in presses], kind="stable")
-    return replace(found, sunk=found.sunk[np.argsort(order)])
+def _interpolator(grid: Sequence[Array], values: Array) -> RegularGridInterpolator:
+    """Trilinear interpolator that goes on linearly beyond the grid."""
+    return RegularGridInterpolator(tuple(grid), values, bounds_error=False, fill_value=None)
 
 
 def require_on_stack(outline: PlaneOutline | Surface, x: float, y: float, least: float) -> None:
@@ -446,9 +481,3 @@ def require_on_stack(outline: PlaneOutline | Surface, x: float, y: float, least:
             f"a touch must keep {1e3 * max(least, 0.0):.1f} mm from the edge of the gel, so that "
             f"its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
         )
-
-
-@lru_cache(maxsize=_MAX_SCENES)
-def _dent(stack: Stack, indenter: AnyIndenter, depth: float) -> Indentation:
-    """Axisymmetric press to a depth [m] on an unbounded stack."""
-    return AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1]).to_depth(depth)

@@ -18,7 +18,7 @@ from eitskin.simulator.deformation.solution_store import Arrays, Problem, Report
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
-from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.scene.indenters import Footprint, Indenter
 
 Array = NDArray[np.float64]
 
@@ -264,9 +264,7 @@ def press_table(
     Raises ConfigurationError where not even shallow presses are carried.
     """
     weights = StackGrid.from_design(design, mechanics, grid).full_weights()
-    found = [
-        (load_press_table(stack, indenter.table_indenter), weight) for stack, weight in weights
-    ]
+    found = [(load_press_table(stack, indenter), weight) for stack, weight in weights]
     if len(found) == 1:
         return found[0][0]
     return weighted_sum(
@@ -278,9 +276,11 @@ def press_table(
 def press_problems(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, grid: SensorGrid = OWN_GRID
 ) -> list[Problem]:
-    """Tables that `press_table` needs; each takes seconds to a minute to solve."""
+    """Tables that `press_table` needs; each takes seconds to a minute. Footprints have none."""
+    if isinstance(indenter, Footprint):
+        return []
     weights = StackGrid.from_design(design, mechanics, grid).full_weights()
-    return [_problem(stack, indenter.table_indenter) for stack, _ in weights]
+    return [_problem(stack, indenter) for stack, _ in weights]
 
 
 def load_press_table(stack: Stack, indenter: Indenter) -> PressTable:

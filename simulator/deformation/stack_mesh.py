@@ -35,19 +35,15 @@ class Contact(NamedTuple):
         x, y: its middle [m].
         radius: radius of the indenter [m].
         stretches: by which a bend makes it longer along x and y, to a circle.
-        is_punch: whether the mesh has to resolve all of its field.
+        punch: radius of the largest circle within a flat punch, all of whose field the mesh has to
+            resolve; 0 for others [m].
     """
 
     x: float
     y: float
     radius: float
     stretches: tuple[float, float] = (1.0, 1.0)
-    is_punch: bool = False
-
-    @property
-    def size(self) -> float:
-        """Length by which cells are measured [m]."""
-        return self.radius / max(self.stretches) if self.is_punch else self.radius
+    punch: float = 0.0
 
     @property
     def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -146,7 +142,8 @@ def stack_mesh(
         contacts: contacts of the indenters.
         fineness: fineness at the faces, and through each layer.
     """
-    radius, height = min(contact.size for contact in contacts), stack.levels[-1]
+    radius = min(contact.punch or contact.radius for contact in contacts)
+    height = stack.levels[-1]
     faces = _faces(outline)
     boxed = faces is None
     if fineness is None:
@@ -154,8 +151,10 @@ def stack_mesh(
         layers = 2 if isinstance(outline, Rectangle) else 1
         even = Fineness(layers=layers)
         fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else even
-        if any(contact.is_punch for contact in contacts):
+        if any(contact.punch for contact in contacts):
             fineness = dataclasses.replace(fineness, rims=_PUNCH_CELLS, growth=1.0)
+        if all(contact.punch for contact in contacts):  # what a punch does fades without a jump
+            fineness = dataclasses.replace(fineness, ends=0.0, sides=0.0)
     far = max(height, _MIN_LARGEST_CELL * radius, _MAX_CELL_SIZE * outline.length)
     coarsest = _STAIRS * height if boxed else far
     finest = min(fineness.rims * radius, 0.5 * height, coarsest)

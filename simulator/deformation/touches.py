@@ -22,20 +22,17 @@ from eitskin.simulator.deformation.corrections import (
 )
 from eitskin.simulator.deformation.dents import BentPresses, ColumnField, Dents, PlacedDent
 from eitskin.simulator.deformation.field import Field
-from eitskin.simulator.deformation.finite_stack import solved_presses
-from eitskin.simulator.deformation.footprints import (
-    DentedTouch,
-    corrected_parts,
-    dent_touch,
-    placed_dents,
-    shape_fields,
-    solved_press,
-)
+from eitskin.simulator.deformation.finite_stack import Correction
 from eitskin.simulator.deformation.node_sums import NodeSums
 from eitskin.simulator.deformation.outline_sides import re_entrant_distance
 from eitskin.simulator.deformation.pair_corrections import pair_corrections
 from eitskin.simulator.deformation.press_table import TabulatedDent, press_table
-from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
+from eitskin.simulator.deformation.pressed_sensor import (
+    DentedTouch,
+    PressedSensor,
+    TouchModel,
+    dent_touch,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter, PressedTouch, Touch, neighbour_distance
@@ -48,15 +45,14 @@ Indices = NDArray[np.int64]
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _MAX_RELATIVE_DEPTH = 0.55
+# Extent of a footprint whose edges cross the mesh over its width, to which such were refined.
+_MAX_SLENDERNESS = 3.0
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
 # leave more than 7 %.
 _MIN_CORNER_DISTANCE = 2.0
 # Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon, on
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
-_PUNCH_NOTE = (
-    "by a footprint, whose signals may be off by tens of percent; touch_model='solved' solves them"
-)
 _NOT_VALIDATED_AFTER_BEND = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -79,16 +75,16 @@ def dents(
     summed = iter(
         _interpolate_corrections([each for each in dented if each.solved is None], sensor)
     )
-    corrected = [(one, next(summed) if one.solved is None else one.solved) for one in dented]
+    corrected = [(one, next(summed) if one.solved is None else (one.solved,)) for one in dented]
     if (bend := sensor.bend) is None:
         return [
-            Dents(tuple(PlacedDent(t.x, t.y, dent) for t, dent in one.placed), fields)
+            Dents(tuple(PlacedDent(t.x, t.y, dent) for _, t, dent in one.parts), fields)
             for one, fields in corrected
         ]
     bent = []
     for one, fields in corrected:
         shape = bend if one.solved is None else sensor.state or bend
-        placed = ((sensor.frame(shape, t.x, t.y), dent) for t, dent in one.placed)
+        placed = ((sensor.frame(shape, t.x, t.y), dent) for _, t, dent in one.parts)
         bent.append(BentPresses(bend, tuple(placed), Dents((), fields)))
     return bent
 
@@ -112,22 +108,19 @@ class _DentedScene(NamedTuple):
 
     Attributes:
         touches: as they press.
-        placed: dents of the unbounded stack that have not faded, with touches of bodies of
-            revolution.
-        parts: touches that are corrected: numbers of their touches in the scene, touches of bodies
-            of revolution, and dents.
-        shapes: what the footprints of flat punches change of these dents.
-        solved: correction that was solved for this scene alone; None for one by tables.
         sunk: by which each indenter sinks deeper than its dent [m]; where depths are prescribed or
             it is wanted.
+        solved: correction that was solved for this scene alone; None for one by tables.
     """
 
-    touches: list["DentedTouch"]
-    placed: list[tuple[Touch, TabulatedDent]]
-    parts: list[tuple[int, Touch, TabulatedDent]]
-    shapes: list[tuple[Touch, Field]]
-    solved: tuple[ColumnField, ...] | None
+    touches: list[DentedTouch]
     sunk: Array
+    solved: Correction | None = None
+
+    @property
+    def parts(self) -> list[tuple[int, Touch, TabulatedDent]]:
+        """Numbers of touches whose dents have not faded, the touches, and the dents."""
+        return [(n, each.touch, each.dent) for n, each in enumerate(self.touches) if each.dent]
 
 
 def _solve_dents(
@@ -140,29 +133,17 @@ def _solve_dents(
             dent_touch(touch, float(depth), sensor)
             for touch, depth in zip(touches, search.depths, strict=True)
         ]
-        dented_scene = _DentedScene(dented, [], [], [], None, np.zeros(len(touches)))
-        here = [number for number, each in enumerate(dented) if each.dent is not None]
-        acting = tuple(touches[number] for number in here)
+        scene = _DentedScene(dented, np.zeros(len(touches)))
+        presses = {n: each.press for n, each in enumerate(dented) if each.press is not None}
+        acting = tuple(touches[number] for number in presses)
         if acting and resolve_touch_model(acting, sensor) == "solved":
-            presses = tuple(map(solved_press, (dented[number] for number in here)))
-            solved = solved_presses(sensor.design, sensor.mechanics, presses, sensor.state)
-            dented_scene = dented_scene._replace(solved=(solved,))
-            dented_scene.sunk[here] = solved.sunk
-            for number in here:
-                if dented[number].punch is None:
-                    dented_scene.placed.extend(placed_dents(dented[number], sensor))
-                else:
-                    dented_scene.sunk[number] -= dented[number].depth  # solved as a whole
-        elif acting:
-            for number in here:
-                dented_scene.placed.extend(placed_dents(dented[number], sensor))
-                dented_scene.parts.extend(corrected_parts(number, dented[number], sensor))
-                dented_scene.shapes.extend(shape_fields(dented[number], sensor))
-            if with_depths or search.is_needed:
-                extra = _evaluate([dented_scene], sensor, None)[1]
-                np.add.at(dented_scene.sunk, [number for number, *_ in dented_scene.parts], extra)
-        if search.advance(np.array([each.depth for each in dented]), dented_scene.sunk):
-            return dented_scene
+            solved = sensor.solve(tuple(presses.values()))
+            scene = scene._replace(solved=solved)
+            scene.sunk[list(presses)] = solved.sunk
+        elif acting and (with_depths or search.is_needed):
+            scene.sunk[list(presses)] = _evaluate([scene], sensor, None)[1]
+        if search.advance(np.array([each.depth for each in dented]), scene.sunk):
+            return scene
     raise ConfigurationError(
         f"no dents take these indenters to their depths within {_TOLERANCE:.1%}; press less deep, "
         "or prescribe forces"
@@ -184,11 +165,7 @@ def _interpolate_corrections(
         fields[owner].append(field)
     summed = sums.fields(sensor.design.thickness, scales) if sums else [None] * len(scenes)
     return (
-        (
-            *own,
-            *(shape for _, shape in scene.shapes),
-            *([total] if total is not None and scene.parts else []),
-        )
+        (*own, *([total] if total is not None and scene.parts else []))
         for scene, own, total in zip(scenes, fields, summed, strict=True)
     )
 
@@ -219,9 +196,6 @@ def _turned_sum(
     sums, scales = _slot_sums(scene, len(turns) + 1, sensor)
     others = _evaluate([scene], sensor, sums, apart=True)[0]
     fields: list[ColumnField] = [field.rotate(turns[slot]) for _, slot, field in others]
-    fields += [
-        shape.rotate(sensor.frame(bend, touch.x, touch.y).rotation) for touch, shape in scene.shapes
-    ]
     summed = sums.fields(sensor.design.thickness, scales) if sums else []
     parts = [field.rotate(turn) for field, turn in zip(summed, [*turns, np.eye(3)], strict=True)]
     total = np.sum([part.coefficients for part in parts], axis=0)
@@ -293,7 +267,12 @@ def require_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> None:
 
 
 def resolve_touch_model(touches: tuple[Touch, ...], sensor: PressedSensor) -> TouchModel:
-    """Way to the corrections of touches: the model, or by tables where all of them ship."""
+    """Way to the corrections of touches: the model, or by tables where all of them ship.
+
+    Footprints have no tables.
+    """
+    if any(isinstance(touch.indenter, Footprint) for touch in touches):
+        return "solved"
     if sensor.model is not None:
         return sensor.model
     pairs = len(touches) > 1
@@ -318,15 +297,11 @@ def _plates_reach(touches: tuple[Touch, ...], sensor: PressedSensor) -> bool:
     """
     if sensor.plates is None:
         return True
-    reached: list[tuple[AnyIndenter, float, float]] = []
-    for touch in touches:
-        if touch.depth and not isinstance(touch.indenter, Footprint):
-            reached.append((touch.indenter, touch.x, touch.depth))
-            continue
-        dented = dent_touch(touch, touch.depth or 0.0, sensor)
-        parts = [] if dented.dent is None else corrected_parts(0, dented, sensor)
-        reached += [(part.indenter, part.x, dent.depth) for _, part, dent in parts]
-    return all(sensor.plates.reaches(*each) for each in reached)
+    depths = (touch.depth or dent_touch(touch, 0.0, sensor).depth for touch in touches)
+    return all(
+        sensor.plates.reaches(touch.indenter, touch.x, depth)
+        for touch, depth in zip(touches, depths, strict=True)
+    )
 
 
 def pressed_touches(
@@ -344,8 +319,9 @@ def pressed_touches(
     flat = _FLAT if has_strip(design) else _POLYGON
     gap = design.support.gap(outline) if isinstance(design.support, Plates) else (0.0, 0.0)
     all_pressed = []
-    dented = _solve_dents(touches, sensor, with_depths=True)
-    for each, sunk in zip(dented.touches, dented.sunk.tolist(), strict=True):
+    scene = _solve_dents(touches, sensor, with_depths=True)
+    holding = iter(() if scene.solved is None else scene.solved.holding.tolist())
+    for each, sunk in zip(scene.touches, scene.sunk.tolist(), strict=True):
         touch, dent, force = each.touch, each.dent, each.force
         edge = float(outline.nearest(np.array([touch.x, touch.y]))[1])
         neighbour = neighbour_distance(touch, touches)
@@ -356,20 +332,25 @@ def pressed_touches(
             error = _BENT_AFTER
         elif isinstance(design.support, Plates):
             error = _OVER_GAP if gap[0] < touch.x < gap[1] else _ON_PLATES
-        cautions += [_PUNCH_NOTE] * (each.punch is not None)
         cautions += [_NOT_VALIDATED_AFTER_BEND] * (bent_after and not compared)
-        # Without contact there is a dent, but no pressure.
-        radius, pressure = 0.0, 0.0
-        if dent is not None and force > 0.0:
-            radius = dent.contact_radius if each.punch is None else touch.indenter.rims[1]
-            pressure = dent.peak_pressure * force / (each.area * dent.force)
+        radius, pressure, thinning = 0.0, 0.0, 0.0
+        if each.press is not None and scene.solved is not None:
+            elastic, peak, touching = next(holding)
+        if dent is not None:
+            radius, thinning = dent.contact_radius, dent.thinning
+            pressure = dent.peak_pressure * force / dent.force
+        elif each.press is not None and scene.solved is not None:
+            radius = math.sqrt(touching) * touch.indenter.rims[1]
+            thinning = scene.solved.thinning(touch.x, touch.y)
+            force *= elastic if touch.depth is not None else 1.0
+            pressure = peak * force / elastic
         pressed = PressedTouch(
             touch=touch,
             force=force,
             depth=depth,
-            contact_radius=radius,
+            contact_radius=radius if force > 0.0 else 0.0,  # a dent, but no contact
             peak_pressure=pressure,
-            thinning=dent.thinning if dent is not None else 0.0,
+            thinning=thinning,
             edge_distance=edge,
             neighbour_distance=neighbour,
             signal_error=None if cautions else error,
@@ -389,6 +370,12 @@ def _cautions(
         reasons.append("presses on this outline were not compared")
     elif re_entrant_distance(outline, touch.x, touch.y) < _MIN_CORNER_DISTANCE * thickness:
         reasons.append("next to a re-entrant corner, where nothing was compared")
+    if (
+        isinstance(touch.indenter, Footprint)
+        and not touch.indenter.is_aligned
+        and touch.indenter.slenderness > _MAX_SLENDERNESS
+    ):
+        reasons.append("by a narrow footprint across the mesh, where nothing was compared")
     if edge < _MIN_EDGE_DISTANCE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _MIN_TOUCH_SPACING:
@@ -407,12 +394,13 @@ class DepthSearch:
 
     Attributes:
         depths: depths of the dents in the unbounded stack to try next [m]; NaN for prescribed
-            forces.
+            forces and for footprints, which have no dents.
         is_needed: whether any depth is prescribed.
     """
 
     def __init__(self, touches: tuple[Touch, ...], design: SensorDesign) -> None:
-        target_depths = [math.nan if touch.depth is None else touch.depth for touch in touches]
+        bodies = [None if isinstance(t.indenter, Footprint) else t.depth for t in touches]
+        target_depths = [math.nan if depth is None else depth for depth in bodies]
         self._wanted = np.array(target_depths)
         self.depths = np.array(
             [

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import require_positive
 from eitskin.geometry.meshing.grading import Grading, graded_lines
+from eitskin.simulator.mechanics.face import PenaltyContact
 from eitskin.simulator.mechanics.layer_stack import Indentation, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

@@ -35,10 +35,10 @@ class TouchRules:
     Attributes:
         indenter: indenter of all touches by faces that are not larger; None for the shape of the
             body that presses: presses of a sphere or capsule its `Sphere`, of a cylinder its flat
-                end. Faces are
-            `Footprint`s, which are the hulls of their contacts.
-            Presses by other indenters than the default one are solved scene by scene, which takes
-            half a minute each, unless the simulator has `touch_model="tabulated"`.
+            end. Faces are `Footprint`s, which are the hulls of their contacts. Presses by other
+            indenters than the default one are solved scene by scene, which takes half a minute or
+            more each; those of bodies of revolution are tabulated where the simulator has
+            `touch_model="tabulated"`.
         least: weakest touch [N]; weaker ones are none.
         most: strongest touch [N]; stronger ones press as strongly as this.
         margin: least distance from the edge of the gel [m]; touches nearer to it are moved in.

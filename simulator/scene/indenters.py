@@ -13,7 +13,6 @@ from scipy.spatial import ConvexHull
 
 from eitskin.bounds import LONGEST, require_length
 from eitskin.errors import ConfigurationError
-from eitskin.extras import old_names
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
@@ -26,7 +25,7 @@ _MIN_WIDTH = 1e-4  # m, a needle; the mesh of a sharper contact has more cells t
 _CLOSEST = 1e-9  # m, between radii of a profile, whose slope is a quotient
 _SHARPEST = 1e-3  # radius of a rim over that of the cylinder, for the same reason
 _RADII, _AZIMUTHS = 48, 72
-_ROUND_CORNERS, _STEP = 64, 1.05  # of an ellipse; ratio of radii that have tables
+_ROUND_CORNERS = 64  # of an ellipse
 _UPRIGHT = 0.02  # facets of the hull whose normals point down by less are its wall
 _ROUND = 0.1  # largest difference of height round the axis, of the radius
 
@@ -49,16 +48,6 @@ class Indenter(ABC):
     @abstractmethod
     def profile(self, r: Array) -> tuple[Array, Array, Array]:
         """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
-
-    @property
-    def table_indenter(self) -> "Indenter":
-        """Body of revolution by whose dents this one presses."""
-        return self
-
-    @property
-    def correction_indenter(self) -> "Indenter":
-        """Body of revolution by whose corrections in the finite stack this one presses."""
-        return self
 
     def reach(self, directions: Array) -> Array:
         """Farthest distance from the touch along unit vectors (n, 2) [m], (n,)."""
@@ -202,7 +191,6 @@ class Profile(Indenter):
         return height, slope, bends[piece]
 
 
-@old_names(corrected="correction_indenter", tabled="table_indenter")
 @dataclass(frozen=True, slots=True)
 class Footprint(Indenter):
     """Flat-ended punch of a convex footprint: a rectangle, an ellipse or a polygon.
@@ -281,22 +269,16 @@ class Footprint(Indenter):
         return np.asarray(np.array(sums) / (3.0 * parts.sum()))
 
     @property
-    def count(self) -> int:
-        """Number of cylinders side by side that have its area."""
-        low, high = np.sort(np.ptp(self.outline, axis=0))
-        return max(1, round(float(high / low)))
+    def is_aligned(self) -> bool:
+        """Whether its edges run along the sensor's x and y."""
+        return not (self.corners or self.round or self.angle_deg % 90.0)
 
     @property
-    def table_indenter(self) -> Cylinder:
-        default = Cylinder(rough=self.rough)
-        radius = self.rims[1] / math.sqrt(self.count)
-        # Few radii serve all footprints; rims are all as round as the default one's.
-        larger = _STEP ** round(math.log(radius / default.radius) / math.log(_STEP))
-        return Cylinder(default.radius * larger, min(default.edge / larger, 1.0), self.rough)
-
-    @property
-    def correction_indenter(self) -> Cylinder:
-        return Cylinder(rough=self.rough)
+    def slenderness(self) -> float:
+        """Largest extent over the width of the largest circle about its middle."""
+        corners = self.outline - self.middle
+        widest = 2.0 * float(np.linalg.norm(corners, axis=1).max())
+        return widest / (2.0 * float(self.depth_inside(self.middle)))
 
     @property
     def rotation(self) -> Array:

@@ -84,7 +84,8 @@ class PressedTouch:
         depth: depth of the dent: position of the indenter's lowest point, now or before its
             release, below the undeformed top of the stack [m].
         contact_radius: radius of the contact area in the deformed stack [m]; 0 without contact.
-        peak_pressure: largest contact pressure [Pa].
+            That of a footprint is of a circle as large.
+        peak_pressure: largest contact pressure [Pa]; of a footprint the largest mean in a cell.
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: distance from the axis to the nearest edge of the gel [m].
         neighbour_distance: neighbour distance from the axis to that of the nearest other touch [m].

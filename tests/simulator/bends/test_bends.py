@@ -169,22 +169,16 @@ CLAMP = Clamp(0.020, 0.004)
 ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0)
 
 
-def solved(table):
-    """The one solution of a table."""
-    ((solution, _),) = table.tables
-    return solution
-
-
 def nodes(table):
     """Nodes of a quarter of the gel (nx, ny, nz, 3)."""
-    sizes = solved(table).sizes
-    axes = (sizes[name] for name in "xyz")
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) + sizes["centre"]
+    axes = (table.sizes[name] for name in "xyz")
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1) + table.sizes["centre"]
 
 
 def displacements(table, angle=8.0):
     """Displacements of the nodes at an angle [m]."""
-    return solved(table).evaluate(angle=angle)[0][0]
+    X = nodes(table)
+    return table.bent_layer(angle).positions(X) - X
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +189,7 @@ def stack():
 
 @pytest.fixture(scope="module")
 def table(stack):
-    return BendTable(((tabulate_bends(stack, ANGLES), 1.0),))
+    return BendTable.from_tables([(tabulate_bends(stack, ANGLES), 1.0)])
 
 
 @pytest.fixture
@@ -211,11 +205,8 @@ def test_bends_at_and_between_the_solved_ones(stack, table) -> None:
     X = nodes(table)
     for direct in stack.equilibria((-15.0, 10.0, 25.0)):
         between = table.bent_layer(direct.angle_deg)
-        at_a_node = direct.angle_deg in ANGLES
-        close = 1e-9 if at_a_node else 5e-6
+        close = 1e-9 if direct.angle_deg in ANGLES else 5e-6
         assert between.positions(X) == pytest.approx(direct.positions(X), abs=close)
-        assert between.energy == pytest.approx(direct.energy, rel=1e-6 if at_a_node else 5e-3)
-        assert between.moment == pytest.approx(direct.moment, rel=1e-6 if at_a_node else 2e-2)
     assert table.bent_layer(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
 
 
@@ -223,7 +214,7 @@ def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(t
     layer, steps = table.bent_layer(33.0), 1e-7 * np.eye(3)
     X = INSIDE * np.array([1.02, 1.02, 1.0]) - np.array([0.0006, 0.00012, 0.0])
     ends = [layer.positions(X + e) - layer.positions(X - e) for e in steps]
-    sizes = solved(table).sizes
+    sizes = table.sizes
     inside = np.all(np.abs(X - sizes["centre"]) < [sizes[name][-1] for name in "xyz"], axis=-1)
     difference = np.stack(ends, axis=-1) / 2e-7
     assert layer.gradient(X)[inside] == pytest.approx(difference[inside], abs=1e-6)
@@ -236,7 +227,7 @@ def test_gradient_is_the_continuous_derivative_of_positions_beyond_the_gel_too(t
 
 
 def test_left_mirrors_right_and_front_mirrors_back(table) -> None:
-    layer, centre = table.bent_layer(25.0), solved(table).sizes["centre"]
+    layer, centre = table.bent_layer(25.0), table.sizes["centre"]
     for signs in (np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])):
         X = INSIDE - centre
         there = layer.positions(centre + signs * X) - centre
@@ -255,8 +246,6 @@ def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     found = bend_table.bend_table(design, CLAMP, materials)
     direct = tabulate_bends(ClampedStack(design, CLAMP, materials), (-5.0, 0.0, 5.0, 10.0))
     assert displacements(found) == pytest.approx(direct.evaluate(angle=8.0)[0][0], abs=1e-7)
-    moments = solved(found).numbers["moment"]
-    assert moments == pytest.approx(direct.numbers["moment"], rel=1e-6)
     (file,) = few_angles.glob("*.npz")
     # Twice as large and three times as stiff is the same solution.
     outline = Rectangle(0.120, 0.024)
@@ -265,7 +254,6 @@ def test_solved_bends_are_stored_and_scale_exactly(few_angles) -> None:
     twice = bend_table.bend_table(large, Clamp(0.040, 0.008), stiff)
     assert [*few_angles.glob("*.npz")] == [file]
     assert displacements(twice) == pytest.approx(2.0 * displacements(found), abs=1e-12)
-    assert solved(twice).numbers["moment"] == pytest.approx(24.0 * moments)
 
 
 @pytest.mark.slow
@@ -290,7 +278,6 @@ def test_bends_of_similar_sensors_are_interpolated(monkeypatch) -> None:
     at = (found.bent_layer(8.0), direct.bent_layer(8.0), nominal.bent_layer(8.0))
     mine, true, first = (each.gradient(INSIDE) for each in at)
     assert np.linalg.norm(mine - true) < 0.05 * np.linalg.norm(first - true)
-    assert at[0].energy == pytest.approx(at[1].energy, rel=5e-3)
 
 
 def test_refusals_say_what_can_be_bent(stack, table) -> None:

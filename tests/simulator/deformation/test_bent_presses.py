@@ -12,9 +12,9 @@ from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
-from eitskin.simulator.deformation import touches
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import Correction, DentedSolid, FiniteStack
+from eitskin.simulator.deformation.pressed_sensor import PressedSensor
 from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 
@@ -102,7 +102,7 @@ def bent_sensor() -> tuple[Simulator, Scene]:
 class Nothing:
     """Correction that is zero everywhere."""
 
-    sunk = np.zeros(1)
+    sunk, holding = np.zeros(1), np.zeros((1, 3))
 
     def displacement_and_gradient(self, columns: np.ndarray) -> np.ndarray:
         return np.zeros((12, columns.shape[1], len(columns)))
@@ -116,11 +116,11 @@ def unsolved(monkeypatch) -> list[BentStack | None]:
     """Bent states that solved presses were asked for; their corrections are left out."""
     asked: list[BentStack | None] = []
 
-    def solved(*asked_for: object) -> Nothing:
-        asked.append(asked_for[3])
+    def solve(sensor: PressedSensor, _: object) -> Nothing:
+        asked.append(sensor.state)
         return Nothing()
 
-    monkeypatch.setattr(touches, "solved_presses", solved)
+    monkeypatch.setattr(PressedSensor, "solve", solve)
     return asked
 
 

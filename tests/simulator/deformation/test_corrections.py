@@ -13,7 +13,7 @@ from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Sub
 from eitskin.geometry.design.sensor import Rigid
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.deformation import corrections as tables
-from eitskin.simulator.deformation import finite_stack
+from eitskin.simulator.deformation import pressed_sensor
 from eitskin.simulator.deformation import solution_store as store
 from eitskin.simulator.deformation.corrections import (
     Corrections,
@@ -266,8 +266,8 @@ def changes(sim: Simulator, *touches: Touch):
 @pytest.mark.slow
 def test_tables_give_the_signals_of_solved_presses(monkeypatch) -> None:
     """On cells that grow faster away from the press: a third of the time, 1 % of the signals."""
-    coarser = partial(finite_stack.stack_mesh, fineness=Fineness(ends=0.0, growth=2.0))
-    monkeypatch.setattr(finite_stack, "stack_mesh", coarser)
+    coarser = partial(pressed_sensor.stack_mesh, fineness=Fineness(ends=0.0, growth=2.0))
+    monkeypatch.setattr(pressed_sensor, "stack_mesh", coarser)
     touch = Touch(0.062, 0.022, 4.0)
     found, solved = (
         changes(Simulator(DESIGN, "fast", touch_model=model), touch)
