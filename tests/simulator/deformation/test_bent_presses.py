@@ -58,6 +58,7 @@ def pressed(dent, bent) -> Correction:
     return stack.correction([DentField(X, Y, PUNCH, dent, frame)])
 
 
+@pytest.mark.slow
 def test_a_press_turns_with_its_sensor(dent) -> None:
     level, turned = pressed(dent, None), pressed(dent, Homogeneous(TURN))
     places = np.random.default_rng(0).uniform((0.0, 0.0, 0.0), (0.050, 0.040, 0.012), (300, 3))
@@ -67,6 +68,7 @@ def test_a_press_turns_with_its_sensor(dent) -> None:
     assert turned.sunk == pytest.approx(level.sunk, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_stretched_stack_carries_the_force_along_its_normal(dent) -> None:
     """Its base is held where the stretch left it; 3 % is the quadrature of the dent."""
     stretched = Homogeneous(TURN @ np.diag([1.15, 1.0, 1.0 / 1.15]))

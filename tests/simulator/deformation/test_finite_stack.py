@@ -48,6 +48,7 @@ def pressed(stack, dents):
     return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
 
 
+@pytest.mark.slow
 def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
     under = np.array([[X + r, Y, TOP] for r in radii] + [[X, Y - r, TOP] for r in radii])

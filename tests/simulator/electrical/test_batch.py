@@ -62,6 +62,7 @@ def small() -> Simulator:
 # Errors
 
 
+@pytest.mark.slow
 def test_signals_of_touches_are_off_by_less_than_a_thousandth(small) -> None:
     pressed = Simulator(small.design, COARSE, mechanics=PRESSED)
     assert signal_errors(pressed, scenes()[::2]).max() < 1e-3

@@ -52,6 +52,7 @@ def test_a_bar_of_tetrahedra_has_the_resistance_of_its_length() -> None:
     assert np.polyfit(bar.p[0], drop, 1)[0] == pytest.approx(1 / 2 / 0.02)
 
 
+@pytest.mark.slow
 def test_a_disc_meets_its_integral_equation() -> None:
     points, cells, electrodes = disc()
     model = ForwardModel.from_mesh((points, cells), electrodes, contact_impedance=0.05)

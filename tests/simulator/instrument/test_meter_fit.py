@@ -66,6 +66,7 @@ def test_complex_readings_give_capacitances_and_the_phase_of_the_scale(skin):
     assert found.scale == pytest.approx(rig.scale, rel=0.01)
 
 
+@pytest.mark.slow
 def test_leads_leaks_common_mode_and_offset_are_found(skin):
     rig = dataclasses.replace(
         RIG, reads="signed", common_mode=0.4, offset=30.0, leaks=(1e-3, 0, 0, 2e-3, 0, 0)
@@ -94,6 +95,7 @@ def test_what_no_reading_shows_is_said_not_to_be_identifiable(skin):
     assert np.isfinite(found.standard_errors).tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_terms_that_the_frames_do_not_call_for_are_left_out(skin):
     terms = ("sink", "sense_plus", "idle", "common_mode")
     rig = dataclasses.replace(RIG, sense_plus=0.0, reads="signed")
