@@ -7,6 +7,7 @@ Files that others may have made are read where they are regular ones of bounded 
 device could keep a reader waiting for ever, and a sparse file could fill the memory.
 """
 
+import codecs
 import os
 import shutil
 import stat
@@ -226,9 +227,11 @@ def _allocated_bytes(handle: int, size: int) -> int:
 def read_text(
     path: str | Path, max_bytes: int = MAX_TEXT, failure: type[EitskinError] = ConfigurationError
 ) -> str:
-    """Text of a file in UTF-8; arguments and errors as for `read_bytes`."""
+    """Text of a file in UTF-8, or UTF-16 that says so; arguments and errors as for `read_bytes`."""
+    content = read_bytes(path, max_bytes, failure)
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return read_bytes(path, max_bytes, failure).decode()
+        return content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise failure(f"cannot read {path}: it is no text in UTF-8: {error}") from error
 

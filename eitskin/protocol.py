@@ -105,8 +105,9 @@ class Protocol:
 
     @classmethod
     def from_file(cls, path: str | Path, n_electrodes: int | None = None) -> "Protocol":
-        """Read a CSV table with the header drive_plus,drive_minus,sense_plus,sense_minus.
+        """Read a table with the header drive_plus,drive_minus,sense_plus,sense_minus, or a,b,m,n.
 
+        Cells are between commas, semicolons or tabs.
         Electrodes are counted from 0, or from 1 where the largest number is `n_electrodes` and none
         is 0; without `n_electrodes` the largest number in the table is the last electrode. Raises
         ConfigurationError, naming the line, for values that are no integers, a wrong number of
@@ -114,13 +115,14 @@ class Protocol:
         electrode 0 where `n_electrodes` is not given.
         """
         try:
-            text = read_text(path).removeprefix("\ufeff")
-            reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+            text = read_text(path)
+            mark = max(",;\t", key=text.partition("\n")[0].count)
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True)
             lines = [(reader.line_num, row) for row in reader if any(row)]
         except (ConfigurationError, csv.Error) as error:
             raise ConfigurationError(f"cannot read the protocol {path}: {error}") from error
         header = tuple(name.strip() for name in lines[0][1]) if lines else ()
-        if header != HEADER:
+        if tuple(map(str.casefold, header)) not in (HEADER, tuple("abmn")):
             raise ConfigurationError(
                 f"{path}: expected the header {','.join(HEADER)}, got "
                 f"{','.join(header) or 'an empty file'}"

@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -35,6 +36,7 @@ MAX_FORCE: Final = 500.0  # N on a skin; more is most likely grams
 _MARGIN: Final = 0.01  # of the sensor's size, by which positions may have an error at the rim
 _SCATTERED, _LEAST_SPAN = 10, 200  # so many positions spread over this fraction of the sensor
 MAX_FRAME_PERIOD: Final = 30.0  # s from frame to frame
+MAX_WHOLE_PERIOD: Final = 2.0  # s, where all times are whole numbers
 MAX_EPOCH_TIME: Final = 1e11  # s since 1970
 _WRAPS: Final = (2**32 / 1e3, 2**32 / 1e6)
 """Periods of counters of milliseconds and microseconds in 32 bits [s]."""
@@ -194,14 +196,17 @@ def _times(column: NDArray[Any], factor: float) -> NDArray[Any]:
 
     try:
         times = _numbers(column, "t") * factor
-    except DataError:
-        try:
-            dates = pd.to_datetime(column, format="ISO8601", utc=True)
-        except ValueError:
-            dates = None
-        if dates is None:
-            raise
-        return np.asarray(dates.tz_localize(None), dtype="M8[ns]")
+    except DataError as error:
+        for forms in ({"format": "ISO8601"}, {"format": "%d.%m.%Y %H:%M:%S"}):
+            with suppress(ValueError):
+                dates = pd.to_datetime(column, utc=True, **forms)
+                return np.asarray(dates.tz_localize(None), dtype="M8[ns]")
+        with suppress(ValueError, TypeError):
+            return np.asarray(pd.to_timedelta(column), dtype="m8[ns]").astype("M8[ns]")
+        raise DataError(
+            f"{error}; expected times as numbers, as dates such as 2026-11-23T14:05:00.3, or as "
+            "14:05:00.3"
+        ) from error
     if not np.isfinite(times).all():
         row = int(np.flatnonzero(~np.isfinite(times))[0])
         raise DataError(f"'t' must be finite, but its value {row} is not; leave the label out")
@@ -240,7 +245,9 @@ class Clock:
             last, later, usual = self.ends.get(key, (times[rows[0]], 0.0, 0.0))
             steps = np.diff(times[rows], prepend=last)
             usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else usual
-            if not unit and (usual > MAX_FRAME_PERIOD or abs(times[rows]).max() > MAX_EPOCH_TIME):
+            whole = (times[rows] == np.round(times[rows])).all()
+            longest = MAX_WHOLE_PERIOD if whole else MAX_FRAME_PERIOD
+            if not unit and (usual > longest or abs(times[rows]).max() > MAX_EPOCH_TIME):
                 raise DataError(
                     f"times such as {times[rows[0]]:.15g} and {times[rows[-1]]:.15g}, {usual:g} "
                     "from frame to frame, are hardly seconds; import with --time-unit ms or us, "

@@ -1,17 +1,21 @@
 """Orders of a frame's readings that instruments use, tested by laws that every body obeys."""
 
-from typing import Final, Literal, get_args
+from functools import lru_cache
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 
 Order = Literal["", "given", "rotated", "reversed", "sense-first"]
 
-_MIN_DOUBTED_MISFIT: Final = 0.02  # misfit of an order that is doubted
-_RATIO: Final = 0.1  # of the misfits of another order and of it
+_LAW, _MODEL = "reciprocity and sums around loops", "the model of the design"
+_MIN_DOUBTED_MISFITS: Final = {_LAW: 0.005, _MODEL: 0.1}  # of an order that is doubted
+_RATIOS: Final = {_LAW: 0.1, _MODEL: 0.4}  # of the misfits of another order and of it
 _MAX_LOOP_READINGS: Final = 1200  # readings, of which sums around loops are solved within a second
 
 
@@ -69,17 +73,44 @@ def law_misfit(protocol: Protocol, readings: ArrayLike) -> float:
     return float(np.median(2 * np.abs(values - expected)[tested] / sizes))
 
 
-def require_order(protocol: Protocol, readings: ArrayLike) -> None:
-    """Raise DataError where the laws say another order of the readings than the protocol's."""
+def model_misfit(protocol: Protocol, readings: ArrayLike, design: SensorDesign) -> float:
+    """Mean relative difference of readings (measurements,) from those of a design's model.
+
+    Magnitudes are compared, up to one factor; NaN for a design whose model takes long.
+    """
+    if isinstance(design.outline, Surface):
+        return float("nan")
+    from eitskin.simulator.electrical.forward_model import ForwardModel
+
+    expected = np.abs(protocol.measure(_model(ForwardModel, design)))
+    ratios = np.abs(readings)[expected > 0] / expected[expected > 0]
+    return float(np.mean(np.abs(ratios / np.median(ratios) - 1))) if ratios.any() else float("nan")
+
+
+@lru_cache(maxsize=1)
+def _model(model: Any, design: SensorDesign) -> NDArray[Any]:
+    return np.asarray(model(design, "coarse").impedance())
+
+
+def require_order(
+    protocol: Protocol, readings: ArrayLike, design: SensorDesign | None = None
+) -> None:
+    """Raise DataError where the laws say another order of the readings than the protocol's.
+
+    The model of a design says it where no law relates the readings.
+    """
     if np.shape(readings) != (len(protocol),):
         return  # their number is refused with other words
     orders: list[Order] = [order for order in get_args(Order) if order]
-    misfits = {o: law_misfit(in_order(protocol, o), readings) for o in orders}
+    law, misfits = _LAW, {o: law_misfit(in_order(protocol, o), readings) for o in orders}
+    if np.isnan(misfits["given"]) and design is not None:
+        misfits = {o: model_misfit(in_order(protocol, o), readings, design) for o in orders}
+        law = _MODEL
     best = min(orders, key=misfits.__getitem__)
     given = misfits["given"]
-    if given > _MIN_DOUBTED_MISFIT and misfits[best] < _RATIO * given:
+    if given > _MIN_DOUBTED_MISFITS[law] and misfits[best] < _RATIOS[law] * given:
         raise DataError(
-            f"by reciprocity and sums around loops, readings differ by {given:.2%} (median) in the "
+            f"by {law}, readings differ by {given:.2%} in the "
             f"order of the protocol, by {misfits[best]:.2%} in the order '{best}': say "
             f"--order {best}, or --order given where the protocol is right"
         )

@@ -13,15 +13,20 @@ from eitskin.protocol import MAX_ELECTRODES, Protocol
 
 PhaseUnit = Literal["", "deg", "rad"]
 
+_PHASE: Final = "phase|phas|phi|theta|angle|arg|ph"
 _WORDS: Final = (
-    ("magnitude", "magnitude|magn|mag|amplitude|ampl|amp|abs|modulus"),
-    ("phase", "phase|phas|phi|theta|angle|arg|ph"),
+    ("magnitude", "magnitude|magn|mag|amplitude|ampl|amp|abs|modulus|betrag"),
+    ("phase", _PHASE),
     ("real", "real|re|resistance"),
     ("imaginary", "imaginary|imag|im|reactance"),
     ("real", "r"),
     ("imaginary", "i"),
     ("real", "i"),
     ("imaginary", "q"),
+    ("real", "r"),
+    ("imaginary", "x"),
+    ("magnitude", "z"),
+    ("phase", _PHASE),
 )
 _PARTS: Final = tuple(
     (part, re.compile(rf"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))(?i:{words})(?![a-z])"))
@@ -40,7 +45,7 @@ _RADIANS, _DEGREES = (re.compile(rf"(?<![a-z])({w})", re.I) for w in ("rad", "de
 def pair_columns(header: Sequence[str]) -> dict[str, list[int]]:
     """Numbers of the columns of two parts, in one order; none without two pairs.
 
-    Names of a pair are equal but for the word of the part, and units behind them.
+    Names of a pair are equal but for the word of the part, signs, and units behind them.
     """
     for (part, word), (other, other_word) in zip(_PARTS[::2], _PARTS[1::2], strict=True):
         first, second = _stems(header, word), _stems(header, other_word)
@@ -53,7 +58,9 @@ def pair_columns(header: Sequence[str]) -> dict[str, list[int]]:
 def _stems(header: Sequence[str], word: re.Pattern[str]) -> dict[str, int]:
     """Number of each column by its name without the word."""
     names = (word.subn("*", _UNIT.sub("", name)) for name in header)
-    return {stem.casefold(): column for column, (stem, n) in enumerate(names) if n == 1}
+    signs = re.compile(r"[^\w*]|_")
+    stems = ((signs.sub("", stem.casefold()).replace("*z", "*"), n) for stem, n in names)
+    return {stem: column for column, (stem, n) in enumerate(stems) if n == 1}
 
 
 def is_reading(name: str) -> bool:

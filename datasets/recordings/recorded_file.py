@@ -354,7 +354,8 @@ class RecordedFile:
             raise DataError(self._wrong_count(table.shape))
         if whole is not None and not self._form.order and self._untested:
             values = np.where(np.isfinite(table), table, 0)
-            require_order(whole, values.sum(axis=0) / np.maximum(np.isfinite(table).sum(axis=0), 1))
+            mean = values.sum(axis=0) / np.maximum(np.isfinite(table).sum(axis=0), 1)
+            require_order(whole, mean, self._design)
             self._untested = False
         with np.errstate(over="ignore", invalid="ignore"):
             scaled: Complex = (table * self._scale).astype(np.complex64)

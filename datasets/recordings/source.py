@@ -38,6 +38,9 @@ from eitskin.reader_process import Answer, Limits, read_in_subprocess
 MAX_BYTES: Final = 1 << 36
 """Largest size of a file of a recording [bytes]."""
 
+MAX_LABELS: Final = 12
+"""Most columns of numbers before the values, in a file without names."""
+
 MAX_NAMES: Final = 20
 """Number of names in a message."""
 
@@ -104,7 +107,8 @@ class Source:
     def usual(self, count: int) -> str | None:
         """Table of the values where none is named: the usual one, or the only one of `count`.
 
-        In a file without names the last `count` columns, and columns that are named by electrodes;
+        In a file without names the last `count` columns behind a few others, and columns that are
+        named by electrodes;
         else the one with more than half of the columns.
         None where there is nothing to choose.
         """
@@ -112,8 +116,9 @@ class Source:
         if not usual or usual in self.names or "," in usual:
             return usual
         numbered = [header[column] for column in self._columns.get("c", ())]
-        if self.contents.remark and len(numbered) > max(count - 1, 0):
-            return f"{numbered[-count]}..{numbered[-1]}" if count else "c"
+        if self.contents.remark and numbered:
+            few = 0 < count <= len(numbered) <= count + MAX_LABELS
+            return f"{numbered[-count]}..{numbered[-1]}" if few else "c"
         for width in (4, 2):
             named = [name for name in header if len(electrodes_of_name(name)) == width]
             if len(named) > 1 and protocol_of_names(named):

@@ -21,13 +21,16 @@ from eitskin.files import shorten_text
 if TYPE_CHECKING:
     import pandas as pd
 
-OPENEIT: Final = "magnitudes"
 EXTRA: Final = "recordings"
 _DELIMITERS: Final = ",;\t"
 MIN_NUMBERED: Final = 3  # columns that are named by numbers in turn
 _BLOCK_BYTES: Final = 1 << 20
 _SAMPLE: Final = 1000  # lines, among which the header is
-_BRACKETS: Final = re.compile(r"\s*[\[{]+([^\[\]{}]*)[\]}]*\s*[,;]?\s*")
+_BRACKETS: Final = re.compile(r"\s*[\[{(]+([^\[\](){}]*)[\])}]*\s*[,;]?\s*")
+_LABEL: Final = re.compile(
+    r"\s*(?:([A-Za-z_][\w -]{0,40}?)\s*[:=]|\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->)\s*(?=[-+\d.\[({])"
+)
+"""Beginning of a line of numbers: "magnitudes : ", or the time that a terminal puts there."""
 _DECIMAL_COMMA: Final = re.compile(r"\d,\d")
 _UNITS: Final = re.compile(r"[\[(][^\d]{1,8}[\])]|[mu]?s|k?ohm|[mu]?[VA]|[cm]?m|N|deg", re.I)
 _COMMENTS: Final = ("#", "%")
@@ -67,26 +70,29 @@ class TextReader(TableReader):
     Lines that begin with # or % are comments; brackets around a line and separators behind it are
     left out, as are a preamble of fewer cells, and units below the header. The columns of a file
     without a header are named by the last comment before the numbers, where that has as many names,
-    else c0, c1 ... In a .txt file with lines "magnitudes : a , b, ...", as OpenEIT prints
-    them, other lines are skipped.
+    else c0, c1 ... Where the longest line begins with a label, as "magnitudes : a , b, ..." of
+    OpenEIT, all others are left out, and the label names the columns.
     """
 
     def __init__(self, path: Path, header_row: int | None = None) -> None:
         super().__init__(path)
         self._encoding = _encoding(path)
-        self._delimiter, self._decimal, self._first = ",", ".", 0
-        self._openeit = path.suffix.lower() == ".txt" and self._has_magnitudes()
+        self._first = 0
+        self._label: str | None = None
         sample = list(itertools.islice(self._lines(), _SAMPLE))
-        if not self._openeit:
-            widest = max((line for _, line in sample), key=_most_cells, default="")
-            self._delimiter, self._decimal = _separators(widest)
+        widest = max((line for _, line in sample), key=_most_cells, default="")
+        if label := _LABEL.match(widest):
+            self._label = _label_word(label)
+            sample = list(itertools.islice(self._lines(), _SAMPLE))
+            widest = max((line for _, line in sample), key=_most_cells)
+        self._delimiter, self._decimal = _separators(widest)
         rows = [self._cells(line) for _, line in sample]
         begin = find_header(rows, [number for number, _ in sample], header_row)
         rows = rows[begin:]
         width = max((len(_without_empty_end(row)) for row in rows), default=0)
         header, remark = rows[0][:width] if rows else [], ""
-        if self._openeit:
-            header = [f"{OPENEIT}{column}" for column in range(len(header))]
+        if self._label:
+            header = [f"{self._label}{column}" for column in range(len(header))]
         elif _are_values(header):
             remark = " (the file has no header, so columns are numbered)"
             names = self._cells(self._last_comment())
@@ -102,7 +108,7 @@ class TextReader(TableReader):
         self._first = sample[begin][0] if begin < len(sample) else 0
         if not self._first:
             raise DataError("expected a header and at least one row, got no row")
-        usual = OPENEIT if self._openeit else "v"
+        usual = self._label or "v"
         self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
 
     def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
@@ -147,17 +153,14 @@ class TextReader(TableReader):
         with self.path.open(encoding=self._encoding) as file:
             for number, line in enumerate(file, 1):
                 text = line.rstrip("\r\n")
-                if self._openeit:
-                    label, _, text = line.partition(":")
-                    text = text.strip().rstrip(",") if label.strip() == OPENEIT else ""
-                elif brackets := _BRACKETS.fullmatch(text):
+                if self._label is not None:
+                    label = _LABEL.match(text)
+                    same = label is not None and _label_word(label) == self._label
+                    text = text[label.end() :] if label and same else ""
+                if brackets := _BRACKETS.fullmatch(text):
                     text = brackets[1]
                 if text.strip(f'{_DELIMITERS}" ') and not text.startswith(_COMMENTS):
                     yield number, text
-
-    def _has_magnitudes(self) -> bool:
-        with self.path.open(encoding=self._encoding) as file:
-            return any(line.partition(":")[0].strip() == OPENEIT for line in file)
 
     def _last_comment(self) -> str:
         """Last comment before the first cells, without its sign."""
@@ -319,16 +322,22 @@ def _without_empty_end(row: list[str]) -> list[str]:
     return row[: max((place for place, cell in enumerate(row, 1) if cell), default=0)]
 
 
+def _label_word(label: re.Match[str]) -> str:
+    """Word of a label, without a number that counts the lines."""
+    return re.sub(r"[\W\d]+", "", label[1] or "")
+
+
 def _most_cells(line: str) -> tuple[int, bool]:
     """Number of separators of the most frequent kind; and whether there are decimal commas."""
-    separators = max(*map(line.count, _DELIMITERS), len(line.split()) - 1)
+    separators = max(*map(line.count, _DELIMITERS + "|"), len(line.split()) - 1)
     return separators, bool(_DECIMAL_COMMA.search(line))
 
 
 def _separators(line: str) -> tuple[str, str]:
     """Separator of cells and decimal mark of a line; a comma is either, and a cell has one mark."""
     commas, sign = line.count(","), "," if _DECIMAL_COMMA.search(line) else "."
-    for delimiter in ";\t":
+    bars = "" if re.search(r"\|\s*[,;\t]|[,;\t]\s*\|", line) else "|"  # |Z0|, |Z1| are names
+    for delimiter in ";\t" + bars:
         if line.count(delimiter) and line.count(delimiter) + 1 >= commas:
             return delimiter, "," if delimiter == ";" else sign
     cells = line.split()

@@ -14,7 +14,7 @@ from eitskin.datasets.recordings.orders import in_order
 from eitskin.datasets.recordings.source import open_reader
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
-from eitskin.simulator import Protocol, Status
+from eitskin.simulator import ForwardModel, Protocol, Status
 
 PRESSED = np.arange(12.0).reshape(4, 3) + 100.0
 UNTOUCHED = PRESSED - 1.0
@@ -312,12 +312,28 @@ NAMED = "v0,v1,v2,v3\n"
         "v0 [ohm],v1 [ohm],v2 [ohm],v3 [ohm]\n" + LINES,
         "Zeit: 3\n" + (NAMED + LINES).replace(",", "\t").replace(".", ","),
         (NAMED + LINES).replace(",", " ").replace(".", ","),
+        (NAMED + LINES).replace(",", "|"),
         "\ufeff" + NAMED.replace(",", ";") + LINES.replace(",", ";").replace(".", ","),
     ],
 )
 def test_a_header_is_found_above_rows_of_any_form(tmp_path, text):
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     assert np.array_equal(read_recording(tmp_path / "a.csv").impedance, CELLS)
+
+
+@pytest.mark.parametrize("line", ["EIT : {} ,", "Frame 7: ({})", "14:05:00.12 -> {}", "({}),"])
+def test_lines_of_numbers_have_labels_and_brackets(tmp_path, line):
+    """Lines of fewer numbers, or with another label, are left out."""
+    lines = [line.format(each) for each in LINES.split()]
+    (tmp_path / "a.txt").write_text("\n".join(["started", "gain: 3", *lines]))
+    pairs = Protocol.from_rows([(0, k, 0, k) for k in range(1, 5)], 5)
+    assert np.array_equal(read_recording(tmp_path / "a.txt", protocol=pairs).impedance, CELLS)
+
+
+def test_driven_readings_are_not_taken_for_labels(tmp_path):
+    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 256) + "\n") * 2)
+    with pytest.raises(DataError, match=r"adjacent:16\+driven"):
+        read_recording(tmp_path / "a.csv", protocol=Protocol.adjacent(16))
 
 
 def test_a_row_of_names_is_given_and_refusals_quote_and_help(tmp_path):
@@ -365,6 +381,9 @@ def written(path, first, second, values=COMPLEX, degrees=None, apart=False):
         ("v{}.re", "v{}.im", None),
         ("Real {}", "Imag {}", None),
         ("ch{} I [V]", "ch{} Q [V]", None),
+        ("R{}", "X{}", None),
+        ("Z{} (ohm)", "phi{} (deg)", True),
+        ("|Z{}|", "arg(Z{}) [rad]", False),
     ],
 )
 def test_two_parts_are_joined_by_their_names(tmp_path, first, second, degrees, apart):
@@ -419,6 +438,18 @@ def test_the_order_that_fits_the_laws_is_named(tmp_path, order, protocol, size):
         assert read_recording(path, names, protocol, form=form).protocol == expected
 
 
+def test_a_design_says_the_order_of_magnitudes_that_no_law_relates(tmp_path):
+    text = "thickness = 0.005\noutline = { radius = 0.05 }\n[electrodes]\ncount = 16\n"
+    (tmp_path / "round.toml").write_text(text)
+    design, protocol = SensorDesign.from_toml(tmp_path / "round.toml"), Protocol.opposite(16)
+    matrix = ForwardModel(design, "coarse").impedance()
+    np.savez(tmp_path / "a.npz", v=np.abs(in_order(protocol, "rotated").measure(matrix))[None])
+    names = RecordingNames("v")
+    with pytest.raises(DataError, match="order 'rotated'"):
+        read_recording(tmp_path / "a.npz", names, protocol, design=design)
+    assert read_recording(tmp_path / "a.npz", names, protocol).protocol == protocol
+
+
 # Times on the clocks that loggers have
 
 
@@ -439,6 +470,8 @@ def times_of(tmp_path, times, unit="", session=None, **names):
         ([2**32 - 301, 2**32 - 1, 299, 599], "ms", [0.3] * 3),
         ([2**32 - 400001, 2**32 - 200001, 2**32 - 1, 199999], "us", [0.2] * 3),
         ([f"2026-11-23T14:0{minute}:00Z" for minute in range(3)], "", [60, 60]),
+        ([f"23.11.2026 14:0{minute}:00" for minute in range(3)], "", [60, 60]),
+        ([f"14:0{minute}:00.5" for minute in range(3)], "", [60, 60]),
     ],
 )
 def test_clocks_go_on_in_seconds(tmp_path, monkeypatch, times, unit, steps):
@@ -451,6 +484,8 @@ def test_clocks_go_on_in_seconds(tmp_path, monkeypatch, times, unit, steps):
     [
         ([1763906400000, 1763906400300], "", "--time-unit ms"),
         ([1234, 1534, 1834], "", "--time-unit ms"),
+        ([1000, 1020, 1040], "", "--time-unit ms"),
+        (["11/23/2026 14:05:00"], "", "dates such as 2026-11-23T"),
         ([0, 1, 2, 1], "", "backwards, from 2 to 1 s; .*--column session"),
         ([0, 1, 2, 1], "ms", "backwards"),
     ],
