@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
-from eitskin.files import shorten_text
+from eitskin.files import quote_value, shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import CHUNK, SerialPort, connector
-from eitskin.hardware.boards.text_lines import FrameFinder, FrameLines, LineDecoder
+from eitskin.hardware.boards.text_lines import MAX_LINE, FrameFinder, FrameLines, LineDecoder
 from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
@@ -137,8 +137,9 @@ class TextBoard(PortBoard[FrameLines]):
                 f"{len(self.protocol)} measurements: '{shorten_text(unread.decode())}'; text: "
                 "reads one measurement a line, or all of a frame: correct protocol="
             )
-        elif drops:
-            received += f" (dropped: {drops}; a wrong baud rate looks like this)"
+        elif newest := self._decoder.newest[:MAX_LINE]:
+            received += f"; the last line was {quote_value(newest.decode(errors='replace'))}"
+            received += f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
         raise DeviceError(
             f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; {received}"
         )

@@ -2,18 +2,23 @@
 
 Impedance and body impedance: `Freq:40000.00 RzMag: 612.5 Ohm , RzPhase: -1.25`, magnitude in ohm
 and phase in degrees; "Freq:" comes once for several lines, in each line, or not at all. Two-wire
-bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Others print all
-numbers of a frame in a line: `magnitudes : 612.5 , 598.1 ,`, `612.5, 598.1` or JSON. Lines carry no
-checksum: a digit that is damaged into another digit goes unseen.
+bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Others print one
+number a line, those of a drive pair, or all of a frame: `magnitudes : 612.5 , 598.1 ,`,
+`612.5, 598.1` or JSON. Lines carry no checksum: a digit that is damaged into another digit goes
+unseen.
 """
 
+import cmath
+import json
 import math
 import re
 from collections import Counter, deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from statistics import median
+from typing import Any
 
 MAX_LINE = 256
 """Longest line with one measurement [bytes]; the programs print less than half as many."""
@@ -25,19 +30,28 @@ _NUMBER = (
     rb"|nan(?:\([^)\s]*\))?|inf(?:inity)?))"
 )
 _FREQUENCY = rb"(?:freq\s*:\s*" + _NUMBER + rb"\s*(?:\(?hz\)?)?\s*,?\s*)?"
+_OHM, _BETWEEN = rb"\s*(k?)(?:ohms?)?", rb"[\s,;/]*"
 _POLAR = re.compile(
     rb"(?:[a-z]+ ?\d+ ?[-:] ?)?" + _FREQUENCY
-    + rb"(?:rzmag|magnitude|impedance)\s*[:=]\s*" + _NUMBER + rb"\s*(k?)(?:ohms?)?\s*,?\s*"
-    + rb"(?:rzphase|phase)\s*[:=]\s*" + _NUMBER + rb"\s*(?:deg(?:rees)?)?",
+    + rb"(?:rzmag|magnitude|mag|impedance|\|?z\|?)\s*[:=]\s*" + _NUMBER + _OHM + _BETWEEN
+    + rb"(?:rzphase|phase|phi|theta)\s*[:=]\s*" + _NUMBER + rb"\s*(rad)?(?:deg(?:rees)?)?",
     re.IGNORECASE,
 )  # fmt: skip
 _CARTESIAN = re.compile(
     _FREQUENCY
-    + rb"impedance\s*:\s*\(real\s*,\s*imag\w*\)\s*=\s*"
-    + rb"\(" + _NUMBER + rb"\s*,\s*" + _NUMBER + rb"\)",
+    + rb"(?:impedance\s*:\s*\(real\s*,\s*imag\w*\)\s*=\s*\(|(?:real|re|r)\s*[:=]\s*)"
+    + _NUMBER + _OHM + _BETWEEN + rb"(?:(?:imag\w*|im|x|i)\s*[:=]\s*)?" + _NUMBER
+    + rb"\s*(?:ohms?|\))?",
     re.IGNORECASE,
 )  # fmt: skip
 _FREQUENCY_ALONE = re.compile(_FREQUENCY, re.IGNORECASE)
+
+
+_PREFIX = re.compile(rb"[a-z_|$][\w |.-]*[:=]|[\d:.,]+ ->|\d{1,4}(?:-\d{1,4})?:", re.IGNORECASE)
+"""Label of a line, the time that a terminal puts there, or the number of a measurement."""
+_UNITS = re.compile(rb"(?<=[\d. ])(k?)ohms?\b", re.IGNORECASE)
+_NOT_FINITE = re.compile(rb"(?<![\w\"])[+-]?(?:nan|inf(?:inity)?)\b", re.IGNORECASE)
+_PARTS = (("real", "imag"), ("re", "im"), ("magnitude", "phase"), ("mag", "phase"))
 
 
 class LineDrop(StrEnum):
@@ -67,7 +81,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class FrameLine:
-    """Line with all measurements of a frame."""
+    """Line with all measurements of a frame, or with those of a part of it."""
 
     measurements: tuple[Measurement, ...]
 
@@ -80,16 +94,19 @@ class LineDecoder:
 
     Attributes:
         drops: count of dropped lines, by reason; empty lines do not count.
-        unread: newest line that is no measurement.
+        newest: newest line of all, and `unread` where it is no measurement.
     """
 
     def __init__(self, mark: str = "", size: int = 0) -> None:
         """Take lines that begin with `mark` as beginnings of frames; no line when empty.
 
-        Lines of `size` numbers are whole frames.
+        Lines of `size` numbers are whole frames, and lines of one number, or of numbers that
+        divide `size`, parts of one. No part counts after a line with more: it would be a rest.
         """
         self._size, self._longest = size, max(MAX_LINE, BYTES_PER_VALUE * size)
-        self.unread, self._cut = b"", False
+        self._most = 1
+        self.unread = self.newest = b""
+        self._cut = False
         self.drops: Counter[LineDrop] = Counter()
         self._mark = b" ".join(mark.encode().split())
         self._frequency = math.nan
@@ -126,6 +143,7 @@ class LineDecoder:
         cut, self._cut = self._cut, False
         self._begun.clear()
         self._overflown = False
+        self.newest = text or self.newest
         if overflown:
             self.drops[LineDrop.TOO_LONG] += 1
             self.unread = text
@@ -138,39 +156,75 @@ class LineDecoder:
     def _read(self, text: bytes, cut: bool) -> Measurement | FrameLine | None:
         if polar := _POLAR.fullmatch(text):
             frequency, magnitude, phase = (_number(polar[group]) for group in (1, 2, 4))
-            impedance = _from_polar(magnitude * (1e3 if polar[3] else 1.0), phase)
+            degrees = math.degrees(phase) if polar[5] else phase
+            impedance = _from_polar(magnitude * (1e3 if polar[3] else 1.0), degrees)
         elif polar := _CARTESIAN.fullmatch(text):
-            frequency, *parts = map(_number, polar.groups())
-            impedance = complex(*parts)
+            frequency, *parts = (_number(polar[group]) for group in (1, 2, 4))
+            impedance = complex(*parts) * (1e3 if polar[3] else 1.0)
         elif polar := _FREQUENCY_ALONE.fullmatch(text):
             self._frequency = _number(polar[1])
             return None
-        elif self._size > 1 and not cut and len(values := parse_values(text)) == self._size:
-            numbers = [value if math.isfinite(value) else math.nan for value in values]
-            return FrameLine(
-                tuple(Measurement(complex(v, 0 * v), self._frequency) for v in numbers)
-            )
         else:
+            return self._read_values(text, cut)
+        self._most, self.unread = max(self._size, 1), b""
+        if polar[1] is not None:
+            self._frequency = frequency
+        return Measurement(_finite(impedance), self._frequency)
+
+    def _read_values(self, text: bytes, cut: bool) -> FrameLine | None:
+        """Frame, or part of one, in a line of numbers; None for another line, which is dropped."""
+        values = [] if cut or not self._size else parse_values(text, self._size)
+        count = len(values)
+        if count < self._most or self._size % count or (count == 1 and b"," in text):
             self.drops[LineDrop.UNKNOWN] += 1
             self.unread = text
             return None
-        if polar[1] is not None:
-            self._frequency = frequency
-        finite = math.isfinite(impedance.real) and math.isfinite(impedance.imag)
-        return Measurement(impedance if finite else complex(math.nan, math.nan), self._frequency)
+        self._most, self.unread = count, b""
+        return FrameLine(tuple(Measurement(_finite(v), self._frequency) for v in values))
 
 
-def parse_values(text: bytes) -> list[float]:
-    """Numbers of a line that has nothing else but a label, as "magnitudes : 1 , 2 ," or in JSON."""
-    lists = re.findall(rb"\[([^\[\]]*)\]", text)
-    body = max(lists, key=len) if lists else re.sub(rb"(?i)^[a-z_][\w -]*[:=]", b"", text)
-    body = body.strip(b" ,;(){}").replace(b"null", b"nan")
-    if b";" in body:
+def parse_values(text: bytes, size: int = 0) -> list[complex]:
+    """Numbers of a line that has nothing else but labels, as "magnitudes : 1 , 2 ," or in JSON.
+
+    None where there are other words. JSON has one list, lists of two parts of `size` complex
+    numbers, or a number for each of `size` names that end in digits.
+    """
+    with suppress(ValueError, RecursionError):
+        if isinstance(read := json.loads(_NOT_FINITE.sub(b"null", text)), list | dict):
+            return _values_of(read, size)
+    body = _PREFIX.sub(b"", text, count=1).strip(b" ,;|[](){}")
+    factor = 1e3 if all(unit for unit in _UNITS.findall(body) or [b""]) else 1.0
+    body = re.sub(rb"[a-z_]+\d+=", b"", _UNITS.sub(b"", body), flags=re.IGNORECASE)
+    if re.search(rb"\d,\d+(?:[;|]| (?!,))", body) and b"." not in body:
         body = body.replace(b",", b".")
     try:
-        return [float(cell) for cell in re.split(rb"\s*[;,]\s*|\s+", body)]
+        cells = re.split(r"\s*[;,|]\s*|\s+", body.decode("ascii").strip(" ,;|"))
+        return [factor * complex(cell.replace("i", "j")) for cell in cells]
     except ValueError:
         return []
+
+
+def _values_of(read: Any, size: int) -> list[complex]:
+    """Numbers in JSON of a line."""
+    lists = {"": read} if isinstance(read, list) else read if isinstance(read, dict) else {}
+    numbers = {key: v for key, v in lists.items() if isinstance(v, int | float)}
+    lists = {key.casefold(): v for key, v in lists.items() if isinstance(v, list)}
+    named = [value for key, value in numbers.items() if key[-1:].isdigit()]
+    for first, second in _PARTS:
+        if {first, second} <= set(lists):
+            pairs = zip(map(_number_of, lists[first]), map(_number_of, lists[second]), strict=True)
+            return [_from_polar(*p) if second == "phase" else complex(*p) for p in pairs]
+    chosen = [each for each in lists.values() if len(each) == size] or list(lists.values())
+    return list(map(complex, map(_number_of, chosen[0] if len(chosen) == 1 else named)))
+
+
+def _number_of(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _finite(value: complex) -> complex:
+    """The value, or NaN where it is not finite."""
+    return value if cmath.isfinite(value) else complex(math.nan, math.nan)
 
 
 def _number(text: bytes | None) -> float:
@@ -263,13 +317,15 @@ class FrameFinder:
         for line in lines:
             if isinstance(line, Mark):
                 ended.append(self._end())
+            elif isinstance(line, FrameLine) and len(line.measurements) < self._size:
+                self._take(now, line.measurements)
             elif isinstance(line, FrameLine):
                 self._began, self._whole = now, True
                 self._group, self._count = list(line.measurements), self._size
                 self.frequency = line.measurements[-1].frequency
                 ended.append(self._end())
             else:
-                self._take(now, line)
+                self._take(now, (line,))
         return [frame for frame in ended if frame is not None]
 
     def received_instead(self) -> str:
@@ -277,8 +333,8 @@ class FrameFinder:
         if self._counts:
             found = ", ".join(map(str, self._counts))
             return (
-                f"its last frames had {found} lines where {self._size} were expected; check the "
-                "protocol, or separate frames by mark= or pause="
+                f"its last frames had {found} measurements where {self._size} were expected; check "
+                "the protocol, or separate frames by mark= or pause="
             )
         if self._count:
             what = "no line with the mark" if self._marked else "no pause"
@@ -292,22 +348,24 @@ class FrameFinder:
             return self._pause
         return math.inf if math.isnan(self._usual) else PAUSE * self._usual
 
-    def _take(self, now: float, line: Measurement) -> None:
+    def _take(self, now: float, measurements: Sequence[Measurement]) -> None:
+        """Add the measurements of one line."""
         if not self._count:
             self._began = now
-        self._count += 1
+        self._count += len(measurements)
         if self._count <= self._size:
-            self._group.append(line)
-        if not math.isnan(line.frequency):
-            self.frequency = line.frequency
+            self._group += measurements
+        if not math.isnan(measurements[-1].frequency):
+            self.frequency = measurements[-1].frequency
         if not math.isnan(self._latest):
             self._distances.append(now - self._latest)
         self._latest = now
-        if len(self._distances) == self._size:
+        lines = self._size // len(measurements)
+        if len(self._distances) >= lines:
             # Any run of as many intervals as a frame has lines holds one pause. The mean of the
             # others is their usual value, although many lines may come at once, by way of USB.
-            others = sum(self._distances) - max(self._distances)
-            self._means.append(others / max(self._size - 1, 1))
+            run = list(self._distances)[-lines:]
+            self._means.append((sum(run) - max(run)) / max(lines - 1, 1))
             # Lines that are lost put several pauses into a run, for as long as it is.
             self._usual = float(median(self._means))
 

@@ -15,6 +15,7 @@ from eitskin.hardware.boards.text_board import TextBoard
 from eitskin.hardware.boards.text_lines import (
     FrameDrop,
     FrameFinder,
+    Line,
     LineDecoder,
     LineDrop,
     Mark,
@@ -48,6 +49,9 @@ def decoded(text, **options):
         ("Impedance: 2000 ohms, Phase: 90.0 degrees", 2000j, math.nan),
         ("Freq:40000,00 RzMag: 2000,000 Ohm , RzPhase: 90,0", 2000j, 40e3),
         ("RzMag: 2.0 kOhm , RzPhase: 90", 2000j, math.nan),
+        ("|Z| = 2000, theta = 1.5707963267949 rad", 2000j, math.nan),
+        ("R: 0 X: 2000", 2000j, math.nan),
+        ("Real=0.0/Imag=2000", 2000j, math.nan),
     ],
 )
 def test_what_programs_print_is_read(text, impedance, frequency):
@@ -78,13 +82,13 @@ def test_a_frequency_holds_for_the_lines_that_follow_and_the_rest_is_counted():
 @given(st.binary(max_size=600), st.lists(st.integers(0, 600), max_size=8))
 def test_bytes_of_any_kind_never_raise_and_may_be_cut_anywhere(noise, cuts):
     stream = noise + b"\nRzMag: 3 Ohm , RzPhase: 4\ngo\n" + noise
-    whole, cut = LineDecoder("go"), LineDecoder("go")
+    whole, cut = LineDecoder("go", 4), LineDecoder("go", 4)
     together = whole.feed(stream)
     edges = [0, *sorted(cuts), len(stream)]
     apart = [line for a, b in itertools.pairwise(edges) for line in cut.feed(stream[a:b])]
     assert repr(apart) == repr(together)
     assert cut.drops == whole.drops
-    assert all(isinstance(line, Measurement | Mark) for line in apart)
+    assert all(isinstance(line, Line) for line in apart)
 
 
 # ---- frames ----
@@ -281,7 +285,7 @@ def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
     ("events", "said"),
     [
         ((), r"stale.*10\.0 s.*baud"),
-        (stream(range(99), skip={(n, 5) for n in range(99)}), "5, 5, 5 lines .*6"),
+        (stream(range(99), skip={(n, 5) for n in range(99)}), "5, 5, 5 measurements .*6"),
         (((0.01 * k, b"RzMag: 1 Ohm , RzPhase: 0\n") for k in range(1200)), "mark=.*pause="),
         (((0.1 * k, b"\xf0\x81\n") for k in range(200)), "wrong baud rate"),
         (((0.1 * k, b"a: 1, 2\n") for k in range(200)), r"2 numbers .*6 .*'a: 1, 2'.*protocol="),
@@ -302,6 +306,10 @@ def test_a_board_without_whole_frames_says_what_is_wrong(events, said):
         "{} {}\t{}",
         '{{"n": 7, "eit": [{}, {}, {}]}}',
         "EIT={},{},{}",
+        "({}|{}|{})",
+        "14:05:00.120 -> {}\t{}\t{}\t",
+        "v0={} v1={} v2={}",
+        "{} Ohm, {} Ohm, {} Ohm",
     ],
 )
 def test_a_line_may_be_a_frame_but_the_end_of_one_is_none(form):
@@ -312,6 +320,43 @@ def test_a_line_may_be_a_frame_but_the_end_of_one_is_none(form):
     assert np.array_equal(frames[0].impedance, [612.5, -3, 1000])
     assert frames[1].status.tolist() == [0, Status.NOT_FINITE, 0]
     assert [frame.number for frame in frames] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ('{"real": [1, 2.5], "imag": [3, -4]}', [1 + 3j, 2.5 - 4j]),
+        ('{"phase": [90, null], "mag": [2, 1]}', [2j, complex(math.nan, math.nan)]),
+        ('{"n": 7, "z1": 1.5, "z2": 2}', [1.5, 2]),
+        ("1.5+2j, 3-4i", [1.5 + 2j, 3 - 4j]),
+        ("1,5 2,5", [1.5, 2.5]),
+        ("1.5 kOhm;2 kOhm;", [1500, 2000]),
+        ("1.5, 2, oops", []),
+    ],
+)
+def test_a_line_has_other_numbers_of_a_frame(text, values):
+    lines = LineDecoder(size=2).feed(text.encode() + b"\n")
+    read = [each.impedance for line in lines for each in line.measurements]
+    assert read == pytest.approx(values, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("form", ["{}", "{} {}", "Z = {} Ohm", "3: {}", "D1: {}, {}, {}"])
+def test_a_line_is_a_part_of_a_frame(form):
+    """Of one number, or of those of a drive pair."""
+    values, count = iter(range(72)), form.count("{}")
+    texts = [form.format(*itertools.islice(values, count)) for _ in range(72 // count)]
+    when = [LINE * k + PAUSE * (k // (6 // count)) for k in range(len(texts))]
+    port = Printer(zip(when, (text.encode() + b"\n" for text in texts), strict=True))
+    board = TextBoard(lambda: port, "text:x", PROTOCOL, clock=port.clock)
+    for frame in itertools.islice(board.frames(), 3):
+        first = frame.impedance[0].real
+        assert first % 6 == 0
+        assert np.array_equal(frame.impedance, first + np.arange(6))
+
+
+def test_the_rest_of_a_line_is_no_part():
+    lines = LineDecoder(size=4).feed(b"1,2,3,4\n3,4\n4\nRzMag: 1 Ohm , RzPhase: 2\n1,2\n")
+    assert [len(getattr(line, "measurements", "1")) for line in lines] == [4, 1]
 
 
 def test_a_board_that_comes_back_is_a_new_session_until_it_is_closed():
