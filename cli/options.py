@@ -145,6 +145,8 @@ def with_output(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+MAX_COUNT = 2**31 - 1
+"""Largest value of an option that counts something."""
 _VALUES = {int: "N", float: "X", Path: "PATH"}
 _STREAMS = "Recording and streams"
 _PANELS = {
@@ -161,6 +163,8 @@ def _name_value(parameter: inspect.Parameter) -> None:
     kind, info = get_args(parameter.annotation)
     info.rich_help_panel = info.rich_help_panel or _PANELS.get(parameter.name.partition("_")[0])
     plain = next((each for each in (get_args(kind) or (kind,)) if each is not type(None)), kind)
+    if plain is int and info.min is not None and info.max is None:
+        info.max = MAX_COUNT
     flag = plain is bool or get_origin(kind) is Literal or get_origin(plain) is Literal
     if info.metavar is None and not flag and not isinstance(plain, str):
         named = parameter.name.rpartition("_")[2].upper()

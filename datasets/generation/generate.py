@@ -11,7 +11,7 @@ from eitskin.datasets.generation.preparation import free_bytes, prepare
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.folder import make_folder, new_folder
+from eitskin.datasets.store.folder import make_folder, require_empty
 from eitskin.datasets.store.manifest import (
     MANIFEST,
     Manifest,
@@ -92,8 +92,10 @@ def generate(
         )
     if scheduler:
         check_scheduler(scheduler)
-    prepare(recipe, workers=workers, specimens=needed_specimens(recipe, shard))
     folder = Path(out)
+    if not resume and shard is None:
+        require_empty(folder)  # before hours of work
+    prepare(recipe, workers=workers, specimens=needed_specimens(recipe, shard))
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
     kept: Entries = {}
     if resume or shard is not None:
@@ -209,7 +211,7 @@ def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
     """
     text, path = recipe.to_toml().encode(), folder / RECIPE
     if not (resume or shared):
-        new_folder(folder)
+        require_empty(folder)
     # Listed before the look at the recipe: another call may write recipe and shard in between.
     held = sorted(name for name in make_folder(folder) if not name.startswith(TEMPORARY))
     if not shared:

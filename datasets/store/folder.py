@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -163,12 +164,19 @@ def save_parts(
 
 def new_folder(folder: Path) -> Path:
     """Create `folder`, or accept an empty one; raises ConfigurationError otherwise."""
-    if make_folder(folder):
-        raise ConfigurationError(
-            f"{folder} is not empty; choose another folder, or continue what lies there with "
-            "--resume where it was generated"
-        )
+    require_empty(folder)
+    make_folder(folder)
     return folder
+
+
+def require_empty(folder: Path) -> None:
+    """Raise ConfigurationError unless `folder` is empty, or could be made."""
+    with _as_configuration_errors(folder):
+        if folder.exists() and any(folder.iterdir()):
+            raise ConfigurationError(
+                f"{folder} is not empty; choose another folder, or continue what lies there with "
+                "--resume where it was generated"
+            )
 
 
 def make_folder(folder: Path) -> frozenset[str]:
@@ -176,9 +184,16 @@ def make_folder(folder: Path) -> frozenset[str]:
 
     Raises ConfigurationError where the folder cannot be created or read.
     """
-    try:
+    with _as_configuration_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         return frozenset(path.name for path in folder.iterdir())
+
+
+@contextmanager
+def _as_configuration_errors(folder: Path) -> Iterator[None]:
+    """Raise the system's errors as ConfigurationError, with a remedy."""
+    try:
+        yield
     except OSError as error:
         raise ConfigurationError(
             f"cannot use the folder {folder}: {error.strerror}; give permission, or choose another"

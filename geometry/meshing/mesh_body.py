@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.bounds import require_positive
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
+from eitskin.files import require_regular
 from eitskin.geometry.design.electrode import require_contact_impedance
 from eitskin.geometry.design.patches import Contacts, area_vectors, boundary_faces
 from eitskin.geometry.meshing.mesh import Mesh, check_quality, volumes
@@ -21,6 +23,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Groups = Mapping[str, Indices]
 
+MAX_MESH_BYTES = 1 << 32  # of a file
 _CORNERS = {"triangle": 3, "triangle6": 3, "tetra": 4, "tetra10": 4, "line": 2, "line3": 2}
 
 
@@ -48,7 +51,16 @@ class GivenMesh:
         Raises ConfigurationError for anything else, and for other cells.
         """
         if isinstance(mesh, str | Path):
-            mesh = require("meshio", "mesh").read(mesh)
+            path, meshio = Path(mesh), require("meshio", "mesh")
+            require_regular(path, MAX_MESH_BYTES)
+            try:
+                with redirect_stdout(None), redirect_stderr(None):
+                    mesh = meshio.read(path)
+            except (Exception, SystemExit) as error:  # of meshio for damaged files
+                raise ConfigurationError(
+                    f"cannot read the mesh {path}: {error}; expected a file of gmsh, VTK or another "
+                    "form that meshio reads"
+                ) from error
         if hasattr(mesh, "cells_dict"):
             return cls._from_meshio(mesh)
         if hasattr(mesh, "facets") and hasattr(mesh, "t"):

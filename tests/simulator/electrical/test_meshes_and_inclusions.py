@@ -101,6 +101,24 @@ def test_files_are_read_by_meshio(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.msh", b""),
+        ("a.vtk", b"\x80\xff"),
+        ("a.msh", b"$Nodes\n3\n1"),
+        ("a.py", b""),
+        ("b", None),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_refused(tmp_path, name, content) -> None:
+    pytest.importorskip("meshio")
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigurationError, match=name):
+        ForwardModel.from_mesh(tmp_path / name)
+
+
+@pytest.mark.parametrize(
     ("electrodes", "wrong"),
     [
         (None, "named parts"),
