@@ -58,8 +58,8 @@ class GivenMesh:
                     mesh = meshio.read(path)
             except (Exception, SystemExit) as error:  # of meshio for damaged files
                 raise ConfigurationError(
-                    f"cannot read the mesh {path}: {error}; expected a file of gmsh, VTK or another "
-                    "form that meshio reads"
+                    f"cannot read the mesh {path}: {error}; expected a file of gmsh, VTK or "
+                    "another form that meshio reads"
                 ) from error
         if hasattr(mesh, "cells_dict"):
             return cls._from_meshio(mesh)
