@@ -3,7 +3,6 @@
 import re
 from abc import abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,41 +24,31 @@ _STIMULATION: Final = ("stim_pattern", "meas_pattern")
 
 
 class ArrayReader(Reader):
-    """Reader of a file of named arrays, of which the measurements are read in blocks.
+    """Reader of a file of named arrays.
 
     Arrays with as many rows as the file says that there are measurements have frames as columns.
     """
 
     @abstractmethod
-    def open_file(self) -> Any:
-        """Context manager of the open file, from which `array` reads."""
+    def array(self, name: str) -> Any:
+        """Array `name` of the file; raises DataError."""
 
-    @abstractmethod
-    def array(self, file: Any, name: str) -> Any:
-        """Array `name` of the open file: something with a shape that can be sliced."""
-
-    def blocks(self, request: ReadRequest) -> Iterator[Tables]:
-        with self.open_file() as file:
-            values = {name: self.array(file, name) for name in request.values}
-            first, measured = next(iter(values.values())).shape, len(self.contents.measured)
-            transposed = request.transposed or (0 < measured == first[0] and first[1:] != first[:1])
-            shapes = [_shape(array, name, transposed) for name, array in values.items()]
-            for name, shape in zip(values, shapes, strict=True):
-                if shape != shapes[0]:
-                    raise DataError(
-                        f"'{name}' must have the shape of the values, {shapes[0]}, got {shape}"
-                    )
-            rows = shapes[0][0]
-            labels = {
-                name: _columns(np.asarray(self.array(file, name)[()]), name, rows, request.paired)
-                for name in request.labels
-            }
-            for start in range(0, rows, request.block_rows):
-                chosen = slice(start, min(start + request.block_rows, rows))
-                yield {
-                    name: _numbers(_frames(array, chosen, transposed), name)
-                    for name, array in values.items()
-                } | {name: label[chosen] for name, label in labels.items()}
+    def tables(self, request: ReadRequest) -> Tables:
+        arrays = {name: self.array(name) for name in request.values}
+        first, measured = next(iter(arrays.values())).shape, len(self.contents.measured)
+        transposed = request.transposed or (0 < measured == first[0] and first[1:] != first[:1])
+        values = {name: _frames(array, name, transposed) for name, array in arrays.items()}
+        shape = values[request.values[0]].shape
+        for name, table in values.items():
+            if table.shape != shape:
+                raise DataError(
+                    f"'{name}' must have the shape of the values, {shape}, got {table.shape}"
+                )
+        labels = {
+            name: _columns(self.array(name), name, shape[0], request.paired)
+            for name in request.labels
+        }
+        return values | labels
 
 
 class NumpyReader(ArrayReader):
@@ -67,21 +56,16 @@ class NumpyReader(ArrayReader):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        with self.open_file() as file:
-            self.contents = Contents(tuple(file), usual_values="v" if "v" in file else None)
-
-    @contextmanager
-    def open_file(self) -> Iterator[Any]:
         with as_data_errors("file of plain arrays, as numpy.save and numpy.savez write it,"):
-            read = np.load(self.path, allow_pickle=False)
-            if isinstance(read, np.ndarray):
-                yield {"v": read}
-            else:
-                with read:
-                    yield read
+            read = np.load(path, allow_pickle=False)
+            self._arrays = {"v": read} if isinstance(read, np.ndarray) else read
+        self.contents = Contents(
+            tuple(self._arrays), usual_values="v" if "v" in self._arrays else None
+        )
 
-    def array(self, file: Any, name: str) -> Any:
-        return file[name]
+    def array(self, name: str) -> Any:
+        with as_data_errors("file of plain arrays"):
+            return self._arrays[name]
 
 
 class MatReader(ArrayReader):
@@ -94,33 +78,28 @@ class MatReader(ArrayReader):
         from scipy.io import loadmat, whosmat
 
         super().__init__(path)
-        with self.open_file() as file:
-            kinds = {name: kind for name, _, kind in whosmat(file)}
+        with as_data_errors("MATLAB file"):
+            kinds = {name: kind for name, _, kind in whosmat(path)}
         names = [name for name, kind in kinds.items() if kind in _MATLAB_NUMBERS]
         unread = {name: f"a MATLAB {kind}" for name, kind in kinds.items() if name not in names}
         structures = [name for name, kind in kinds.items() if kind == "struct"]
         self._inside: dict[str, NDArray[Any]] = {}
         stimulations: list[Any] = []
         if structures:
-            with self.open_file() as file:
-                read = loadmat(file, variable_names=structures, simplify_cells=True)
+            with as_data_errors("MATLAB file"):
+                read = loadmat(path, variable_names=structures, simplify_cells=True)
             for name in structures:
                 _collect_arrays(read[name], name, self._inside, stimulations)
         parts = [tuple(map(_dense, (each[k] for k in _STIMULATION))) for each in stimulations]
         self.contents = _eidors((*names, *self._inside), unread, parts)
 
-    @contextmanager
-    def open_file(self) -> Iterator[Any]:
-        with as_data_errors("MATLAB file"), self.path.open("rb") as file:
-            yield file
-
-    def array(self, file: Any, name: str) -> Any:
+    def array(self, name: str) -> Any:
         from scipy.io import loadmat
 
         if name in self._inside:
             return self._inside[name]
-        file.seek(0)
-        return loadmat(file, variable_names=[name])[name]
+        with as_data_errors("MATLAB file"):
+            return loadmat(self.path, variable_names=[name])[name]
 
 
 def _collect_arrays(
@@ -176,7 +155,7 @@ class Hdf5Reader(ArrayReader):
         super().__init__(path)
         names: list[str] = []
         unread: dict[str, str] = {}
-        with self.open_file() as file:
+        with as_data_errors("HDF5 file"), h5py.File(path) as file:
             for name, array in _arrays(file, "", unread):
                 fields = array.dtype.names or ()
                 if array.dtype.kind == "O" and h5py.check_string_dtype(array.dtype) is None:
@@ -190,21 +169,17 @@ class Hdf5Reader(ArrayReader):
             parts = _stimulations(file)
         self.contents = _eidors(tuple(names), unread, parts)
 
-    @contextmanager
-    def open_file(self) -> Iterator[Any]:
-        with as_data_errors("HDF5 file"), h5py.File(self.path, "r") as file:
-            yield file
-
-    def array(self, file: Any, name: str) -> Any:
-        if name in file:
-            stored = file[name]
-            require_stored(stored.id, name)
+    def array(self, name: str) -> Any:
+        with as_data_errors("HDF5 file"), h5py.File(self.path) as file:
+            path, field = (name, "") if name in file else name.rsplit("/", 1)
+            stored = file[path]
+            require_stored(stored.id, path)
+            if field:
+                return stored.fields(field)[()]
             if h5py.check_string_dtype(stored.dtype) is not None:
                 return np.asarray(stored.asstr()[()], dtype=np.str_)
-            return _TransposedArray(stored) if "MATLAB_class" in stored.attrs else stored
-        path, _, field = name.rpartition("/")
-        require_stored(file[path].id, path)
-        return file[path].fields(field)[()]
+            # MATLAB stores arrays with their axes in reverse order.
+            return stored[()].T if "MATLAB_class" in stored.attrs else stored[()]
 
 
 def open_mat(path: Path) -> Reader:
@@ -242,40 +217,18 @@ def _matrix(item: Any) -> NDArray[Any]:
     return matrix
 
 
-class _TransposedArray:
-    """View of an array that MATLAB stored with its axes in reverse order."""
-
-    def __init__(self, array: h5py.Dataset) -> None:
-        self._stored = array
-        self.shape = array.shape[::-1]
-
-    def __getitem__(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        return np.asarray(self._stored[key[::-1]]).T
-
-
-def _shape(array: Any, name: str, transposed: bool) -> tuple[int, ...]:
-    """Numbers of frames and channels of a table; raises DataError for one that is no matrix."""
-    shape = tuple(array.shape)
-    if len(shape) == 1 and transposed:
-        return (1, *shape)
-    if len(shape) != 2:
+def _frames(array: Any, name: str, transposed: bool) -> NDArray[Any]:
+    """Table (frames, channels) of an array; raises DataError for one that is no matrix."""
+    table = array[:, None] if array.ndim == 1 and transposed else array
+    if table.ndim != 2:
         raise DataError(
-            f"'{name}' must be a matrix of numbers, frames by columns, got shape {shape}; "
+            f"'{name}' must be a matrix of numbers, frames by columns, got shape {array.shape}; "
             "a single frame is read with --transpose"
         )
-    return shape[::-1] if transposed else shape
+    return _numbers(table.T if transposed else table, name)
 
 
-def _frames(array: Any, rows: slice, transposed: bool) -> NDArray[Any]:
-    """Frames `rows` of a table (frames, channels)."""
-    if not transposed:
-        return np.asarray(array[rows, :])
-    if len(array.shape) == 1:
-        return np.asarray(array[()])[None]
-    return np.asarray(array[:, rows]).T
-
-
-def _columns(array: NDArray[Any], name: str, rows: int, paired: bool) -> NDArray[Any]:
+def _columns(array: Any, name: str, rows: int, paired: bool) -> NDArray[Any]:
     """Labels (rows, columns) of a vector or matrix; raises DataError for another number of rows."""
     table = array[:, None] if array.ndim == 1 else array
     if table.ndim == 2 and len(table) == 1 and table.shape[1] in (rows, rows / 2):

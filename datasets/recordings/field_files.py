@@ -6,7 +6,6 @@ has the current.
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,11 +40,8 @@ class FieldReader(ArrayReader):
         super().__init__(path)
         self._tables, self.contents = read(path)
 
-    def open_file(self) -> AbstractContextManager[Any]:
-        return nullcontext(self._tables)
-
-    def array(self, file: Any, name: str) -> Any:
-        return file[name]
+    def array(self, name: str) -> Any:
+        return self._tables[name]
 
 
 def field_reader(path: Path) -> Reader | None:

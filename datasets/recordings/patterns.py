@@ -18,16 +18,14 @@ def protocol_of_patterns(
     (electrodes, patterns). Currents (drives * senses,) are in the unit of `drive`. Raises DataError
     for patterns that do not use exactly one electrode of each sign.
     """
-    pairs, currents = electrode_pairs(drive, "drive")
-    senses, weights = electrode_pairs(sense, "sense")
-    electrodes = np.shape(drive)[0]
-    if np.shape(sense)[0] != electrodes:
+    drives, senses = np.asarray(drive, dtype=float), np.asarray(sense, dtype=float)
+    if drives.shape[:1] != senses.shape[:1]:
         raise DataError(
-            f"drive and sense patterns must have one row per electrode, got {electrodes} and "
-            f"{np.shape(sense)[0]} rows"
+            "drive and sense patterns must have one row per electrode, got tables of shapes "
+            f"{drives.shape} and {senses.shape}"
         )
-    rows = [(*pair, *channel) for pair in pairs for channel in senses]
-    return Protocol.from_rows(rows, electrodes), np.outer(currents, weights).ravel()
+    rows, currents, electrodes = measurement_rows((each, senses.T) for each in drives.T)
+    return Protocol.from_rows(rows, electrodes), np.array(currents)
 
 
 def electrode_pairs(

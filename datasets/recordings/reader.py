@@ -79,8 +79,14 @@ class Reader(ABC):
         self.path = path
 
     @abstractmethod
-    def blocks(self, wanted: ReadRequest) -> Iterator[Tables]:
-        """Tables of consecutive rows, `wanted.block_rows` in all but the last; raises DataError."""
+    def tables(self, request: ReadRequest) -> Tables:
+        """Whole tables that are wanted, of equally many rows; raises DataError."""
+
+    def blocks(self, request: ReadRequest) -> Iterator[Tables]:
+        """Tables of consecutive rows, `request.block_rows` in all but the last."""
+        tables = self.tables(request)
+        for start in range(0, len(tables[request.values[0]]), request.block_rows):
+            yield {name: each[start : start + request.block_rows] for name, each in tables.items()}
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import io
 import itertools
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -41,19 +41,21 @@ class TableReader(Reader):
     """Reader of a file with one row of cells for each frame, below names of columns."""
 
     @abstractmethod
-    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        """Consecutive rows: their numbers in the file, and cells in columns by number."""
+    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":
+        """Cells of some columns by number, numbers in some of them; row numbers are the index."""
 
-    def blocks(self, request: ReadRequest) -> Iterator[Tables]:
-        for rows, frame in self.frames(request):
-            yield {
-                name: self._table(frame[request.columns[name]], rows, name in request.values)
-                for name in (*request.values, *request.labels)
-            }
+    def tables(self, request: ReadRequest) -> Tables:
+        columns, values = request.columns, {n for v in request.values for n in request.columns[v]}
+        chosen = sorted({number for numbers in columns.values() for number in numbers})
+        frame = self.cells(chosen, values)
+        return {
+            name: self._table(frame[columns[name]], name in request.values)
+            for name in (*request.values, *request.labels)
+        }
 
-    def _table(self, cells: "pd.DataFrame", rows: Sequence[int], numeric: bool) -> NDArray[Any]:
+    def _table(self, cells: "pd.DataFrame", numeric: bool) -> NDArray[Any]:
         """Cells as a table (rows, columns) of numbers, or of text where it need not be numeric."""
-        columns = []
+        columns, rows = [], cells.index.tolist()
         for number in cells:
             array = _array(cells[number], rows, self.contents.header[number])
             if numeric and array.dtype.kind not in "iufc":
@@ -111,42 +113,38 @@ class TextReader(TableReader):
         usual = self._label or "v"
         self.contents = Contents(header=tuple(header), usual_values=usual, remark=remark)
 
-    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
+    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":
         import pandas as pd
 
         width = len(self.contents.header)
-        values = {number for name in request.values for number in request.columns[name]}
-        labels = {number for name in request.labels for number in request.columns[name]} - values
-        lines = ((n, self._cut(line, width)) for n, line in self._lines() if n >= self._first)
-        while block := list(itertools.islice(lines, request.block_rows)):
-            for number, line in block:
-                if (count := self._count(line)) != width:
-                    raise DataError(
-                        f"row {number}: expected {width} cells, got {count}: "
-                        f"'{shorten_text(line)}'; --header-row names the row of the columns' names"
-                    )
-            frame = pd.read_csv(
-                io.StringIO("\n".join(line for _, line in block)),
-                sep=r"\s+" if self._delimiter == " " else self._delimiter,
-                decimal=self._decimal,
-                header=None,
-                names=list(range(width)),
-                usecols=sorted(values | labels),
-                dtype=dict.fromkeys(labels, str),
-                keep_default_na=False,
-                na_values=dict.fromkeys(values, _EMPTY),
-                skipinitialspace=True,
-                low_memory=False,
-            )
-            if len(frame) != len(block):
+        lines = {n: self._cut(line, width) for n, line in self._lines() if n >= self._first}
+        for number, line in lines.items():
+            if (count := self._count(line)) != width:
                 raise DataError(
-                    f"rows {block[0][0]} to {block[-1][0]}: a quotation mark is not closed in its "
-                    "line; expected an even number in each"
+                    f"row {number}: expected {width} cells, got {count}: "
+                    f"'{shorten_text(line)}'; --header-row names the row of the columns' names"
                 )
-            if self._decimal == ",":
-                text = frame.select_dtypes("str")
-                frame[text.columns] = text.replace(",", ".", regex=True)
-            yield [number for number, _ in block], frame
+        frame = pd.read_csv(
+            io.StringIO("\n".join(lines.values())),
+            sep=r"\s+" if self._delimiter == " " else self._delimiter,
+            decimal=self._decimal,
+            header=None,
+            names=list(range(width)),
+            usecols=list(columns),
+            dtype=dict.fromkeys(set(columns) - set(numeric), str),
+            keep_default_na=False,
+            na_values=dict.fromkeys(numeric, _EMPTY),
+            skipinitialspace=True,
+            low_memory=False,
+        )
+        if len(frame) != len(lines):
+            raise DataError(
+                "a quotation mark is not closed in its line; expected an even number in each"
+            )
+        if self._decimal == ",":
+            text = frame.select_dtypes("str")
+            frame[text.columns] = text.replace(",", ".", regex=True)
+        return frame.set_axis(list(lines))
 
     def _lines(self) -> Iterator[tuple[int, str]]:
         """Lines that hold cells, each with its number in the file from 1."""
@@ -189,15 +187,12 @@ class TextReader(TableReader):
 
 
 class HeldReader(TableReader):
-    """Reader of a file whose cells are held in memory, in rows that are numbered from 0."""
+    """Reader of a file whose cells are held in memory, rows as they are numbered in the file."""
 
     _rows: "pd.DataFrame"
 
-    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        for start in range(0, len(self._rows), request.block_rows):
-            block = self._rows.iloc[start : start + request.block_rows]
-            numbers = [int(row) + 1 for row in block.index]
-            yield numbers, block.set_axis(range(block.shape[1]), axis=1)
+    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":  # noqa: ARG002
+        return self._rows.set_axis(range(self._rows.shape[1]), axis=1)[list(columns)]
 
 
 class SpreadsheetReader(HeldReader):
@@ -225,6 +220,7 @@ class SpreadsheetReader(HeldReader):
                 f"{', '.join(f'{len(p)} in {n}' for p, n in zip(pages, sheets, strict=True))}"
             )
         cells = pd.concat(pages, axis=1, ignore_index=True).map(str.strip)
+        cells.index += 1
         begin = find_header(
             cells[:_SAMPLE].to_numpy().tolist(), range(1, len(cells) + 1), header_row
         )
@@ -233,7 +229,7 @@ class SpreadsheetReader(HeldReader):
         cells = cells[(cells != "").any(axis=1)]
         beyond = (cells.iloc[:, len(header) :] != "").any(axis=1)
         if beyond.any():
-            raise DataError(f"row {beyond.idxmax() + 1}: expected {len(header)} cells, got more")
+            raise DataError(f"row {beyond.idxmax()}: expected {len(header)} cells, got more")
         if cells.empty:
             raise DataError("expected a header and at least one row, got no row")
         self._rows = cells
@@ -251,6 +247,7 @@ class JsonReader(HeldReader):
             whole = path.suffix.lower() == ".json" and path.read_text("utf-8-sig")[:1] == "["
             read = pd.read_json(path, lines=not whole, convert_dates=False, encoding="utf-8-sig")
             self._rows = read.map(lambda cell: np.array(cell) if isinstance(cell, list) else cell)
+        self._rows.index += 1
         self.contents = Contents(header=tuple(map(str, read.columns)), usual_values="v")
 
 
@@ -266,13 +263,10 @@ class ParquetReader(TableReader):
         if not self._file.metadata.num_rows:
             raise DataError("expected at least one row, got none")
 
-    def frames(self, request: ReadRequest) -> "Iterator[tuple[Sequence[int], pd.DataFrame]]":
-        chosen = sorted({number for numbers in request.columns.values() for number in numbers})
-        names, first = [self.contents.header[number] for number in chosen], 0
-        for batch in self._file.iter_batches(request.block_rows, columns=names):
-            frame = batch.to_pandas().set_axis(chosen, axis=1)
-            yield range(first, first + len(frame)), frame
-            first += len(frame)
+    def cells(self, columns: Sequence[int], numeric: Collection[int]) -> "pd.DataFrame":  # noqa: ARG002
+        names = [self.contents.header[number] for number in columns]
+        with as_data_errors("Parquet file"):
+            return self._file.read(names).to_pandas().set_axis(list(columns), axis=1)
 
 
 def find_header(rows: list[list[str]], numbers: Sequence[int], row: int | None = None) -> int:

@@ -5,11 +5,17 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
-from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MAX_SHARD_BYTES
+from eitskin.datasets.store.schema import (
+    FORMAT,
+    FORMAT_VERSION,
+    LIMITS,
+    MAX_SHARD_BYTES,
+    require_format,
+)
 from eitskin.errors import DataError
 from eitskin.files import parse_json, quote_value, read_bytes, write_file
 from eitskin.simulator.deformation.solution_store import cache_folder
@@ -127,10 +133,12 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
     content = read_bytes(path, MAX_BYTES, DataError)
     try:
-        _require_format(path, parse_json(content))  # a newer manifest may have unknown keys
+        head = parse_json(content)
+        if isinstance(head, dict):  # a newer manifest may have unknown keys
+            require_format(head.get("format"), head.get("format_version"))
         manifest: Manifest = parse_json(content, Manifest)
-    except DataError:
-        raise
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
     except ValueError as error:
         raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
     _check_shards(path, manifest)
@@ -197,24 +205,6 @@ def shard_content(folder: Path, entry: ShardEntry) -> bytes:
             f"got {digest}; copy it again, or delete it and generate with --resume"
         )
     return content
-
-
-def _require_format(path: Path, head: Any) -> None:
-    """Raise DataError unless a manifest is of this format, in a version that is known."""
-    if not isinstance(head, dict):
-        raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
-    name, version = head.get("format"), head.get("format_version")
-    if name != FORMAT:
-        raise DataError(f"{path}: expected format '{FORMAT}', got {quote_value(name)}")
-    if not isinstance(version, int) or version < 1:
-        raise DataError(
-            f"{path}: expected a format version of 1 or more, got {quote_value(version)}"
-        )
-    if version > FORMAT_VERSION:
-        raise DataError(
-            f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
-            "eitskin reads; upgrade with pip install --upgrade eitskin"
-        )
 
 
 def _check_shards(path: Path, manifest: Manifest) -> None:

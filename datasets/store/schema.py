@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.bounds import LARGEST_READING, LONGEST, MOST
 from eitskin.errors import DataError
+from eitskin.files import quote_value
 
 FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 2
@@ -137,6 +138,20 @@ MAX_MAGNITUDES: Final = {
 """Largest magnitude of a column's values, in its units: beyond it, units or digits are wrong."""
 
 
+def require_format(name: object, version: object) -> int:
+    """Version of a file of this format; raises DataError for another format or version."""
+    if name != FORMAT:
+        raise DataError(f"expected format '{FORMAT}', got {quote_value(name)}")
+    if not isinstance(version, int) or version < 1:
+        raise DataError(f"expected a format version of 1 or more, got {quote_value(version)}")
+    if version > FORMAT_VERSION:
+        raise DataError(
+            f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
+            "reads; upgrade with pip install --upgrade eitskin"
+        )
+    return version
+
+
 def _is_positive(values: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(values) & (values > 0))
 
@@ -167,8 +182,12 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
                 f"{name} must be at most {limit:g} {units} in magnitude, got {wrong[0]:g}; is it "
                 "in another unit?"
             )
-    if "specimen_number" in columns:
-        _check_specimen_numbers(columns["specimen_number"].astype(np.int64))
+    numbers = columns.get("specimen_number", np.zeros(1)).astype(np.int64)
+    if (np.diff(numbers) <= 0).any() or numbers[-1] >= LIMITS["specimen"]:
+        raise DataError(
+            f"specimen_number must rise and stay below {LIMITS['specimen']}, got "
+            f"{np.array2string(numbers, threshold=8)}"
+        )
     if "specimen" in columns and "reference" in columns:
         specimens, most = len(columns["reference"]), columns["specimen"].max(initial=0)
         if most >= specimens:
@@ -178,25 +197,13 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
         wrong = values[~(np.isnan(values) | possible(values))]
         if len(wrong):
             raise DataError(f"{name} must be {expected}, or NaN where unknown, got {wrong[0]:g}")
-    if "state" in columns:
-        _check_states(columns["state"])
+    states = columns.get("state", np.zeros(0, np.uint8))
+    if wrong_states := set(np.unique(states).tolist()) - {*State, UNKNOWN_STATE}:
+        known = ", ".join(f"{state.value} {state.name.lower()}" for state in State)
+        raise DataError(
+            f"states must be {known} or {UNKNOWN_STATE} unknown, got {sorted(wrong_states)}"
+        )
     if "touch_x" in columns and "touch_y" in columns:
         finite_coordinates = (np.isfinite(columns[name]) for name in ("touch_x", "touch_y"))
         if not np.array_equal(*finite_coordinates):
             raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")
-
-
-def _check_specimen_numbers(numbers: NDArray[np.int64]) -> None:
-    if (np.diff(numbers) <= 0).any() or numbers[-1] >= LIMITS["specimen"]:
-        raise DataError(
-            f"specimen_number must rise and stay below {LIMITS['specimen']}, got "
-            f"{np.array2string(numbers, threshold=8)}"
-        )
-
-
-def _check_states(states: NDArray[np.uint8]) -> None:
-    present_states = np.flatnonzero(np.bincount(states, minlength=UNKNOWN_STATE + 1))
-    wrong = set(present_states.tolist()) - {*State, UNKNOWN_STATE}
-    if wrong:
-        known = ", ".join(f"{state.value} {state.name.lower()}" for state in State)
-        raise DataError(f"states must be {known} or {UNKNOWN_STATE} unknown, got {sorted(wrong)}")

@@ -21,17 +21,16 @@ from eitskin.config import parse_toml
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import (
     FIELDS,
-    FORMAT,
-    FORMAT_VERSION,
     LIMITS,
     MAX_SHARD_BYTES,
     MAX_TOUCHES,
     MAX_VALUES,
     Field,
+    require_format,
 )
 from eitskin.datasets.store.shard import verify_checksum
 from eitskin.errors import DataError
-from eitskin.files import MAX_TEXT, quote_value, read_bytes
+from eitskin.files import MAX_TEXT, read_bytes
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.reader_process import Answer, Limits, read_in_subprocess
@@ -104,7 +103,9 @@ def _read(image: bytes, first_index: int | None = None) -> Dataset:
             " make or copy it again"
         ) from error
     try:
-        version = _checked_version(file)
+        version = require_format(
+            _attribute(file, "format", "") or None, _attribute(file, "format_version", 0)
+        )
         first, count = (int(_attribute(file, name)) for name in ("first_index", "count"))
         if not 0 <= count <= LIMITS["frame"]:
             raise DataError(f"expected at most {LIMITS['frame']} frames, got {count}")
@@ -173,27 +174,6 @@ def _as_data_errors(path: Path | None = None) -> Iterator[None]:
         raise DataError(
             f"{name}this is not a whole shard of an eitskin dataset: {error}; make or copy it again"
         ) from error
-
-
-def _checked_version(file: h5py.h5f.FileID) -> int:
-    """Format version of a file; raises DataError for other formats and newer versions."""
-    found = _attribute(file, "format", "") or None
-    if found != FORMAT:
-        raise DataError(
-            f"expected format '{FORMAT}', got {quote_value(found)}; this is another kind of file"
-        )
-    version = int(_attribute(file, "format_version"))
-    if version > FORMAT_VERSION:
-        raise DataError(
-            f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
-            "reads; upgrade with pip install --upgrade eitskin"
-        )
-    if version < 1:
-        raise DataError(
-            f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
-            "written; generate or copy it again"
-        )
-    return version
 
 
 def _attribute(place: Any, name: str, default: Any = None) -> Any:

@@ -15,7 +15,7 @@ from eitskin.extras import require
 _MEMORY_LIMIT = 1 << 30
 
 
-class TorchDataset:
+class TorchDataset(FrameTensors):
     """Frames of a dataset in memory, for `torch.utils.data.DataLoader`.
 
     An item is a frame: a dictionary of tensors by the names of `Dataset`'s attributes, without
@@ -23,8 +23,7 @@ class TorchDataset:
     `reference` that specimen's, (C,). Unsigned integers are converted to int64, which torch can
     index and compare with.
 
-    The files are read with the first item, in each process separately, so that the object can be
-    sent to workers.
+    Another process reads the files itself, so that the object can be sent to workers.
 
     Example:
         >>> import numpy as np
@@ -40,7 +39,7 @@ class TorchDataset:
         names: Sequence[str] = NAMES,
         memory_limit: int = _MEMORY_LIMIT,
     ) -> None:
-        """Read the manifest and the first shard.
+        """Read the frames.
 
         Args:
             folder: folder of the dataset.
@@ -53,30 +52,19 @@ class TorchDataset:
             ImportError: without torch.
         """
         require("torch", "training")
-        self.folder, self.names = Path(folder), checked_names(names)
-        manifest = read_manifest(self.folder)
-        self._frames = manifest.frames
-        first = read_entry(self.folder, manifest.shards[0])
-        size = manifest.frames * first.bytes_per_frame
+        data = open_dataset(folder)
+        size = len(data) * data.bytes_per_frame
         if size > memory_limit:
             raise ConfigurationError(
                 f"{folder} takes {size / 1e6:.0f} MB in memory, the limit is "
                 f"{memory_limit / 1e6:.0f} MB; read it with ShuffledShards, or raise memory_limit"
             )
-        self._data: FrameTensors | None = None
+        self.folder, self._limit = Path(folder), memory_limit
+        super().__init__(data, names)
 
-    def __len__(self) -> int:
-        """Number of frames."""
-        return self._frames
-
-    def __getitem__(self, index: int) -> Item:
-        """Item of frame `index`, negative from the end; raises IndexError beyond either end."""
-        self._data = self._data or FrameTensors(open_dataset(self.folder), self.names)
-        return self._data[index]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """State for another process: the folder of the frames, without the frames."""
-        return {**self.__dict__, "_data": None}
+    def __reduce__(self) -> Any:
+        """Folder, without frames: another process reads its own."""
+        return TorchDataset, (self.folder, self.names, self._limit)
 
 
 class ShuffledShards:
