@@ -3,6 +3,7 @@
 import dataclasses
 import shlex
 import time
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -149,22 +150,16 @@ def _solve_missing(
     A note also says how many frames will be solved in 3D, one by one.
     """
     from eitskin.datasets.generation.generate import needed_specimens
-    from eitskin.datasets.generation.preparation import (
-        missing_bend_tables,
-        missing_press_tables,
-        prepare,
-        solved_frames,
-    )
+    from eitskin.datasets.generation.preparation import missing_tables, prepare, solved_frames
     from eitskin.simulator.deformation.solution_store import cache_folder
 
     specimens = needed_specimens(recipe, shard)
-    bends = len(missing_bend_tables(recipe, specimens))
-    absent = missing_press_tables(recipe, specimens)
-    plates = sum(path.name.startswith("plates-") for path in absent)
+    kinds = Counter(path.name.partition("-")[0] for path in missing_tables(recipe, specimens))
+    bends, plates = kinds["bend"], kinds["plates"]
     for count, what, duration in (
         (bends, "bends that no clamped sensor", "about half a minute each"),
         (plates, "presses on plates that no sensor", "about a quarter of an hour of one core each"),
-        (len(absent) - plates, "presses that no sensor", "ten seconds to a few minutes each"),
+        (kinds.total() - bends - plates, "presses that no sensor", "ten seconds to a few minutes each"),
     ):
         if count:
             output.note(
@@ -178,7 +173,7 @@ def _solve_missing(
             "their support, outline or indenter: half a minute to minutes each. Progress is in "
             f"files of {recipe.frames_per_shard} frames; a smaller frames_per_shard shows it sooner"
         )
-    if bends or absent:
+    if kinds:
         with output.counting("tables") as show:
             prepare(recipe, show, workers, specimens)
 

@@ -1,11 +1,10 @@
 """Export of a dataset to a folder that other programs read, with a card of its content."""
 
-import contextlib
 import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -18,11 +17,11 @@ from eitskin.datasets.export.frame_table import (
     SPLITS,
     TOUCH_FIELDS,
     Column,
-    ParquetFiles,
     columns,
     frame_table,
     origin,
     specimen_splits,
+    write_parquet,
 )
 from eitskin.datasets.export.lerobot import write_lerobot
 from eitskin.datasets.store.dataset import Dataset
@@ -77,7 +76,7 @@ def export_dataset(
         out: folder to write, new or empty.
         form: "parquet", "huggingface" or "lerobot".
         license_name: identifier of a licence as Hugging Face has them, for the card.
-        progress: called with the number of shards read and of all shards.
+        progress: called with the number of shards read and of all shards, for each split.
         file_bytes: size in memory of the rows of one Parquet file [bytes].
 
     Raises:
@@ -135,31 +134,28 @@ def _write_frames(
     file_bytes: int,
 ) -> dict[str, tuple[int, int]]:
     """Write all frames as rows; returns frames and size in memory [bytes] of each split."""
-    out.mkdir()
     origin_text = json.dumps(origin(data))
-    frames: Counter[str] = Counter()
-    writers: dict[str, ParquetFiles] = {}
-    with contextlib.ExitStack() as stack:
+    numbers = data.specimen_number[data.specimen].tolist()
+    frames = Counter(splits[number] for number in numbers)
 
-        def write(stem: str, table: Any) -> None:
-            if stem not in writers:
-                writers[stem] = ParquetFiles(out, stem, file_bytes)
-                stack.callback(writers[stem].abandon)
-            writers[stem].write(table)
-
+    def tables(name: str | None) -> Iterator[Any]:
+        """Tables of the frames of a split, or of all with a column of splits."""
         for part in read_shards(folder, progress):
             split = np.array([splits[number] for number in part.specimen_number.tolist()])
             split = split[part.specimen]
-            frames.update(split.tolist())
-            if form == "parquet":
-                write("frames", frame_table(part, origin_text, split))
-                continue
-            for name in np.unique(split).tolist():
-                write(name, frame_table(part.select(np.flatnonzero(split == name)), origin_text))
-        for writer in writers.values():
-            writer.close()
-    sizes = {name: writers[name].size if name in writers else 0 for name in frames}
-    return {name: (frames[name], sizes[name]) for name in SPLITS if frames[name]}
+            if name is None:
+                yield frame_table(part, origin_text, split)
+            elif (split == name).any():
+                yield frame_table(part.select(split == name), origin_text)
+
+    if form == "parquet":
+        write_parquet(tables(None), out, "frames", file_bytes)
+        return {name: (frames[name], 0) for name in SPLITS if frames[name]}
+    return {
+        name: (frames[name], write_parquet(tables(name), out, name, file_bytes))
+        for name in SPLITS
+        if frames[name]
+    }
 
 
 def _write_sums(folder: Path) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """Frames of a dataset as Arrow tables and Parquet files, and their splits by specimen."""
 
-import contextlib
 import hashlib
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +49,7 @@ METADATA = b"eitskin"
 FILE_BYTES = 1 << 28
 """Size in memory of the rows of one file [bytes]."""
 GROUP_BYTES = 1 << 25
-"""Size in memory of the rows that are kept before they are written [bytes]."""
+"""Size in memory of a group of rows [bytes]."""
 
 _LENGTHS = [field.name for field in FIELDS if field.units == "m"]
 _UNITS = {"impedance": "ohm", "magnitude": "ohm", "voltage": "V", "": "1"}
@@ -184,64 +184,42 @@ def _touches(arrow: Any, data: Dataset) -> Any:
     return arrow.ListArray.from_arrays(arrow.array(offsets), touches, mask=arrow.array(~has_label))
 
 
-class ParquetFiles:
-    """Writer of the rows of one table to files `STEM-00000-of-00003.parquet`.
+def write_parquet(
+    tables: Iterator[Any], folder: Path, stem: str, file_bytes: int = FILE_BYTES
+) -> int:
+    """Write the rows of tables to files `STEM-00000-of-00003.parquet`; returns their size [bytes].
 
-    No more than `GROUP_BYTES` and one table are kept in memory. Equal tables give equal bytes, with
-    the same pyarrow. The files get their names when the writer is closed.
-
-    Attributes:
-        size: size of the rows so far in memory [bytes].
+    Sizes are those in memory, of which a file holds `file_bytes`, and a group of rows `GROUP_BYTES`
+    at most. Equal tables give equal bytes, with the same pyarrow.
     """
+    arrow = require("pyarrow.dataset", "recordings")
+    first, size = next(tables), 0
 
-    def __init__(self, folder: Path, stem: str, file_bytes: int = FILE_BYTES) -> None:
-        """Begin without files, each of which is to hold rows of `file_bytes` in memory."""
-        self.size = self._in_file = 0
-        self._folder, self._stem, self._file_bytes = folder, stem, file_bytes
-        self._group_bytes = min(GROUP_BYTES, file_bytes)
-        self._tables: list[Any] = []
-        self._parts: list[Path] = []
-        self._writer: Any = None
+    def batches() -> Iterator[Any]:
+        nonlocal size
+        for table in itertools.chain((first,), tables):
+            size += table.nbytes
+            yield from table.to_batches()
 
-    def write(self, table: Any) -> None:
-        """Append the rows of a table; all tables have one schema."""
-        self._tables.append(table)
-        self.size += table.nbytes
-        if sum(table.nbytes for table in self._tables) >= self._group_bytes:
-            self._flush()
-
-    def close(self) -> None:
-        """Write what is kept, and give all files their names."""
-        self._flush()
-        self._end_file()
-        for number, part in enumerate(self._parts):
-            name = f"{self._stem}-{number:05d}-of-{len(self._parts):05d}.parquet"
-            part.rename(self._folder / name)
-
-    def abandon(self) -> None:
-        """Close an unfinished file, whose folder is about to be removed."""
-        with contextlib.suppress(OSError):  # a full disk has been reported already
-            self._end_file()
-
-    def _flush(self) -> None:
-        arrow, parquet = require("pyarrow", "recordings"), require("pyarrow.parquet", "recordings")
-        if not self._tables:
-            return
-        table = arrow.concat_tables(self._tables)
-        self._tables = []
-        most = max(1, self._group_bytes * table.num_rows // max(table.nbytes, 1))
-        for start in range(0, table.num_rows, most):
-            piece = table.slice(start, most)
-            if self._writer is None:
-                path = self._folder / f"{self._stem}-{len(self._parts):05d}.part"
-                self._writer = parquet.ParquetWriter(path, table.schema, compression="zstd")
-                self._parts.append(path)
-            self._writer.write_table(piece, row_group_size=piece.num_rows)
-            self._in_file += piece.nbytes
-            if self._in_file >= self._file_bytes:
-                self._end_file()
-
-    def _end_file(self) -> None:
-        writer, self._writer, self._in_file = self._writer, None, 0
-        if writer is not None:
-            writer.close()
+    rows, group = (
+        max(1, most * first.num_rows // first.nbytes) for most in (file_bytes, GROUP_BYTES)
+    )
+    parquet = arrow.ParquetFileFormat()
+    arrow.write_dataset(
+        batches(),
+        folder,
+        schema=first.schema,
+        format=parquet,
+        file_options=parquet.make_write_options(compression="zstd"),
+        basename_template=f"{stem}-{{i}}.part",
+        max_rows_per_file=rows,
+        min_rows_per_group=min(rows, group),
+        max_rows_per_group=min(rows, group),
+        existing_data_behavior="overwrite_or_ignore",
+        use_threads=False,
+    )
+    count = len(list(folder.glob(f"{stem}-*.part")))
+    for number in range(count):
+        name = f"{stem}-{number:05d}-of-{count:05d}.parquet"
+        (folder / f"{stem}-{number}.part").rename(folder / name)
+    return size

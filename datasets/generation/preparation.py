@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,34 +29,23 @@ from eitskin.simulator.deformation.corrections import (
 )
 from eitskin.simulator.deformation.press_table import press_problems, press_table
 from eitskin.simulator.deformation.sensor_grid import SensorGrid
-from eitskin.simulator.deformation.solution_store import missing
+from eitskin.simulator.deformation.solution_store import Problem, missing
 from eitskin.simulator.deformation.solution_store import prepare as solve_missing
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder, Footprint
 from eitskin.simulator.scene.scene import AnyIndenter
 
 Progress = Callable[[int, int], None]
+_Pressed = tuple[SensorDesign, Mechanics, AnyIndenter, SensorGrid]
+_OnPlates = tuple[PlateBend, SceneGroup]
 
 _ALL = 48  # specimens up to which none is left out
 _LEVELS = 6  # values of each property for which a specimen is taken
 
 
-def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
-    """Paths of the bend tables that `prepare` would solve."""
-    clamped = _clamped_designs(recipe, specimens)
-    return {path for bent in clamped for path in missing(bend_problems(*bent))}
-
-
-def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
-    """Paths of the press tables that `prepare` would solve."""
-    pairs, paths = _touches_together(recipe), set[Path]()
-    for indenter in _indenters(recipe):
-        for sensor in _pressed_designs(recipe, indenter, specimens):
-            problems = (*press_problems(*sensor), *correction_problems(*sensor, pairs))
-            paths |= missing(problems).keys()
-        on_plates = (each.problem(indenter) for each, _ in _on_plates(recipe, indenter, specimens))
-        paths |= missing(on_plates).keys()
-    return paths
+def missing_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
+    """Paths of the tables of bends and presses that `prepare` would solve."""
+    return {path for problems, _ in _stages(recipe, specimens) for path in missing(problems)}
 
 
 def solved_frames(recipe: Recipe) -> int:
@@ -87,30 +76,47 @@ def prepare(
     solved, and one that needs another table solves it when it is simulated. Raises
     ConfigurationError for forces or bends out of reach on one of the specimens.
     """
+    for problems, check in _stages(recipe, specimens):
+        solve_missing(problems, progress, workers)
+        check()
+
+
+def _stages(
+    recipe: Recipe, specimens: Sequence[int] | None
+) -> Iterator[tuple[list[Problem], Callable[[], None]]]:
+    """Tables to solve in turn, and checks of the recipe on each of these stages."""
     specimens = deciding_specimens(recipe) if specimens is None else specimens
     clamped = list(_clamped_designs(recipe, specimens))
-    for some in (clamped[:1], clamped[1:]):  # bends out of reach are reported after the first table
-        solve_missing((each for bent in some for each in bend_problems(*bent)), progress, workers)
-        for bent in some:
+
+    def check_bends(clamps: list[tuple[SensorDesign, Clamp, Mechanics, SensorGrid]]) -> None:
+        for bent in clamps:
             for angle in recipe.extreme_angles:
                 bend_table(*bent).check(angle)
+
+    def check_presses(sensors: list[_Pressed], force: float) -> None:
+        for sensor in sensors:
+            press_table(*sensor).dent_from_force(force)
+
+    def check_depths(sensors: list[_Pressed], held: list[_OnPlates], force: float) -> None:
+        for sensor in filter(lambda each: is_tabulable(each[0]), sensors):
+            corrections(*sensor).check_depth(press_table(*sensor).dent_from_force(force).depth)
+        for plates, group in held:
+            table = press_table(plates.design, plates.mechanics, group.touch_indenter, plates.grid)
+            depth = table.dent_from_force(group.force[1]).depth
+            for x in _nearest_to_gap(group, plates.design.outline.length):
+                plates.check(group.touch_indenter, x, depth)
+
+    for some in (clamped[:1], clamped[1:]):  # bends out of reach are reported after the first table
+        yield [p for bent in some for p in bend_problems(*bent)], partial(check_bends, some)
     pairs = _touches_together(recipe)
     for indenter, force in _indenters(recipe).items():
         sensors = list(_pressed_designs(recipe, indenter, specimens))
-        problems = [problem for sensor in sensors for problem in press_problems(*sensor)]
-        solve_missing(problems, progress, workers)
-        for sensor in sensors:
-            deepest = press_table(*sensor).dent_from_force(force).depth
-            if is_tabulable(sensor[0]):
-                solve_missing(correction_problems(*sensor, pairs), progress, workers)
-                corrections(*sensor).check_depth(deepest)
         held = list(_on_plates(recipe, indenter, specimens))
-        for plates, group in held:
-            table = press_table(plates.design, plates.mechanics, indenter, plates.grid)
-            depth = table.dent_from_force(group.force[1]).depth
-            for x in _nearest_to_gap(group, plates.design.outline.length):
-                plates.check(indenter, x, depth)
-        solve_missing((each.problem(indenter) for each, _ in held), progress, workers)
+        dents = [problem for sensor in sensors for problem in press_problems(*sensor)]
+        around = [problem for each in sensors for problem in correction_problems(*each, pairs)]
+        yield dents, partial(check_presses, sensors, force)
+        yield around, partial(check_depths, sensors, held, force)
+        yield [each.problem(indenter) for each, _ in held], lambda: None
 
 
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
@@ -175,7 +181,7 @@ def _clamped_designs(
 
 def _pressed_designs(
     recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
-) -> Iterator[tuple[SensorDesign, Mechanics, AnyIndenter, SensorGrid]]:
+) -> Iterator[_Pressed]:
     """Designs, materials and grids of specimens on all supports on which the indenter presses."""
     touched = [group for group in recipe.scenes if group.state == "touch"]
     supports: list[Support | None] = []
@@ -188,7 +194,7 @@ def _pressed_designs(
 
 def _on_plates(
     recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
-) -> Iterator[tuple[PlateBend, SceneGroup]]:
+) -> Iterator[_OnPlates]:
     """Specimens on plates at the extreme angles of the groups in which the indenter presses."""
     for group in recipe.scenes:
         if group.state == "touch" and group.touch_indenter == indenter:

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
-from eitskin.datasets.generation.preparation import missing_press_tables
+from eitskin.datasets.generation.preparation import missing_tables
 from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -171,7 +171,7 @@ def test_tables_of_every_indenter_are_solved_before_the_work(tmp_path, monkeypat
     balls = dataclasses.replace(ON_AN_ARC, scenes=(TOUCHED, ROLLED))
     smaller = dataclasses.replace(ROLLED, indenter=Sphere(5e-3))
     more = dataclasses.replace(balls, scenes=(TOUCHED, ROLLED, smaller))
-    needed, also = missing_press_tables(balls), missing_press_tables(more)
+    needed, also = missing_tables(balls), missing_tables(more)
     assert needed  # those of the cylinder come with eitskin
     assert needed < also
 

@@ -10,7 +10,7 @@ import pytest
 from eitskin.datasets import Recipe
 from eitskin.datasets.generation.preparation import (
     deciding_specimens,
-    missing_press_tables,
+    missing_tables,
     prepare,
 )
 from eitskin.datasets.generation.shard_simulation import simulate_frames
@@ -156,16 +156,16 @@ def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "none")
     # Dents, their corrections on a strip and at its end, pairs, and what sides add to those.
-    assert len(missing_press_tables(recipe(Specimens(30)))) == 5
+    assert len(missing_tables(recipe(Specimens(30)))) == 5
     # Dents of three thicknesses, and strips of as many.
-    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 4 + 3
+    assert len(missing_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 4 + 3
     # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
     # four tables of dents about each place, from two or three below to three above.
-    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 7 in (5, 6, 7)
+    assert len(missing_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 7 in (5, 6, 7)
     both = Specimens(30, gel_modulus=0.1, thickness=0.03)
-    assert len(missing_press_tables(recipe(both))) <= 3 * 7 + 6 + 3
+    assert len(missing_tables(recipe(both))) <= 3 * 7 + 6 + 3
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
-    assert missing_press_tables(untouched) == set()
+    assert missing_tables(untouched) == set()
 
 
 def law(stack, _indenter) -> PressTable:
