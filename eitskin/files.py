@@ -7,7 +7,6 @@ Files that others may have made are read where they are regular ones of bounded 
 device could keep a reader waiting for ever, and a sparse file could fill the memory.
 """
 
-import codecs
 import os
 import shutil
 import stat
@@ -229,9 +228,10 @@ def read_text(
 ) -> str:
     """Text of a file in UTF-8, or UTF-16 that says so; arguments and errors as for `read_bytes`."""
     content = read_bytes(path, max_bytes, failure)
-    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return content.decode("utf-16" if wide else "utf-8-sig")
+        return content.decode(
+            "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+        )
     except UnicodeDecodeError as error:
         raise failure(f"cannot read {path}: it is no text in UTF-8: {error}") from error
 

@@ -8,15 +8,13 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin import bounds
-from eitskin.bounds import require_count
+from eitskin.bounds import MOST_ELECTRODES, require_count
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.extras import old_names
 from eitskin.files import atomic_file, read_text, shorten_text
@@ -55,8 +53,8 @@ class Protocol:
     @classmethod
     def pairwise(cls, n_electrodes: int) -> "Protocol":
         """Two-terminal measurements of all pairs of electrodes: (0,1), (0,2) ... in order."""
-        require_count("n_electrodes", max(n_electrodes, 0), 0, bounds.MOST_ELECTRODES)
-        pairs = combinations(range(n_electrodes), 2)
+        require_count("n_electrodes", max(n_electrodes, 0), 0, MOST_ELECTRODES)
+        pairs = itertools.combinations(range(n_electrodes), 2)
         return cls(tuple((i, j, i, j) for i, j in pairs), n_electrodes)
 
     @classmethod
@@ -74,7 +72,7 @@ class Protocol:
             shared: keep sense pairs that share an electrode with the drive pair, whose voltages
                 contain that electrode's contact impedance.
         """
-        require_count("n_electrodes", max(n_electrodes, 0), 0, bounds.MOST_ELECTRODES)
+        require_count("n_electrodes", max(n_electrodes, 0), 0, MOST_ELECTRODES)
         drives = _ring_pairs(n_electrodes, skip)
         senses = _ring_pairs(n_electrodes, skip if sense_skip is None else sense_skip)
         table = tuple(d + s for d in drives for s in senses if shared or not set(d) & set(s))
@@ -107,7 +105,6 @@ class Protocol:
     def from_file(cls, path: str | Path, n_electrodes: int | None = None) -> "Protocol":
         """Read a table with the header drive_plus,drive_minus,sense_plus,sense_minus, or a,b,m,n.
 
-        Cells are between commas, semicolons or tabs.
         Electrodes are counted from 0, or from 1 where the largest number is `n_electrodes` and none
         is 0; without `n_electrodes` the largest number in the table is the last electrode. Raises
         ConfigurationError, naming the line, for values that are no integers, a wrong number of
