@@ -229,9 +229,8 @@ def read_text(
     """Text of a file in UTF-8, or UTF-16 that says so; arguments and errors as for `read_bytes`."""
     content = read_bytes(path, max_bytes, failure)
     try:
-        return content.decode(
-            "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-        )
+        wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+        return content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise failure(f"cannot read {path}: it is no text in UTF-8: {error}") from error
 

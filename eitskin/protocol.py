@@ -126,9 +126,7 @@ class Protocol:
             )
         if len(lines) == 1:
             raise ConfigurationError(f"{path}: expected measurements after the header, got none")
-        used = [
-            int(c) for _, cells in lines[1:] for c in cells if re.fullmatch(r"\s*\d{1,9}\s*", c)
-        ]
+        used = [int(c) for _, row in lines[1:] for c in row if re.fullmatch(r"\s*\d{1,9}\s*", c)]
         least, largest = min(used, default=0), max(used, default=0)
         if least > 0 and n_electrodes is None:
             raise ConfigurationError(

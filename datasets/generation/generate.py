@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.preparation import free_bytes, prepare
-from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.generation.shard_simulation import FREQUENCY, simulate_shard
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.folder import make_folder, require_empty
@@ -17,9 +17,10 @@ from eitskin.datasets.store.manifest import (
     Manifest,
     ShardEntry,
     read_manifest,
+    shard_content,
     write_manifest,
 )
-from eitskin.datasets.store.schema import ENGINE, MAX_SHARD_BYTES
+from eitskin.datasets.store.schema import ENGINE
 from eitskin.datasets.store.shard import shard_name, write_entry
 from eitskin.datasets.store.shard_reader import parse_shard, read_engine
 from eitskin.datasets.store.worker_processes import (
@@ -260,17 +261,16 @@ def _verify_finished_shards(
 
 def _examine(folder: Path, recipe: Recipe, expected_entry: ShardEntry) -> ShardEntry | None:
     """Entry of a shard that is whole and of this recipe; None where it has to be made."""
-    path = folder / expected_entry.name
     try:
-        content = read_bytes(path, MAX_SHARD_BYTES, DataError)
-        digest = hashlib.sha256(content).hexdigest()
-        if expected_entry.sha256 not in ("", digest):
-            return None
+        content = shard_content(folder, expected_entry)
         # Whoever made the file, a seal says that it is whole and not that it does no harm.
-        data = parse_shard(content, path, expected_entry.first_index)
+        data = parse_shard(content, folder / expected_entry.name, expected_entry.first_index)
     except DataError:
         return None
     origin = data.recipe, data.seed, data.source, data.protocol, data.design
     expected = recipe.to_toml(), recipe.seed, "simulated", recipe.measured_protocol, recipe.sensor
+    said = data.frequency, data.quantity, bool(read_engine(folder / expected_entry.name))
     sound = len(data) == expected_entry.count and origin == expected
+    sound &= said == (FREQUENCY, recipe.quantity, True)
+    digest = hashlib.sha256(content).hexdigest()
     return dataclasses.replace(expected_entry, sha256=digest) if sound else None

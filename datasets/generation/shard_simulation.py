@@ -34,6 +34,7 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
 Impedance = NDArray[np.complex128]
+FREQUENCY = 40e3  # Hz, of all simulated frames
 Solved = Mapping[tuple[int, Scene], Impedance]
 
 
@@ -95,7 +96,8 @@ def simulate_frames(recipe: Recipe, indices: Iterable[int]) -> Dataset:
         number=np.array([each.index for each in samples]),
         protocol=protocol,
         source="simulated",
-        quantity="magnitude" if recipe.instrument.reads == "magnitude" else "impedance",
+        quantity=recipe.quantity,
+        frequency=FREQUENCY,
         recipe=recipe.to_toml(),
         seed=recipe.seed,
         design=recipe.sensor,

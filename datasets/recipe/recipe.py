@@ -138,6 +138,11 @@ class Recipe:
         """Protocol of all frames: `protocol`, or all pairs of electrodes."""
         return self.protocol or Protocol.pairwise(len(self.sensor.electrodes))
 
+    @property
+    def quantity(self) -> str:
+        """Kind of the values, as `Dataset.quantity`."""
+        return "magnitude" if self.instrument.reads == "magnitude" else "impedance"
+
     def to_toml(self) -> str:
         """The recipe as TOML that needs no other file; `from_toml` of it is this recipe."""
         return to_toml(self)

@@ -351,12 +351,6 @@ def require_plausible(
             "with --column force=NAME*0.00981 where they are in grams"
         )
     _require_positions(labels, design, extent, origin)
-    known_places = [np.isfinite(labels[name]) for name in ("touch_x", "touch_y") if name in labels]
-    if known_places and (wrong := int((known_places[0] != known_places[1]).any(axis=1).sum())):
-        raise DataError(
-            f"a touch needs both touch_x and touch_y, but {wrong} frames have one of x and y only; "
-            "fill both, or neither"
-        )
 
 
 def _require_positions(

@@ -6,6 +6,7 @@ import difflib
 import itertools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any, Final
 
@@ -237,20 +238,15 @@ def read_source(argument: Any, content: bytes) -> Iterator[Answer]:  # noqa: ARG
 def open_reader(path: Path, sheet: str | None = None, header_row: int | None = None) -> Reader:
     """Reader of a file in this process; arguments and errors as for `Source`."""
     reader = _READERS.get(_known_ending(path), FieldReader)
-    options: dict[str, Any] = {}
-    for option, value, kinds in (
-        ("sheet", sheet, (SpreadsheetReader,)),
-        ("header_row", header_row, (SpreadsheetReader, TextReader)),
-    ):
-        if value is None:
-            continue
-        if reader not in kinds:
-            endings = ", ".join(ending for ending, kind in _READERS.items() if kind in kinds)
+    given = {"sheet": sheet, "header_row": header_row}
+    options = {option: value for option, value in given.items() if value is not None}
+    for option in options:
+        kinds = [e for e, kind in _READERS.items() if option in signature(kind).parameters]
+        if option not in signature(reader).parameters:
             raise ConfigurationError(
                 f"{path.name} has no {option.replace('_', ' ')}; leave "
-                f"--{option.replace('_', '-')} out, which is for {endings}"
+                f"--{option.replace('_', '-')} out, which is for {', '.join(kinds)}"
             )
-        options[option] = value
     return field_reader(path) or reader(path, **options)
 
 

@@ -244,8 +244,9 @@ class JsonReader(HeldReader):
 
         super().__init__(path)
         with as_data_errors("JSON file of one object for each frame"):
-            whole = path.suffix.lower() == ".json" and path.read_text("utf-8-sig")[:1] == "["
-            read = pd.read_json(path, lines=not whole, convert_dates=False, encoding="utf-8-sig")
+            encoding = _encoding(path)
+            whole = path.suffix.lower() == ".json" and path.read_text(encoding)[:1] == "["
+            read = pd.read_json(path, lines=not whole, convert_dates=False, encoding=encoding)
             self._rows = read.map(lambda cell: np.array(cell) if isinstance(cell, list) else cell)
         self._rows.index += 1
         self.contents = Contents(header=tuple(map(str, read.columns)), usual_values="v")

@@ -12,7 +12,7 @@ import json
 import re
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,8 @@ from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
     FORMAT_VERSION,
+    FRAME_FIELDS,
     UNKNOWN_STATE,
-    Field,
     State,
 )
 from eitskin.errors import DataError
@@ -99,14 +99,22 @@ def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
         for field in FIELDS:
             values = getattr(data, field.name)
             if field.since is not None or not np.isnan(values).all():
-                _write_field(file, field, values)
+                is_state = field.name == "state"
+                dtype = h5py.enum_dtype(STATES, basetype="u1") if is_state else field.dtype
+                about: dict[str, Any] = {"units": field.units, "description": field.description}
+                _write_array(file, field.path, values, field.axes, dtype, about)
         if data.protocol is not None:
+            about = {
+                "n_electrodes": data.protocol.n_electrodes,
+                "units": "1",
+                "description": "drive+, drive-, sense+, sense- of a channel",
+            }
             table = np.array(data.protocol.table, dtype="<i2")
-            _write_array(file, "protocol", table, ("channel", "electrode"))
-            file["protocol"].attrs["n_electrodes"] = data.protocol.n_electrodes
-            file["protocol"].attrs["units"] = "1"
-            file["protocol"].attrs["description"] = "drive+, drive-, sense+, sense- of a channel"
-        _attach_time(file)
+            _write_array(file, "protocol", table, ("channel", "electrode"), table.dtype, about)
+        file["time"].make_scale("time")  # the dimension scale of every frame axis
+        for field in FRAME_FIELDS:
+            if field.name != "time" and field.path in file:
+                file[field.path].dims[0].attach_scale(file["time"])
         file.flush()
         image: bytes = file.id.get_file_image()
     return append_checksum(image)
@@ -130,19 +138,13 @@ def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
     }
 
 
-def _write_field(file: h5py.File, field: Field, values: NDArray[Any]) -> None:
-    dtype = h5py.enum_dtype(STATES, basetype="u1") if field.name == "state" else field.dtype
-    _write_array(file, field.path, values, field.axes, dtype)
-    file[field.path].attrs["units"] = field.units
-    file[field.path].attrs["description"] = field.description
-
-
 def _write_array(
     file: h5py.File,
     path: str,
     values: NDArray[Any],
     axes: tuple[str, ...],
-    dtype: np.dtype[Any] | None = None,
+    dtype: np.dtype[Any],
+    about: Mapping[str, Any],
 ) -> None:
     chunks = (max(1, min(len(values), CHUNK_FRAMES)), *values.shape[1:])
     dataset = file.create_dataset(path, data=values, dtype=dtype, chunks=chunks, **STORAGE)
@@ -151,14 +153,7 @@ def _write_array(
     dataset.flush()
     for axis, name in enumerate(axes):
         dataset.dims[axis].label = name
-
-
-def _attach_time(file: h5py.File) -> None:
-    """Attach `time` as the dimension scale of every frame axis."""
-    file["time"].make_scale("time")
-    for field in FIELDS:
-        if field.axes[0] == "frame" and field.name != "time" and field.path in file:
-            file[field.path].dims[0].attach_scale(file["time"])
+    dataset.attrs.update(about)
 
 
 def append_checksum(image: bytes) -> bytes:

@@ -60,9 +60,10 @@ def read_shard(path: str | Path) -> Dataset:
 
 
 def read_engine(path: Path) -> int:
-    """Number of the simulation that made a sound shard; 1 where none is stored."""
+    """Number of the simulation that made a sound shard; 1 where none is stored, 0 for no number."""
     with h5py.File(path) as file:
-        return int(file.attrs.get("engine", 1))
+        engine = file.attrs.get("engine", 1)
+    return int(engine) if np.ndim(engine) == 0 and engine in range(1, 1 << 16) else 0
 
 
 def parse_shard(
