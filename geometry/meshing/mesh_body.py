@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Groups = Mapping[str, Indices]
 
-MAX_MESH_BYTES = 1 << 32  # of a file
 _CORNERS = {"triangle": 3, "triangle6": 3, "tetra": 4, "tetra10": 4, "line": 2, "line3": 2}
 
 
@@ -51,16 +50,12 @@ class GivenMesh:
         Raises ConfigurationError for anything else, and for other cells.
         """
         if isinstance(mesh, str | Path):
-            path, meshio = Path(mesh), require("meshio", "mesh")
-            require_regular(path, MAX_MESH_BYTES)
+            require_regular(path := Path(mesh), 1 << 32)
             try:
                 with redirect_stdout(None), redirect_stderr(None):
-                    mesh = meshio.read(path)
+                    mesh = require("meshio", "mesh").read(path)
             except (Exception, SystemExit) as error:  # of meshio for damaged files
-                raise ConfigurationError(
-                    f"cannot read the mesh {path}: {error}; expected a file of gmsh, VTK or "
-                    "another form that meshio reads"
-                ) from error
+                raise ConfigurationError(f"cannot read the mesh {path}: {error}") from error
         if hasattr(mesh, "cells_dict"):
             return cls._from_meshio(mesh)
         if hasattr(mesh, "facets") and hasattr(mesh, "t"):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
@@ -68,7 +67,22 @@ class ReplayBoard(Board):
                 "frames to replay; import it again with --protocol"
             )
         self.protocol: Protocol = self._data.protocol
-        self.info = _info(self._data, self.protocol)
+        time_, episode = self._data.time, self._data.episode
+        steps = np.diff(time_)
+        forward = steps[np.isfinite(steps) & (steps > 0)]
+        self.info = Info.from_protocol(
+            self.protocol,
+            firmware=self._data.source,
+            frequency=self._data.frequency,
+            period=float(np.median(forward)) if len(forward) else 0.0,
+        )
+        # Whether each frame but the first is of the session of the one before; where not, a session
+        # begins after one period, and no frames are missing.
+        self._follows = episode[1:] == episode[:-1]
+        sound = self._follows & (steps >= 0) & (steps < math.inf)
+        self._pauses = np.where(sound, steps, self.info.period).tolist()
+        gaps = np.mod(np.diff(self._data.number.astype(np.int64)) - 1, 2**32)
+        self._gaps = np.where(self._follows & (gaps < 2**31), gaps, 0).tolist()
         self._real, self._clock, self._wait = speed == "real", clock, wait
         self.pause = 0.0
 
@@ -77,13 +91,13 @@ class ReplayBoard(Board):
         offset = self._clock()
         since = begun = 0.0  # time of the session, and since the last frame that was not skipped
         for index in range(len(self._data)):
-            pause = self._pause(index)
+            pause, gap = (self._pauses[index - 1], self._gaps[index - 1]) if index else (0.0, 0)
             if self._real:
                 offset += pause
                 self._wait(max(0.0, offset - self._clock()))
             self._frames += 1
-            self._lost += self._gap(index)
-            begun = begun + pause if self._follows(index) else 0.0
+            self._lost += gap
+            begun = begun + pause if index and self._follows[index - 1] else 0.0
             since += pause
             if since < self.pause and begun > BEGINNING:
                 self._skipped += 1
@@ -94,7 +108,7 @@ class ReplayBoard(Board):
     @property
     def duration(self) -> float:
         """Time that the recording took, without pauses between its sessions [s]."""
-        return sum(self._pause(index) for index in range(len(self._data)))
+        return float(sum(self._pauses))
 
     def calibrate(self) -> None:
         raise ConfigurationError("a recording cannot be calibrated; calibrate the board itself")
@@ -104,35 +118,3 @@ class ReplayBoard(Board):
 
     def close(self) -> None:
         """Do nothing: the recording is in memory."""
-
-    def _gap(self, index: int) -> int:
-        """Number of frames missing before frame `index`; 0 where a session begins."""
-        number = self._data.number
-        if not self._follows(index):
-            return 0
-        gap = (int(number[index]) - int(number[index - 1]) - 1) % 2**32
-        return gap if gap < 2**31 else 0
-
-    def _follows(self, index: int) -> bool:
-        """Whether frame `index` is of the same session as the one before it."""
-        episode = self._data.episode
-        return index > 0 and bool(episode[index] == episode[index - 1])
-
-    def _pause(self, index: int) -> float:
-        """Time since the frame before [s]; one period where an episode begins."""
-        time_ = self._data.time
-        if index == 0:
-            return 0.0
-        pause = float(time_[index] - time_[index - 1])
-        return pause if self._follows(index) and 0.0 <= pause < math.inf else self.info.period
-
-
-def _info(data: Dataset, protocol: Protocol) -> Info:
-    steps = np.diff(data.time)
-    forward = steps[np.isfinite(steps) & (steps > 0)]
-    return Info.from_protocol(
-        protocol,
-        firmware=data.source,
-        frequency=data.frequency,
-        period=float(np.median(forward)) if len(forward) else 0.0,
-    )

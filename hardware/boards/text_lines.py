@@ -206,20 +206,19 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
 
 def _values_of(read: Any, size: int) -> list[complex]:
     """Numbers in JSON of a line."""
-    lists = {"": read} if isinstance(read, list) else read if isinstance(read, dict) else {}
-    numbers = {key: v for key, v in lists.items() if isinstance(v, int | float)}
-    lists = {key.casefold(): v for key, v in lists.items() if isinstance(v, list)}
-    named = [value for key, value in numbers.items() if key[-1:].isdigit()]
+    members = {"": read} if isinstance(read, list) else read
+    named = [v for key, v in members.items() if isinstance(v, int | float) and key[-1:].isdigit()]
+    lists = {
+        key.casefold(): [v if isinstance(v, int | float) else math.nan for v in values]
+        for key, values in members.items()
+        if isinstance(values, list)
+    }
     for first, second in _PARTS:
         if {first, second} <= set(lists):
-            pairs = zip(map(_number_of, lists[first]), map(_number_of, lists[second]), strict=True)
+            pairs = zip(lists[first], lists[second], strict=True)
             return [_from_polar(*p) if second == "phase" else complex(*p) for p in pairs]
     chosen = [each for each in lists.values() if len(each) == size] or list(lists.values())
-    return list(map(complex, map(_number_of, chosen[0] if len(chosen) == 1 else named)))
-
-
-def _number_of(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
+    return list(map(complex, chosen[0] if len(chosen) == 1 else named))
 
 
 def _finite(value: complex) -> complex:

@@ -288,7 +288,10 @@ def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
         (stream(range(99), skip={(n, 5) for n in range(99)}), "5, 5, 5 measurements .*6"),
         (((0.01 * k, b"RzMag: 1 Ohm , RzPhase: 0\n") for k in range(1200)), "mark=.*pause="),
         (((0.1 * k, b"\xf0\x81\n") for k in range(200)), "wrong baud rate"),
-        (((0.1 * k, b"a: 1, 2\n") for k in range(200)), r"2 numbers .*6 .*'a: 1, 2'.*protocol="),
+        (
+            ((0.1 * k, b"a: 1, 2, 3, 4\n") for k in range(200)),
+            r"4 numbers .*6 .*'a: 1, 2, 3, 4'.*protocol=",
+        ),
     ],
     ids=["silent", "too few lines", "no pause", "wrong baud rate", "other numbers"],
 )
