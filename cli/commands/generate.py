@@ -159,7 +159,11 @@ def _solve_missing(
     for count, what, duration in (
         (bends, "bends that no clamped sensor", "about half a minute each"),
         (plates, "presses on plates that no sensor", "about a quarter of an hour of one core each"),
-        (kinds.total() - bends - plates, "presses that no sensor", "ten seconds to a few minutes each"),
+        (
+            kinds.total() - bends - plates,
+            "presses that no sensor",
+            "ten seconds to a few minutes each",
+        ),
     ):
         if count:
             output.note(
