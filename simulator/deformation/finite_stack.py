@@ -369,7 +369,7 @@ class FiniteStack:
     ) -> HeldContact:
         frame = dent.frame
 
-        def given(points: Array) -> Array:
+        def motion_before(points: Array) -> Array:
             moved = sum((other.evaluate(points).displacement for other in others), np.zeros((1, 3)))
             if self._bent is None or frame is None:
                 return moved
@@ -397,7 +397,7 @@ class FiniteStack:
             stiff, size = _PUNCH_STIFFNESS, min(radius, self.body.stack.levels[-1])
             within = 0.0 if dent.indenter.is_aligned else within
         stiffness = stiff * self.body.stack.sheets[-1].law.shear_modulus / size
-        moved = given if others or frame is not None else None
+        moved = motion_before if others or frame is not None else None
         return HeldContact.from_facets(
             self.solid, top[near], dent, within, stiffness, motions, moved
         )
