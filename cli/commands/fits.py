@@ -12,14 +12,7 @@ from rich.table import Column
 
 from eitskin import datasets, geometry, simulator, training
 from eitskin.cli import options
-from eitskin.cli.commands.recorded_frames import (
-    OneSpecimen,
-    Recorded,
-    Values,
-    read_recorded,
-    required_protocol,
-    select_specimen,
-)
+from eitskin.cli.commands import recorded_frames
 from eitskin.cli.help import Command
 from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
@@ -38,13 +31,13 @@ app = typer.Typer(
 @options.with_output
 def fit_instrument(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor.")],
-    recording: Recorded,
+    recording: recorded_frames.Recorded,
     *,
     out: Annotated[
         Path, typer.Option(help="Instrument file to write, for --instrument and recipes.")
     ],
     protocol: options.MeasuredPairs = None,
-    values: Values = None,
+    values: recorded_frames.Values = None,
     terms: Annotated[
         str | None,
         typer.Option(
@@ -81,8 +74,8 @@ def fit_instrument(
     quantity: Quantity | None = reads
     sensor = geometry.SensorDesign.from_toml(design)
     options.require_parent(out)
-    data = read_recorded(recording, values, protocol)
-    table = required_protocol(data)
+    data = recorded_frames.read_recorded(recording, values, protocol)
+    table = recorded_frames.required_protocol(data)
     if table.n_electrodes != len(sensor.electrodes):
         raise ConfigurationError(
             f"the protocol is for {table.n_electrodes} electrodes, the design has "
@@ -206,11 +199,11 @@ def _meter_remarks(fit: "simulator.MeterFit", terms: tuple[str, ...]) -> Iterato
 @options.with_output
 def fit_twin(
     design: Annotated[Path, typer.Argument(help="Design file of the sensor as designed.")],
-    recording: Recorded,
+    recording: recorded_frames.Recorded,
     *,
     out: Annotated[Path, typer.Option(help="Folder for the twin's files; new or empty.")],
     protocol: options.MeasuredPairs = None,
-    values: Values = None,
+    values: recorded_frames.Values = None,
     fixture: options.FixtureFile = None,
     mechanics: options.MechanicsFile = None,
     terms: Annotated[
@@ -223,7 +216,7 @@ def fit_twin(
     prior: Annotated[
         Path | None, typer.Option(help="File of prior standard deviations; wide when omitted.")
     ] = None,
-    specimen: OneSpecimen = None,
+    specimen: recorded_frames.OneSpecimen = None,
     first: Annotated[
         int | None, typer.Option(min=1, help="Fit to the first N frames and test on the others.")
     ] = None,
@@ -245,8 +238,8 @@ def fit_twin(
     sensor = geometry.SensorDesign.from_toml(design)
     widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()
     clamp, materials, _ = read_fixed(fixture, mechanics)
-    data = read_recorded(recording, values, protocol)
-    data = data if specimen is None else select_specimen(data, specimen)
+    data = recorded_frames.read_recorded(recording, values, protocol)
+    data = data if specimen is None else recorded_frames.select_specimen(data, specimen)
     _require_others(first, len(data), "frames")
     twin = training.Twin.fit(
         sensor,

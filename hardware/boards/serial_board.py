@@ -17,28 +17,12 @@ from eitskin.files import shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
+from eitskin.hardware.protocol import messages
 from eitskin.hardware.protocol.frame_parts import (
     PER_PACKET,
     FrameAssembly,
     FrameData,
     FramePart,
-)
-from eitskin.hardware.protocol.messages import (
-    Ack,
-    AckStatus,
-    Calibrate,
-    Event,
-    GetTable,
-    Hello,
-    Info,
-    Message,
-    Request,
-    Start,
-    Stop,
-    Table,
-    TablePart,
-    pack,
-    unpack,
 )
 from eitskin.hardware.protocol.packets import Decoder, MessageError, PacketDrop, encode
 from eitskin.protocol import Protocol
@@ -47,10 +31,10 @@ REPLY_TIMEOUT = 0.5  # s
 TRIES = 3
 
 log = logging.getLogger(__name__)
-Answer = TypeVar("Answer", bound=Message)
+Answer = TypeVar("Answer", bound=messages.Message)
 
 
-class SerialBoard(PortBoard[Message]):
+class SerialBoard(PortBoard[messages.Message]):
     """Board on a serial port; a `Board`.
 
     Attributes:
@@ -62,7 +46,7 @@ class SerialBoard(PortBoard[Message]):
         >>> board = open_board("serial:/dev/ttyACM0")  # doctest: +SKIP
     """
 
-    info: Info
+    info: messages.Info
 
     def __init__(
         self,
@@ -80,7 +64,7 @@ class SerialBoard(PortBoard[Message]):
 
         Raises DeviceError where the board does not answer as expected.
         """
-        self.events: deque[Event] = deque(maxlen=20)
+        self.events: deque[messages.Event] = deque(maxlen=20)
         self._decoder = Decoder()
         self._assembly = FrameAssembly(self._decoder.drops)
         self._malformed, self._latest = "", b""
@@ -127,24 +111,24 @@ class SerialBoard(PortBoard[Message]):
         self._reconnections += 1
 
     def calibrate(self) -> None:
-        self._request(Calibrate(), Ack)
+        self._request(messages.Calibrate(), messages.Ack)
 
     def close(self) -> None:
         if self._port.closed:
             return
         try:
-            self._send(Stop(), self._seq + 1)
+            self._send(messages.Stop(), self._seq + 1)
         except DeviceError:
             pass  # a board that has gone needs no stopping
         finally:
             self._port.close()
 
-    def _handshake(self) -> Info:
+    def _handshake(self) -> messages.Info:
         self._read_at = self._clock()
         self._port.clear()
-        return self._request(Hello(), Info)
+        return self._request(messages.Hello(), messages.Info)
 
-    def _require_same(self, found: Info) -> None:
+    def _require_same(self, found: messages.Info) -> None:
         known = self.info
         if (found.uid, found.table_crc32) != (known.uid, known.table_crc32):
             raise UnrecoverableError(
@@ -159,16 +143,16 @@ class SerialBoard(PortBoard[Message]):
         self._inbox.clear()
         self._assembly.clear()
 
-    def _read_table(self) -> Table:
+    def _read_table(self) -> messages.Table:
         """Measurement table of the board, in one packet or in parts."""
         n = self.info.n_measurements
         if n <= PER_PACKET:
-            return self._request(GetTable(), Table)
-        table = Table(())
+            return self._request(messages.GetTable(), messages.Table)
+        table = messages.Table(())
         for _ in range(n):  # an answer to an earlier request may come late, and is passed over
-            part = self._request(GetTable(len(table.rows)), TablePart)
+            part = self._request(messages.GetTable(len(table.rows)), messages.TablePart)
             if part.first == len(table.rows):
-                table = Table(table.rows + part.rows)
+                table = messages.Table(table.rows + part.rows)
             if len(table.rows) >= n:
                 break
         return table
@@ -191,7 +175,7 @@ class SerialBoard(PortBoard[Message]):
 
     def _start(self) -> None:
         """Start the frames; frames before the acknowledgement are old and are passed over."""
-        self._request(Start(), Ack)
+        self._request(messages.Start(), messages.Ack)
         self._restarted = False
 
     def _next_frame(self) -> Frame:
@@ -224,7 +208,7 @@ class SerialBoard(PortBoard[Message]):
             self._skipped += 1 + self._lost - lost  # those frames did come
             self._lost = lost
 
-    def _frame(self, item: Message) -> Frame | None:
+    def _frame(self, item: messages.Message) -> Frame | None:
         if isinstance(item, FrameData):
             return self._accept(item)
         self._note(item)
@@ -261,23 +245,23 @@ class SerialBoard(PortBoard[Message]):
             duration=data.duration,
         )
 
-    def _note(self, message: Message) -> None:
+    def _note(self, message: messages.Message) -> None:
         """Handle a message that answers no request: an event, or the Info of a restart."""
-        if isinstance(message, Event):
+        if isinstance(message, messages.Event):
             self.events.append(message)
             log.info("%s: %s", self.uri, message.text)
-        elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
+        elif isinstance(message, messages.Info) and message.boot_count != self.info.boot_count:
             self._require_same(message)
             self.info = message
             self._restarted, self._expected = True, None
 
-    def _request(self, request: Request, answer: type[Answer]) -> Answer:
+    def _request(self, request: messages.Request, answer: type[Answer]) -> Answer:
         """Answer to `request`, which is repeated under the same number until answered."""
         self._seq = (self._seq + 1) % 2**16
         for _ in range(TRIES):
             self._send(request, self._seq)
             for message in self._receive_items(REPLY_TIMEOUT):
-                if isinstance(message, Ack):
+                if isinstance(message, messages.Ack):
                     if message.request != self._seq:
                         continue
                     self._require_done(request, message)
@@ -290,12 +274,14 @@ class SerialBoard(PortBoard[Message]):
             "that this is the EIT board, its power and its cable"
         )
 
-    def _require_done(self, request: Request, ack: Ack) -> None:
-        if ack.status != AckStatus.DONE:
-            is_known = ack.status in AckStatus.__members__.values()
-            reason = AckStatus(ack.status).name.lower() if is_known else f"status {ack.status}"
+    def _require_done(self, request: messages.Request, ack: messages.Ack) -> None:
+        if ack.status != messages.AckStatus.DONE:
+            is_known = ack.status in messages.AckStatus.__members__.values()
+            reason = (
+                messages.AckStatus(ack.status).name.lower() if is_known else f"status {ack.status}"
+            )
             # A board that failed has an event that says what to check.
-            failed = ack.status == AckStatus.FAILED and self._complaint()
+            failed = ack.status == messages.AckStatus.FAILED and self._complaint()
             remedy = "" if failed else "; check that its firmware fits this eitskin"
             raise DeviceError(
                 f"{self.uri}: the board refused {type(request).__name__.upper()}: "
@@ -325,8 +311,8 @@ class SerialBoard(PortBoard[Message]):
             return f" (dropped: {dict(self.counts.dropped)}; a wrong baud rate looks like this)"
         return ""
 
-    def _send(self, request: Request, seq: int) -> None:
-        self._port.write(encode(pack(request, seq)))
+    def _send(self, request: messages.Request, seq: int) -> None:
+        self._port.write(encode(messages.pack(request, seq)))
 
     def _receive(self) -> None:
         self._read_at = self._clock()
@@ -334,7 +320,7 @@ class SerialBoard(PortBoard[Message]):
         self._latest = (self._latest + data)[-256:]
         for packet in self._decoder.feed(data):
             try:
-                message = unpack(packet)
+                message = messages.unpack(packet)
             except MessageError as error:
                 self._drop_malformed(str(error))
                 continue

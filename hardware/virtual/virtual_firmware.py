@@ -6,23 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from eitskin.hardware.protocol import messages
 from eitskin.hardware.protocol.frame_parts import PER_PACKET, FrameData, frame_packets
-from eitskin.hardware.protocol.messages import (
-    Ack,
-    AckStatus,
-    Calibrate,
-    Event,
-    GetTable,
-    Hello,
-    Info,
-    Message,
-    Start,
-    Stop,
-    Table,
-    TablePart,
-    pack,
-    unpack,
-)
 from eitskin.hardware.protocol.packets import Decoder, MessageError, Packet, encode
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.stage import Measure, Stage
@@ -63,8 +48,8 @@ class VirtualFirmware:
         self._decoder = Decoder()
         self._seq = self._left = self.number = self._started = 0
         self._late = 0.0
-        self._table = Table.from_protocol(protocol)
-        self.info = Info.from_protocol(
+        self._table = messages.Table.from_protocol(protocol)
+        self.info = messages.Info.from_protocol(
             protocol,
             firmware="eitskin-virtual",
             uid=b"eitskin-0000",
@@ -94,7 +79,7 @@ class VirtualFirmware:
         self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
         self._start()
         return self._send(self._apply_faults(Hook.INFO, self.info)) + self._send(
-            Event(0, 0, f"boot {self.info.boot_count}")
+            messages.Event(0, 0, f"boot {self.info.boot_count}")
         )
 
     def receive(self, data: bytes) -> bytes:
@@ -153,23 +138,23 @@ class VirtualFirmware:
 
     def _answer(self, packet: Packet) -> bytes:
         try:
-            message = unpack(packet)
+            message = messages.unpack(packet)
         except MessageError:
-            return self._acknowledge(packet, AckStatus.MALFORMED)
+            return self._acknowledge(packet, messages.AckStatus.MALFORMED)
         match message:
-            case Hello():
+            case messages.Hello():
                 return self._pack(self._apply_faults(Hook.INFO, self.info))
-            case GetTable(first):
+            case messages.GetTable(first):
                 return self._table_answer(packet, first)
-            case Start(frames):
+            case messages.Start(frames):
                 self._left, self.streaming = frames, True
-            case Stop():
+            case messages.Stop():
                 self.streaming = False
-            case Calibrate():
+            case messages.Calibrate():
                 pass  # its resistor is exact
             case _:
-                return self._acknowledge(packet, AckStatus.UNKNOWN_TYPE)
-        return self._acknowledge(packet, AckStatus.DONE)
+                return self._acknowledge(packet, messages.AckStatus.UNKNOWN_TYPE)
+        return self._acknowledge(packet, messages.AckStatus.DONE)
 
     def _table_answer(self, packet: Packet, first: int | None) -> bytes:
         """Answer to GET_TABLE: the table of version 1, or its rows from `first` on."""
@@ -177,20 +162,20 @@ class VirtualFirmware:
         if first is None and rows <= PER_PACKET:
             return self._pack(self._table)
         if first is None:
-            return self._acknowledge(packet, AckStatus.FAILED)
+            return self._acknowledge(packet, messages.AckStatus.FAILED)
         if first < rows:
-            return self._pack(TablePart.from_table(self._table, first))
-        return self._acknowledge(packet, AckStatus.MALFORMED)
+            return self._pack(messages.TablePart.from_table(self._table, first))
+        return self._acknowledge(packet, messages.AckStatus.MALFORMED)
 
-    def _acknowledge(self, packet: Packet, status: AckStatus) -> bytes:
-        return self._pack(Ack(packet.seq, packet.type, status))
+    def _acknowledge(self, packet: Packet, status: messages.AckStatus) -> bytes:
+        return self._pack(messages.Ack(packet.seq, packet.type, status))
 
-    def _pack(self, message: Message) -> bytes:
-        sent = encode(pack(message, self._seq))
+    def _pack(self, message: messages.Message) -> bytes:
+        sent = encode(messages.pack(message, self._seq))
         self._seq += 1
         return sent
 
-    def _send(self, message: Message) -> bytes:
+    def _send(self, message: messages.Message) -> bytes:
         return self._apply_faults(Hook.LINE, self._pack(message))
 
     def _apply_faults(

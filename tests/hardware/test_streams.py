@@ -18,17 +18,7 @@ from websockets.sync.client import connect
 
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
-from eitskin.hardware import Connection, Reading
-from eitskin.hardware.streams import (
-    MAX_CLIENTS,
-    ReadingPublisher,
-    UdpOutlet,
-    WebSocketOutlet,
-    open_publisher,
-    parse_address,
-    reading_record,
-    silence_record,
-)
+from eitskin.hardware import Connection, Reading, streams
 from eitskin.training.method.predictions import FoundTouches
 
 from live_fakes import Estimate, FakeBoard, frame
@@ -51,14 +41,14 @@ def listener():
 
 @pytest.fixture
 def udp(listener):
-    outlet = UdpOutlet(*listener.getsockname())
+    outlet = streams.UdpOutlet(*listener.getsockname())
     yield outlet
     outlet.close()
 
 
 @pytest.fixture
 def served():
-    outlet = WebSocketOutlet("127.0.0.1", 0)
+    outlet = streams.WebSocketOutlet("127.0.0.1", 0)
     yield outlet
     outlet.close()
 
@@ -71,7 +61,7 @@ def test_the_page_lists_every_key_in_its_order():
     section = text[text.index("## JSON records") : text.index("## ROS 2 topics")]
     rows = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
     found = FoundTouches.from_arrays([[0.05, 0.02]], [0.9], [np.nan], [1e-3])
-    record = reading_record(reading(touches=tuple(found)), FakeBoard.counts)
+    record = streams.reading_record(reading(touches=tuple(found)), FakeBoard.counts)
     (touch,) = record["touches"]
     assert (touch["force"], touch["deviation"]) == (None, 1e-3)
     assert rows == [*record, *touch, "seconds", "problem"]
@@ -83,10 +73,10 @@ def test_the_page_lists_every_key_in_its_order():
 def test_each_reading_is_one_datagram_and_silence_is_told(listener, udp):
     connection = Connection(FakeBoard([]))
     connection.problem = "the cable is out"
-    with ReadingPublisher(connection, [udp], heartbeat=0.02) as publisher:
+    with streams.ReadingPublisher(connection, [udp], heartbeat=0.02) as publisher:
         publisher.publish(reading(7))
         said = json.loads(listener.recv(65536))
-        assert said == reading_record(reading(7), FakeBoard.counts)
+        assert said == streams.reading_record(reading(7), FakeBoard.counts)
         silent = json.loads(listener.recv(65536))
         assert (silent["kind"], silent["problem"]) == ("silence", "the cable is out")
         assert silent["seconds"] >= 0.02
@@ -105,7 +95,7 @@ def test_nobody_listening_and_messages_too_long_are_no_error(udp, listener):
     [("5005", ("127.0.0.1", 5005)), ("robot:1", ("robot", 1)), ("[::1]:9", ("::1", 9))],
 )
 def test_an_address_is_of_this_machine_unless_it_says_so(text, address):
-    assert parse_address("--udp", text) == address
+    assert streams.parse_address("--udp", text) == address
 
 
 # WebSocket
@@ -141,9 +131,9 @@ def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monke
 
 def test_a_client_that_vanishes_frees_its_seat_and_one_too_many_is_told(served):
     with ExitStack() as stack:
-        clients = [stack.enter_context(connect(served.url)) for _ in range(MAX_CLIENTS)]
+        clients = [stack.enter_context(connect(served.url)) for _ in range(streams.MAX_CLIENTS)]
         served.send("1")
-        assert [client.recv(300.0) for client in clients] == ["1"] * MAX_CLIENTS
+        assert [client.recv(300.0) for client in clients] == ["1"] * streams.MAX_CLIENTS
         late = stack.enter_context(connect(served.url))
         with pytest.raises(ConnectionClosed) as closed:
             late.recv(300.0)
@@ -170,12 +160,12 @@ def test_pages_from_elsewhere_may_not_listen(served):
 def test_a_port_in_use_is_refused_and_nothing_stays_open(served, listener):
     port, connection = served.url.rpartition(":")[2].strip("/"), Connection(FakeBoard([]))
     with pytest.raises(ConfigurationError, match=port):
-        open_publisher(connection, str(listener.getsockname()[1]), port)
+        streams.open_publisher(connection, str(listener.getsockname()[1]), port)
 
 
 def test_both_outlets_send_the_same(listener):
     udp = str(listener.getsockname()[1])
-    with open_publisher(Connection(FakeBoard([])), udp, "0") as publisher:
+    with streams.open_publisher(Connection(FakeBoard([])), udp, "0") as publisher:
         publisher.publish(reading(7))
         assert publisher.addresses[0] == f"udp://127.0.0.1:{udp}"
         with connect(publisher.addresses[1]) as client:
@@ -207,10 +197,12 @@ def messages():
         Reading(frame(4), two, 0.1, 3.0),
         Reading(frame(5), none, 0.1, 3.0),
     )
-    yield from (reading_record(reading, FakeBoard.counts) for reading in each)
-    yield reading_record(Reading(frame(6), None, 0.1, 3.0, 1, "all are open"), FakeBoard.counts)
+    yield from (streams.reading_record(reading, FakeBoard.counts) for reading in each)
+    yield streams.reading_record(
+        Reading(frame(6), None, 0.1, 3.0, 1, "all are open"), FakeBoard.counts
+    )
     yield {"version": 2, "kind": "reading"}
-    yield silence_record(3.2, "the cable is out")
+    yield streams.silence_record(3.2, "the cable is out")
 
 
 SHOWN = [
@@ -232,7 +224,7 @@ def test_the_clients_of_the_page_read_every_record(language, request):
         [*command, "0", str(len(sent))], stdout=subprocess.PIPE, text=True
     ) as client:
         port = int(client.stdout.readline().split()[-1])
-        outlet = UdpOutlet("127.0.0.1", port)
+        outlet = streams.UdpOutlet("127.0.0.1", port)
         for message in sent:
             outlet.send(message)
         outlet.close()

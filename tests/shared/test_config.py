@@ -7,15 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from eitskin.config import (
-    from_dict,
-    parse_toml,
-    read_toml,
-    to_dict,
-    to_toml,
-    toml_table,
-    write_toml,
-)
+from eitskin import config
 from eitskin.errors import ConfigurationError
 
 
@@ -58,7 +50,7 @@ class Thing:
 
 
 def thing(text):
-    return parse_toml(Thing, text, "thing.toml", Path("folder"))
+    return config.parse_toml(Thing, text, "thing.toml", Path("folder"))
 
 
 def test_a_union_is_the_member_whose_keys_are_there():
@@ -77,16 +69,16 @@ def test_a_union_is_the_member_whose_keys_are_there():
     ],
 )
 def test_a_member_that_needs_no_key_is_known_by_its_name(text, base, written):
-    found = parse_toml(Standing, text)
+    found = config.parse_toml(Standing, text)
     assert found == Standing(base)
-    assert to_toml(found) == written
-    assert parse_toml(Standing, written) == found
+    assert config.to_toml(found) == written
+    assert config.parse_toml(Standing, written) == found
 
 
 @pytest.mark.parametrize("text", ["'plan'", "'box'", "{ gap = 2, width = 1 }", "3"])
 def test_a_name_that_no_member_has_is_refused(text):
     with pytest.raises(ConfigurationError, match=r"base: .*Spaced \(\[gap\]\) or Box \(length"):
-        parse_toml(Standing, f"base = {text}")
+        config.parse_toml(Standing, f"base = {text}")
 
 
 BALL = "shape = { radius = 1 }\n"
@@ -121,49 +113,49 @@ def test_what_does_not_fit_is_named_with_its_place(message):
     [(0.5, "0.5"), (0.5 + 0j, "0.5"), (1 - 2e-3j, "[1.0, -0.002]"), (2j, "[0.0, 2.0]")],
 )
 def test_complex_numbers_are_a_number_or_a_pair(z, written):
-    text = to_toml(Thing(Ball(1.0), z=z))
+    text = config.to_toml(Thing(Ball(1.0), z=z))
     assert f"\nz = {written}\n" in f"\n{text}"
     assert thing(text).z == z
 
 
 def test_numbers_of_numpy_are_written_as_plain_ones():
     given = Thing(Ball(np.float64(0.1)), z=np.complex128(1 + 2j), numbers=(np.float32(0.5),))
-    assert to_dict(given) == {
+    assert config.to_dict(given) == {
         "shape": {"radius": 0.1},
         "z": [1.0, 2.0],
         "parts": [],
         "numbers": [0.5],
         "side": "left",
     }
-    assert thing(to_toml(given)) == given
+    assert thing(config.to_toml(given)) == given
     nulls = {"shape": {"radius": 1.0}, "spare": None, "size": None}
-    assert from_dict(Thing, nulls, "data") == Thing(Ball(1.0))
+    assert config.from_dict(Thing, nulls, "data") == Thing(Ball(1.0))
 
 
 def test_integers_of_toml_have_64_bits():
-    assert toml_table(f"a = [{{ b = {2**63 - 1} }}]", "it")["a"][0]["b"] == 2**63 - 1
+    assert config.toml_table(f"a = [{{ b = {2**63 - 1} }}]", "it")["a"][0]["b"] == 2**63 - 1
     for text in (f"a = {2**63}", f"a = [1, {{ b = {-(2**63) - 1} }}]", f"a = {'9' * 4000}"):
         with pytest.raises(
             ConfigurationError, match=r"^it is not valid TOML: integers have 64 bit"
         ):
-            toml_table(text, "it")
+            config.toml_table(text, "it")
 
 
 def test_paths_start_from_the_folder_of_their_file(tmp_path):
     (tmp_path / "thing.toml").write_text("file = 'part.stl'\nshape = { radius = 1 }")
-    assert read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
+    assert config.read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
     assert thing("file = 'part.stl'\nshape = { radius = 1 }").file == Path("folder/part.stl")
     assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
     with pytest.raises(ConfigurationError, match="TOML text: file"):  # which is no user's file
-        parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
+        config.parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "thing.toml"
-    text = write_toml(Thing(Ball(1.0)), path)
-    assert path.read_text() == text == to_toml(Thing(Ball(1.0)))
+    text = config.write_toml(Thing(Ball(1.0)), path)
+    assert path.read_text() == text == config.to_toml(Thing(Ball(1.0)))
     path.unlink()
     path.mkdir()
     with pytest.raises(ConfigurationError, match=r"thing\.toml"):
-        write_toml(Thing(Ball(2.0)), path)
+        config.write_toml(Thing(Ball(2.0)), path)
     assert list(tmp_path.iterdir()) == [path]

@@ -9,22 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from eitskin import files
 from eitskin.config import parse_toml, read_toml
 from eitskin.datasets import Recipe, read_recording
 from eitskin.datasets.store.manifest import read_manifest
 from eitskin.errors import ConfigurationError, DataError, EitskinError, PartialError
-from eitskin.files import (
-    TEMPORARY,
-    atomic_file,
-    atomic_folder,
-    parse_json,
-    printable,
-    quote_value,
-    read_bytes,
-    remove_file,
-    remove_leftovers,
-    write_file,
-)
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.hardware import Script
@@ -34,19 +23,19 @@ from eitskin.training import StoredReference, TwinPrior
 
 def test_a_file_takes_its_name_at_the_end_and_a_failed_one_leaves_the_old(tmp_path) -> None:
     path = tmp_path / "a.png"
-    with atomic_file(path) as temporary:
+    with files.atomic_file(path) as temporary:
         temporary.write_text("old")
         assert temporary.suffix == ".png"
         assert not path.exists()
     assert path.stat().st_mode & 0o777 == 0o644
-    with pytest.raises(UnicodeEncodeError), atomic_file(path) as temporary:
+    with pytest.raises(UnicodeEncodeError), files.atomic_file(path) as temporary:
         temporary.write_text("half \udcff", encoding="utf-8")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def filled(path, *names) -> None:
-    with atomic_folder(path) as folder:
+    with files.atomic_folder(path) as folder:
         for name in names:
             (folder / name).write_text(name)
 
@@ -54,7 +43,7 @@ def filled(path, *names) -> None:
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
     path = tmp_path / "above" / "some"
     filled(path, "a", "b")
-    with pytest.raises(UnicodeEncodeError), atomic_folder(path) as folder:
+    with pytest.raises(UnicodeEncodeError), files.atomic_folder(path) as folder:
         (folder / "c").write_text("half \udcff", encoding="utf-8")
     assert sorted(file.name for file in path.iterdir()) == ["a", "b"]
     filled(path, "c")
@@ -90,19 +79,19 @@ def test_a_folder_that_cannot_take_the_name_leaves_what_was_there(
 
 
 def test_leftovers_are_removed_and_what_cannot_be_is_a_clear_error(tmp_path):
-    write_file(tmp_path / "a.json", b"{}")
-    (tmp_path / f"{TEMPORARY}x.json").write_text("half")
-    remove_leftovers(tmp_path)
+    files.write_file(tmp_path / "a.json", b"{}")
+    (tmp_path / f"{files.TEMPORARY}x.json").write_text("half")
+    files.remove_leftovers(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
     with (
         pytest.raises(ConfigurationError, match="No such file or directory"),
-        atomic_file(tmp_path / "none" / "a.txt"),
+        files.atomic_file(tmp_path / "none" / "a.txt"),
     ):
         pass
-    remove_file(tmp_path / "absent")
+    files.remove_file(tmp_path / "absent")
     (tmp_path / "folder").mkdir()
     with pytest.raises(PartialError, match=r"folder: .*--resume"):
-        remove_file(tmp_path / "folder")
+        files.remove_file(tmp_path / "folder")
 
 
 # Files that others may have made
@@ -122,7 +111,7 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path):
     }
     for path, reason in wrong.items():
         with pytest.raises(DataError, match=reason):
-            read_bytes(path, failure=DataError)
+            files.read_bytes(path, failure=DataError)
 
 
 SCENES = "name = 'a'\n[[scenes]]\nstate = 'idle'\ncount = {}\n"
@@ -142,15 +131,15 @@ def test_what_python_cannot_hold_is_refused_briefly():
         assert len(str(refused.value)) < 1000
     for content in (b"[" * 200_000, b"9" * 5000, b'{"a": "\xff"}', b"1e999", b"NaN"):
         with pytest.raises(ValueError, match="JSON"):
-            parse_json(content)
+            files.parse_json(content)
 
 
 def test_values_of_files_are_quoted_in_part():
-    assert quote_value("a\x1b") == r"'a\x1b'"
-    assert len(quote_value("x" * 10**6)) < 150
-    assert printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"
+    assert files.quote_value("a\x1b") == r"'a\x1b'"
+    assert len(files.quote_value("x" * 10**6)) < 150
+    assert files.printable("a\tb\x9b\nc\u202e") == "a\\tb\\x9b\nc\\u202e"
     long = f"expected {'x' * 9000} at the end"
-    assert printable(long) == str(DataError(long)) == f"{long[:2000]} ... {long[-2000:]}"
+    assert files.printable(long) == str(DataError(long)) == f"{long[:2000]} ... {long[-2000:]}"
 
 
 # Files from strangers, edited at random: read, or one clear error
