@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from eitskin.errors import DataError
 from eitskin.training.joint.frame_predictions import (
     STRANGEST,
     ErrorScale,
@@ -49,6 +50,14 @@ def test_the_scale_of_strange_sensors_is_found_again(scale):
     for features, square in (([0.5, 0.5], 0.25), ([3.0, 1.0], STRANGEST)):
         expected = np.sqrt(learned.usual + square * learned.strange)
         assert learned.evaluate(np.array(features)) == pytest.approx(expected)
+
+
+def test_a_scale_is_stored_as_its_terms_or_as_that_of_all_sensors():
+    assert ErrorScale.from_stored(np.array([3.0, 0.5])) == ErrorScale(3.0, 0.5)
+    assert ErrorScale.from_stored(np.array(2.0)).evaluate(np.array([1.5])) == 2.0
+    for wrong in ([1.0, np.nan], [1.0, -1.0], [1.0, 1.0, 1.0]):
+        with pytest.raises(DataError, match="standard errors"):
+            ErrorScale.from_stored(np.array(wrong))
 
 
 SIZE, RADIUS = (0.150, 0.060), 0.0075
