@@ -54,7 +54,7 @@ _KINDS: dict[str, tuple[Callable[..., SolutionTable], int]] = {
     "strip": (tables.solve_strip, 3),
     "end": (tables.solve_end, 3),
     "side": (tables.solve_side, 2),
-    "disc": (tables.solve_disc, 1),
+    "disc": (tables.solve_disc, 2),
     "pair": (pair_tables.solve_pair, 4),
     "pair-sides": (pair_tables.solve_pair_sides, 1),
 }

@@ -40,6 +40,7 @@ from eitskin.simulator.deformation.contact import (
     HeldContact,
     PunchedArea,
 )
+from eitskin.simulator.deformation.fitted_plan import UNIT, unfit
 from eitskin.simulator.deformation.solution_store import Arrays
 from eitskin.simulator.deformation.stack_mesh import StackMesh
 from eitskin.simulator.mechanics.box_fields import QuadraticField
@@ -88,6 +89,7 @@ class Correction:
             of a footprint that touches, (presses, 3). For dents those of the correction alone.
         unknowns: unknowns of the solid, from which a neighbouring correction may start; none where
             it was stored.
+        fit: what fitting to the rims moves places on the grid of c and q; None for boxes.
     """
 
     displacement: QuadraticField
@@ -96,6 +98,7 @@ class Correction:
     sunk: Array
     holding: Array
     unknowns: Array
+    fit: QuadraticField | None = None
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> "Correction":
@@ -108,6 +111,7 @@ class Correction:
             arrays["sunk"],
             arrays["holding"],
             np.zeros(0),
+            QuadraticField((x, y, UNIT), arrays["fit"]) if "fit" in arrays else None,
         )
 
     def arrays(self) -> Arrays:
@@ -121,19 +125,21 @@ class Correction:
             "bottom": np.array(self.bottom),
             "sunk": self.sunk,
             "holding": self.holding,
+            **({} if self.fit is None else {"fit": self.fit.values}),
         }
 
     def thinning(self, x: float, y: float) -> float:
         """Thinning of the gel at (x, y) [m]: 1 - thickness over undeformed thickness."""
         heights = self.mean_stress.grid[2][[0, -1]]
-        ends = self.displacement(np.column_stack([[x, x], [y, y], heights]))[:, 2]
+        places, _ = self._places(np.column_stack([[x, x], [y, y], heights - self.bottom]))
+        ends = self.displacement(places)[:, 2]
         return float((ends[0] - ends[1]) / np.diff(heights)[0])
 
     def in_gel(self, points: Array) -> Array:
         """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
-        over_base = self._heights_from_base(points)
+        places, _ = self._places(points)
         return np.concatenate(
-            [self.displacement(over_base), self.mean_stress(over_base)[..., None]], axis=-1
+            [self.displacement(places), self.mean_stress(places)[..., None]], axis=-1
         )
 
     def values(self, columns: Array) -> Array:
@@ -142,13 +148,17 @@ class Correction:
 
     def displacement_and_gradient(self, columns: Array) -> Array:
         """c and its derivatives by x, y, z, (12, h, n), at columns of points (n, h, 3) [m]."""
-        points = self._heights_from_base(columns)
-        slopes = self.displacement.derivative(points).reshape(*columns.shape[:2], 9)
-        moved: Array = np.concatenate([self.displacement(points), slopes], axis=-1)
+        places, slope = self._places(columns)
+        slopes = self.displacement.derivative(places)
+        slopes = slopes if slope is None else slopes @ slope
+        slopes = slopes.reshape(*columns.shape[:2], 9)
+        moved: Array = np.concatenate([self.displacement(places), slopes], axis=-1)
         return moved.transpose(2, 1, 0)
 
-    def _heights_from_base(self, points: Array) -> Array:
-        return np.asarray(points + np.array([0.0, 0.0, self.bottom]))
+    def _places(self, points: Array) -> tuple[Array, Array | None]:
+        """Places on the grid of points over the gel's bottom, and their derivative."""
+        over_base: Array = points + np.array([0.0, 0.0, self.bottom])
+        return (over_base, None) if self.fit is None else unfit(self.fit, over_base)
 
 
 class DentedSolid(Solid):
@@ -416,8 +426,16 @@ class FiniteStack:
         middles = [np.sort(np.append(line, 0.5 * (line[1:] + line[:-1]))) for line in lines]
         stress = solid.corner_mean_stress(x, self.body.laws.index(gel))
         of_gel = np.isfinite(stress)
-        pressures = _on_grid(self.body.mesh.p.T[of_gel], stress[of_gel, None], lines)[..., 0]
-        moved = _on_grid(solid.nodes, solid.displacement(x), middles)
+        corners, nodes, shown = self.body.mesh.p.T, solid.nodes, np.arange(len(solid.nodes))
+        if (plan := self.body.plan) is not None:
+            corners = np.column_stack([np.tile(plan.places, (len(lines[2]), 1)), corners[:, 2]])
+            grid = skfem.CellBasis(
+                skfem.MeshHex(np.ascontiguousarray(corners.T), self.body.mesh.t), solid.basis.elem
+            )
+            nodes = grid.doflocs.T
+            shown = np.unique(grid.element_dofs[:, plan.in_gel(self.body.mesh.t.shape[1])])
+        pressures = _on_grid(corners[of_gel], stress[of_gel, None], lines)[..., 0]
+        moved = _on_grid(nodes[shown], solid.displacement(x)[shown], middles)
         return Correction(
             displacement=QuadraticField(lines, moved),
             mean_stress=_gel_interpolator(pressures, lines),
@@ -430,6 +448,7 @@ class FiniteStack:
                 ]
             ),
             unknowns=x,
+            fit=None if plan is None else plan.shift,
         )
 
 

@@ -5,7 +5,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import skfem
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.sensor import Free, Plates, Support
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.deformation.fitted_plan import Contact, FittedPlan, extrude, fit_plan
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.mechanics.materials import Law
 
@@ -25,31 +26,8 @@ _MIN_LARGEST_CELL = 0.5  # least size of the largest cells, over the radius of a
 _SAMPLES, _SPARE = 4001, 1e-6
 # Largest cells over the length of the sensor: far from presses on a thin stack nothing happens.
 _MAX_CELL_SIZE = 1.0 / 20.0
-_STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
-
-
-class Contact(NamedTuple):
-    """Area under an indenter, an ellipse of the flat face.
-
-    Attributes:
-        x, y: its middle [m].
-        radius: radius of the indenter [m].
-        stretches: by which a bend makes it longer along x and y, to a circle.
-        punch: radius of the largest circle within a flat punch, all of whose field the mesh has to
-            resolve; 0 for others [m].
-    """
-
-    x: float
-    y: float
-    radius: float
-    stretches: tuple[float, float] = (1.0, 1.0)
-    punch: float = 0.0
-
-    @property
-    def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Middle and half-length along x and along y [m]."""
-        along, across = self.stretches
-        return (self.x, self.radius / along), (self.y, self.radius / across)
+_MAX_FINE_QUADS = 1400  # cells of a fitted plan, above which layers are one cell thick
+_RIM_CELLS = 0.4  # of the thickness: cells at sides that do not run along x or y
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +59,14 @@ class StackMesh:
     """Boxes through gel, margin and the layers above and below, heights over the base.
 
     Attributes:
-        mesh: the boxes; x and y as in the design.
+        mesh: the boxes, or hexahedra that follow the rims; x and y as in the design.
         lines: grid lines along x, y and z [m].
         stack: the layers.
         laws: different materials, that of the encapsulation last. Pressures jump between them.
         gel_cells: numbers of the cells of gel.
         gap: least and greatest x of the free part of the base, equal where there is none [m].
         free: whether the sides are held instead of the base.
+        plan: plan of hexahedra that follow the rims; None for boxes.
     """
 
     mesh: skfem.MeshHex
@@ -97,6 +76,7 @@ class StackMesh:
     gel_cells: Indices
     gap: tuple[float, float]
     free: bool
+    plan: FittedPlan | None = None
 
     @property
     def law_of_cell(self) -> Indices:
@@ -134,8 +114,8 @@ def stack_mesh(
     """Box mesh of a stack, refined around contacts.
 
     Args:
-        outline: outline of the gel. Boxes follow sides along x and y; other sides are approximated
-            by the boxes whose middles lie within, those of gel and those of its margin.
+        outline: outline of the gel. Boxes follow sides along x and y; where there are others, the
+            boxes within the gel are fitted to its rim, and a ring around them makes the margin.
         stack: the layers.
         mechanics: margin next to the gel, and its material.
         support: support of the base.
@@ -145,18 +125,17 @@ def stack_mesh(
     radius = min(contact.punch or contact.radius for contact in contacts)
     height = stack.levels[-1]
     faces = _faces(outline)
-    boxed = faces is None
+    fitted = faces is None
     if fineness is None:
         loose = isinstance(support, Free | Plates)
-        layers = 2 if isinstance(outline, Rectangle) else 1
-        even = Fineness(layers=layers)
-        fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else even
+        even = Fineness(layers=2 if isinstance(outline, Rectangle) else 1)
+        fineness = Fineness(0.0, 0.0) if fitted else _LOOSE if loose else even
         if any(contact.punch for contact in contacts):
             fineness = dataclasses.replace(fineness, rims=_PUNCH_CELLS, growth=1.0)
         if all(contact.punch for contact in contacts):  # what a punch does fades without a jump
             fineness = dataclasses.replace(fineness, ends=0.0, sides=0.0)
     far = max(height, _MIN_LARGEST_CELL * radius, _MAX_CELL_SIZE * outline.length)
-    coarsest = _STAIRS * height if boxed else far
+    coarsest = _RIM_CELLS * height if fitted else far
     finest = min(fineness.rims * radius, 0.5 * height, coarsest)
     grading = Grading(finest, coarsest, fineness.growth)
     whole = outline.length
@@ -177,19 +156,25 @@ def stack_mesh(
         )
         for axis, (extent, edges) in enumerate(((whole, plates), (outline.width, ())))
     )
+    plan = fit_plan(outline, (x, y), mechanics.margin, height, contacts) if fitted else None
+    many = plan is not None and len(plan.quads) > _MAX_FINE_QUADS
+    layers = 1 if many else fineness.layers
     ends = np.array(stack.levels)
-    steps = [np.linspace(a, b, fineness.layers + 1)[1:] for a, b in itertools.pairwise(ends)]
+    steps = [np.linspace(a, b, layers + 1)[1:] for a, b in itertools.pairwise(ends)]
     heights = np.concatenate([ends[:1], *steps])
-    mesh = skfem.MeshHex.init_tensor(x, y, heights)
-    if not isinstance(outline, Rectangle):
-        middles = mesh.p[:2, mesh.t].mean(axis=1).T
-        mesh = mesh.restrict(np.flatnonzero(outline.contains(middles, -mechanics.margin)))
+    if plan is not None:
+        mesh = extrude(plan, heights)
+    else:
+        mesh = skfem.MeshHex.init_tensor(x, y, heights)
+        if not isinstance(outline, Rectangle):
+            middles = mesh.p[:2, mesh.t].mean(axis=1).T
+            mesh = mesh.restrict(np.flatnonzero(outline.contains(middles, -mechanics.margin)))
     middles = mesh.p[:, mesh.t].mean(axis=1)
-    inside = outline.contains(middles[:2].T)
+    inside = outline.contains(middles[:2].T) if plan is None else plan.in_gel(mesh.t.shape[1])
     cells = np.flatnonzero(inside & (stack.layer_number(middles[2]) == stack.gel))
     around = mechanics.encapsulation
     laws = (*dict.fromkeys(s.law for s in stack.sheets if s.law != around), around)
-    return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free)
+    return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free, plan)
 
 
 def _faces(outline: PlaneOutline) -> list[list[tuple[float, float]]] | None:
