@@ -31,7 +31,8 @@ from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.bends import bend_table
 from eitskin.simulator.deformation.contact import ContactFrame, DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, stack_mesh
+from eitskin.simulator.deformation.fitted_plan import Contact
+from eitskin.simulator.deformation.stack_mesh import Fineness, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton

@@ -184,7 +184,7 @@ def _shift_to_rim(
         nearest = np.unravel_index(apart.argmin(), apart.shape)
         moved[nearest] = corner - nodes[nearest]
     held |= rim
-    springs = _springs(held.shape)
+    springs = _springs(within.shape[0] + 1, within.shape[1] + 1)
     flat, loose = moved.reshape(-1, 2), np.flatnonzero(~held)
     flat[loose] = spsolve(springs[loose][:, loose].tocsc(), -(springs[loose] @ flat))
     least = _MIN_JACOBIAN * _least_jacobian(nodes)
@@ -198,7 +198,7 @@ def _shift_to_rim(
     return moved
 
 
-def _springs(shape: tuple[int, int]) -> sparse.csr_array:
+def _springs(*shape: int) -> sparse.csr_array:
     """Stiffness of a net of springs along both directions of a grid."""
     chains = []
     for n in shape:

@@ -16,9 +16,10 @@ from eitskin.geometry.design.sensor import Support
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.field import Basis, CubicSplines, Field, Polynomials
 from eitskin.simulator.deformation.finite_stack import Correction, FiniteStack
+from eitskin.simulator.deformation.fitted_plan import Contact
 from eitskin.simulator.deformation.solution_store import Report, processes
 from eitskin.simulator.deformation.solution_table import Axis, SolutionTable
-from eitskin.simulator.deformation.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
+from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Indentation, Mechanics, Stack
 from eitskin.simulator.scene.indenters import Indenter
