@@ -109,7 +109,7 @@ def fit_plan(
     """
     nodes = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
     middles = 0.25 * (nodes[1:, 1:] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[:-1, :-1])
-    within = _connected(outline.contains(middles))
+    within = _select_connected(outline.contains(middles))
     moved = _shift_to_rim(outline, nodes, within, contacts)
     numbers = np.arange(nodes[..., 0].size).reshape(nodes.shape[:2])
     corners = [numbers[:-1, :-1], numbers[1:, :-1], numbers[1:, 1:], numbers[:-1, 1:]]
@@ -141,7 +141,7 @@ def extrude(plan: FittedPlan, heights: Array) -> skfem.MeshHex:
     return skfem.MeshHex(np.ascontiguousarray(points.T), cells)
 
 
-def _connected(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _select_connected(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells that hang together by their edges; single ones in sharp corners are left out.
 
     Raises ConfigurationError where more would be.
