@@ -9,12 +9,8 @@ from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
-from eitskin.simulator.deformation.stack_mesh import (
-    Contact,
-    Fineness,
-    StackMesh,
-    stack_mesh,
-)
+from eitskin.simulator.deformation.fitted_plan import Contact
+from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
