@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from eitskin.closeable import Closeable
 from eitskin.errors import DeviceError
 from eitskin.frame import Frame
-from eitskin.hardware.boards.port import (
-    BACKLOG,
-    CHUNK,
-    ReopenablePort,
-    SerialPort,
-    UnrecoverableError,
-)
+from eitskin.hardware.boards import port
 from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
 
@@ -136,7 +130,7 @@ class PortBoard(Board, Generic[Item]):
     _restarted = False
 
     def __init__(
-        self, connect: Callable[[], SerialPort], uri: str, clock: Callable[[], float]
+        self, connect: Callable[[], port.SerialPort], uri: str, clock: Callable[[], float]
     ) -> None:
         """Open the port.
 
@@ -148,7 +142,7 @@ class PortBoard(Board, Generic[Item]):
         """
         self.uri, self._clock = uri, clock
         self._inbox: deque[Item] = deque()
-        self._port = ReopenablePort(connect, uri)
+        self._port = port.ReopenablePort(connect, uri)
 
     @abstractmethod
     def _receive(self) -> None:
@@ -173,7 +167,7 @@ class PortBoard(Board, Generic[Item]):
     def _newest_pending(self, frame: Frame) -> Frame:
         """Newest of `frame` and the frames that have arrived since."""
         # Bounded, since a board may never pause.
-        for _ in range(BACKLOG // CHUNK):
+        for _ in range(port.BACKLOG // port.CHUNK):
             while self._inbox and not self._restarted:
                 if (later := self._frame(self._inbox.popleft())) is not None:
                     self._skipped += 1
@@ -222,7 +216,7 @@ class Connection:
                     pause = FIRST_PAUSE
                     self._notice("")
                     yield frame
-            except UnrecoverableError:
+            except port.UnrecoverableError:
                 raise
             except DeviceError as error:
                 self._notice(str(error))
@@ -238,7 +232,7 @@ class Connection:
             pause = min(2.0 * pause, MAX_PAUSE)
             try:
                 self.board.reconnect()
-            except UnrecoverableError:
+            except port.UnrecoverableError:
                 raise
             except DeviceError as error:
                 self._notice(str(error))

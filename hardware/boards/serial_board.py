@@ -17,13 +17,7 @@ from eitskin.files import shorten_text
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import PortBoard, longest_silence
 from eitskin.hardware.boards.port import SerialPort, UnrecoverableError, connector
-from eitskin.hardware.protocol import messages
-from eitskin.hardware.protocol.frame_parts import (
-    PER_PACKET,
-    FrameAssembly,
-    FrameData,
-    FramePart,
-)
+from eitskin.hardware.protocol import frame_parts, messages
 from eitskin.hardware.protocol.packets import Decoder, MessageError, PacketDrop, encode
 from eitskin.protocol import Protocol
 
@@ -66,7 +60,7 @@ class SerialBoard(PortBoard[messages.Message]):
         """
         self.events: deque[messages.Event] = deque(maxlen=20)
         self._decoder = Decoder()
-        self._assembly = FrameAssembly(self._decoder.drops)
+        self._assembly = frame_parts.FrameAssembly(self._decoder.drops)
         self._malformed, self._latest = "", b""
         self._seq = 0
         self._expected: int | None = None
@@ -146,7 +140,7 @@ class SerialBoard(PortBoard[messages.Message]):
     def _read_table(self) -> messages.Table:
         """Measurement table of the board, in one packet or in parts."""
         n = self.info.n_measurements
-        if n <= PER_PACKET:
+        if n <= frame_parts.PER_PACKET:
             return self._request(messages.GetTable(), messages.Table)
         table = messages.Table(())
         for _ in range(n):  # an answer to an earlier request may come late, and is passed over
@@ -209,12 +203,12 @@ class SerialBoard(PortBoard[messages.Message]):
             self._lost = lost
 
     def _frame(self, item: messages.Message) -> Frame | None:
-        if isinstance(item, FrameData):
+        if isinstance(item, frame_parts.FrameData):
             return self._accept(item)
         self._note(item)
         return None
 
-    def _accept(self, data: FrameData) -> Frame | None:
+    def _accept(self, data: frame_parts.FrameData) -> Frame | None:
         """Frame in `data`; None for a late one, or one of another measurement table."""
         if len(data.impedance) != len(self.protocol):
             self._drop_malformed(
@@ -324,7 +318,11 @@ class SerialBoard(PortBoard[messages.Message]):
             except MessageError as error:
                 self._drop_malformed(str(error))
                 continue
-            frame = self._assembly.add(message) if isinstance(message, FramePart) else message
+            frame = (
+                self._assembly.add(message)
+                if isinstance(message, frame_parts.FramePart)
+                else message
+            )
             if frame is not None:
                 self._inbox.append(frame)
 

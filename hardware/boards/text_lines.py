@@ -191,7 +191,7 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
     """
     with suppress(ValueError, RecursionError):
         if isinstance(read := json.loads(_NOT_FINITE.sub(b"null", text)), list | dict):
-            return _values_of(read, size)
+            return _row_values(read, size)
     body = _PREFIX.sub(b"", text, count=1).strip(b" ,;|[](){}")
     factor = 1e3 if all(unit for unit in _UNITS.findall(body) or [b""]) else 1.0
     body = re.sub(rb"[a-z_]+\d+=", b"", _UNITS.sub(b"", body), flags=re.IGNORECASE)
@@ -204,7 +204,7 @@ def parse_values(text: bytes, size: int = 0) -> list[complex]:
         return []
 
 
-def _values_of(read: Any, size: int) -> list[complex]:
+def _row_values(read: Any, size: int) -> list[complex]:
     """Numbers in JSON of a line."""
     members = {"": read} if isinstance(read, list) else read
     named = [v for key, v in members.items() if isinstance(v, int | float) and key[-1:].isdigit()]

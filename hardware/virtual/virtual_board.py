@@ -14,18 +14,11 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.serial_board import SerialBoard
+from eitskin.hardware.virtual import stage as scenes
 from eitskin.hardware.virtual.fault import Fault
 from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.memory_line import MemoryLine
 from eitskin.hardware.virtual.pseudo_terminal import PseudoTerminal
-from eitskin.hardware.virtual.stage import (
-    SceneSolver,
-    SceneSource,
-    Script,
-    SimulatedSensor,
-    Stage,
-    Step,
-)
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.protocol import Protocol
 from eitskin.simulator.deformation.sensor_grid import read_fixed
@@ -42,12 +35,12 @@ MAX_PERIOD = 3600.0  # s
 def virtual_firmware(
     *,
     resolution: str = "fast",
-    scene: str | Path | Scene | SceneSource | None = None,
+    scene: str | Path | Scene | scenes.SceneSource | None = None,
     seed: int = 0,
     snr_db: float = 75.0,
     instrument: Instrument | str | None = None,
     faults: str | Sequence[Fault] = (),
-    simulator: SceneSolver | None = None,
+    simulator: scenes.SceneSolver | None = None,
     sensor: str | Path | SensorDesign | None = None,
     protocol: str | Protocol | None = None,
     fixture: str | Path | Fixture | None = None,
@@ -92,13 +85,13 @@ def virtual_firmware(
         instrument = Instrument.from_name(instrument)
     elif instrument is None and np.isfinite(snr_db):
         instrument = Instrument(snr_db)
-    simulated = SimulatedSensor(simulator, instrument, seed, period)
+    simulated = scenes.SimulatedSensor(simulator, instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
     if isinstance(scene, str | Path):
-        scene = Script.from_toml(scene)
+        scene = scenes.Script.from_toml(scene)
     elif isinstance(scene, Scene):
-        scene = Script((Step(scene),))
-    stage = Stage(simulated.solve, scene, chosen)
+        scene = scenes.Script((scenes.Step(scene),))
+    stage = scenes.Stage(simulated.solve, scene, chosen)
     return VirtualFirmware(stage, simulated.protocol, simulated.measure, period)
 
 
@@ -136,7 +129,7 @@ class VirtualBoard(SerialBoard):
         (28,)
     """
 
-    stage: Stage
+    stage: scenes.Stage
 
     def __init__(
         self,
