@@ -237,7 +237,7 @@ def test_a_round_footprint_presses_like_the_cylinder_and_is_kept(pressed, monkey
     assert punch.depth == pytest.approx(cylinder.depth, rel=0.02)
     assert punch.thinning == pytest.approx(cylinder.thinning, rel=0.15)
     assert punch.contact_radius == pytest.approx(0.006)
-    assert (punch.force, punch.signal_error) == (4.0, 0.04)
+    assert (punch.force, punch.signal_error) == (4.0, cylinder.signal_error)
     to_depth = pressed(ROUND, depth=punch.depth, held=60.0)[1]
     assert 0.7 * 4.0 < to_depth.force < 0.9 * 4.0
     pressed_sensor.solved_presses.cache_clear()
@@ -246,14 +246,11 @@ def test_a_round_footprint_presses_like_the_cylinder_and_is_kept(pressed, monkey
 
 
 @pytest.mark.slow
-def test_a_footprint_pressed_off_its_middle_tilts_and_pulls_nowhere(pressed) -> None:
+def test_a_footprint_pressed_off_its_middle_leaves_the_face_in_part(pressed) -> None:
     sides = 5e-3 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    level, tilted = (
-        pressed(Footprint(corners=tuple(map(tuple, corners.tolist()))), force=2.0)[1]
-        for corners in (sides, sides + np.array([3e-3, 0.0]))
-    )
-    assert tilted.depth > 1.1 * level.depth
-    assert tilted.contact_radius < 0.95 * level.contact_radius
+    corners = (sides + np.array([3e-3, 0.0])).tolist()
+    square = Footprint(corners=tuple(map(tuple, corners)))
+    assert pressed(square, force=2.0)[1].contact_radius < 0.95 * square.rims[1]
 
 
 def test_indenters_keep_apart_by_their_shapes() -> None:
