@@ -11,6 +11,7 @@ from eitskin.benchmarks.layouts import run as layouts_run
 from eitskin.benchmarks.layouts.bound import (
     Sampling,
     SheetBound,
+    judge_layouts,
     sheet_bound,
 )
 from eitskin.benchmarks.layouts.candidates import (
@@ -116,6 +117,40 @@ def test_search_finds_the_best_layout_and_leaves_mirrors_where_a_half_turn_is_be
         assert turned == mirrored
     else:
         assert turned.score < mirrored.score
+
+
+# What is kept
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Names of layouts that are judged; the bound is their first electrode's place."""
+    names = []
+
+    def judged(layout, _):
+        names.append(layout.name)
+        return flat_bound(layout.design.electrodes[0].x)
+
+    monkeypatch.setattr(layouts_bound, "sheet_bound", judged)
+    return names
+
+
+def judged(folder, *questions, watch=lambda _: None, workers=1):
+    return judge_layouts(folder, workers, watch, list(questions))
+
+
+def test_only_what_is_whole_and_the_same_is_taken_from_a_file(tmp_path, counted):
+    asked = (moved(), FEWEST)
+    judged(tmp_path, asked, asked)
+    (again,) = judged(tmp_path, (replace(moved(), name="under another name"), FEWEST))
+    assert (again.place[0, 0], counted) == (0.020, ["moved"])
+    for other in ((moved(0.021), FEWEST), (moved(), FEW), (replace(moved(), angle_deg=1.0), FEW)):
+        judged(tmp_path, other)
+    assert len(counted) == 4
+    for path in tmp_path.glob("*.json"):
+        path.write_bytes(path.read_bytes()[:40])
+    (found,) = judged(tmp_path, asked)
+    assert (found.place[0, 0], len(counted)) == (0.020, 5)
 
 
 # The command

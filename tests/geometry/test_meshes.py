@@ -1,5 +1,6 @@
 """Meshes of each kind of cell: they fill the body, fit the electrodes, are fine at their edges."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from eitskin.geometry.design.patches import boundary_faces
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import quality, volumes
-from eitskin.geometry.meshing.mesh_design import triangulated_mesh
+from eitskin.geometry.meshing.mesh_design import layer_heights, triangulated_mesh
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
 
 from cut_blocks import covered
@@ -72,6 +73,14 @@ def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere(slab):
 def test_hexahedra_end_at_breaks() -> None:
     x = structured_mesh(REFERENCE, FINE, breaks=(0.0531, 0.0969)).points[:, 0]
     assert np.abs(x[:, None] - [0.0531, 0.0969]).min(axis=0).max() < 1e-12
+
+
+def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
+    electrodes = (*REFERENCE.electrodes, Electrode(0.05, 0.03, on="top"))
+    design = dataclasses.replace(REFERENCE, electrodes=electrodes)
+    fine = layer_heights(design, Grading(finest=1e-4, coarsest=8e-3, growth=1.0, layers=4))
+    assert np.diff(fine).max() < 1.01 * 0.005 / 4
+    assert np.diff(fine)[-1] < 3e-4 < np.diff(fine)[0]
 
 
 ELECTRODES = (

@@ -109,6 +109,28 @@ def test_a_pad_on_a_surface_covers_what_lies_under_it(ball):
     assert not within(first, np.array([[-R, 0, 0], [R * 0.9, 0, 0.021]]), -np.eye(3)[[0, 0]]).any()
 
 
+def test_width_on_a_surface_is_horizontal_as_on_the_side_and_along_x_on_top(ball):
+    pads = [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)]
+    design = on_ball(ball, *(Electrode(x, y, 0.01, 1e-3, 0.004, z, "surface") for x, y, z in pads))
+    extents = []
+    for patch in design.patches():
+        (region,) = patch.regions
+        room = region.planes[:, 3] - region.planes[:, :3] @ (0.05 * region.normal)
+        extents.append(np.abs(region.planes[np.abs(room - 0.005) < 1e-4, :3]).max(axis=0))
+    assert np.array(extents) == pytest.approx(np.eye(3)[[1, 0, 0]], abs=2e-2)
+
+
+def test_pads_on_a_surface_are_kept_apart(ball):
+    """Pads 10 mm wide on a ball of 50 mm radius meet where they are 0.2 rad apart."""
+    first, fits, overlaps = (
+        Electrode(0.05 * math.cos(a), 0.05 * math.sin(a), 0.01, z=0.0, on="surface")
+        for a in (0.0, 0.25, 0.19)
+    )
+    on_ball(ball, first, fits)
+    with pytest.raises(ConfigurationError, match="0 and 1 overlap"):
+        on_ball(ball, first, overlaps)
+
+
 def test_edges_have_both_ends_however_wide_the_spacing():
     round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
     pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
@@ -130,6 +152,25 @@ def test_edges_run_around_what_lies_within_a_face():
         assert np.diff(np.sort(x[under & np.isclose(z, heights[0])])).max() <= 2e-4 * 1.001
     assert z[~upright] == pytest.approx(THICKNESS)
     assert np.hypot(x - 0.03, y - 0.025)[~upright] == pytest.approx(0.005, rel=0.005)
+
+
+def part(x, z):
+    return Electrode(x, 0.0, height=0.001, z=z)
+
+
+@pytest.mark.parametrize(
+    "electrodes",
+    [
+        (Electrode(0.02, 0.0), Electrode(0.025, 0.0)),
+        (Electrode(0.0025, 0.0), Electrode(0.0, 0.0025)),
+        (part(0.02, 0.001), part(0.021, 0.002)),
+        (Electrode(0.02, 0.02, on="top"), Electrode(0.02, 0.02, on="bottom")),
+        (Electrode(0.02, 0.0025, on="top"), Electrode(0.02, 0.0)),
+        [Electrode(0.02, 0.02, z=z, on="inside") for z in (0.001, 0.002)],
+    ],
+)
+def test_electrodes_may_touch_or_lie_over_each_other(electrodes):
+    SensorDesign(SLAB, THICKNESS, tuple(electrodes))
 
 
 SIZES = st.floats(0.004, 0.02)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
-from eitskin.simulator import Cylinder, Mechanics
+from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
+from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.deformation import finite_stack
 from eitskin.simulator.deformation.contact import DentField
 from eitskin.simulator.deformation.finite_stack import FiniteStack
 from eitskin.simulator.deformation.fitted_plan import Contact
-from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, stack_mesh
+from eitskin.simulator.deformation.stack_mesh import Fineness, StackMesh, _faces, stack_mesh
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
@@ -44,6 +44,22 @@ def pressed(stack, dents):
     return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
 
 
+def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
+    """Gel and margin have the volumes of the L shape and of its surroundings."""
+    end, leg, margin = 0.06, 0.035, MECHANICS.margin
+    outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
+    assert _faces(outline) == [[(leg, 1.0)], [(leg, 1.0)]]
+    contacts = [Contact(0.02, 0.02, PUNCH.radius)]
+    coarse = Fineness(ends=0.0, sides=0.0, layers=1)
+    body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)
+    corners = body.mesh.p[:, body.mesh.t]
+    volumes = np.prod(corners.max(axis=1) - corners.min(axis=1), axis=0)
+    area = end**2 - (end - leg) ** 2
+    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
+    around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
+    assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
+
+
 @pytest.mark.slow
 def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     radii = np.array([0.0, 0.4, 0.7]) * PUNCH.radius  # springs end a part of a cell inside
@@ -70,6 +86,27 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     moved = beside + found.displacement(under)
     assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
     assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
+
+
+@pytest.mark.slow
+def test_cells_that_the_rim_of_a_contact_cuts_do_not_make_it_larger(pressed, dents) -> None:
+    finer = FiniteStack(meshed(rims=0.25)).correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+    beside = np.random.default_rng(0).uniform((0.003, 0, 0.004), (0.035, 0.0045, 0.008), (400, 3))
+    found, expected = (each.displacement.derivative(beside) for each in (pressed, finer))
+    # Held up to the rim, they take 1.4 % from the strain beside the contact.
+    assert np.vdot(found, expected) / np.vdot(expected, expected) == pytest.approx(1.0, abs=0.005)
+    assert pressed.sunk == pytest.approx(finer.sunk, rel=0.012)
+
+
+@pytest.mark.slow
+def test_a_contact_smaller_than_a_cell_is_held() -> None:
+    ball = Sphere(0.0075)
+    dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
+    body = meshed()
+    assert 2.0 * dent.contact_radius < np.diff(body.lines[0]).min()
+    found = FiniteStack(body).correction([DentField(X, Y, ball, dent)])
+    under = found.displacement(np.array([[X, Y, TOP]]))[0, 2]
+    assert under == pytest.approx(-found.sunk[0], rel=0.1)
 
 
 def test_a_dent_is_smooth_across_its_axis(dents) -> None:

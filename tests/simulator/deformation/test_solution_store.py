@@ -81,6 +81,13 @@ def problem(values, **description) -> Problem:
     return Problem("kept", description, lambda _: {"x": np.asarray(values)})
 
 
+def test_a_folder_that_cannot_be_written_lets_each_solve(cache, monkeypatch) -> None:
+    (cache / "file").write_text("")
+    monkeypatch.setenv("EITSKIN_CACHE", str(cache / "file"))
+    assert load_or_solve(problem([1.0, 1.0]), dict)["x"].tolist() == [1.0, 1.0]
+    assert load_or_solve(problem([2.0]), dict)["x"].tolist() == [2.0]
+
+
 def test_a_failed_solution_leaves_no_file_and_no_lock(cache) -> None:
     def fail(_):
         raise ValueError("no equilibrium")

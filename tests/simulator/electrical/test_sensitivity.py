@@ -104,3 +104,28 @@ def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
         )
         expected = (ahead - behind) / (2 * step * z)
         assert J[:, number] == pytest.approx(expected, rel=1e-4, abs=1e-4 * abs(J).max())
+
+
+def test_gradients_above_points_of_the_plane_are_what_potentials_do() -> None:
+    """Over steps of a micrometre, along each axis."""
+    model = ForwardModel(
+        SensorDesign.reference(),
+        ((2, 1), Grading(finest=2e-3, coarsest=8e-3, growth=1.0, layers=2)),
+    )
+    space, rng = model.assembly.space, np.random.default_rng(2)
+    inside = rng.normal(size=(len(space.origins), len(space.element.functions), 3))
+    elements, step = np.array([0, 17, 40]), 1e-6
+    corners = space.origins[elements, None]
+    plane = corners[..., :2] + rng.uniform(0.2e-3, 0.8e-3, size=(3, 2, 2))
+    heights = np.array([0.001, 0.004])
+    found = space.column_gradients(inside, elements, plane, heights)
+
+    def values(moved):
+        points = np.empty((3, 2, 2, 3))
+        points[..., :2], points[..., 2] = plane[:, :, None], heights
+        shape = space.element.values(space.reference(elements, points + moved))
+        return np.einsum("fnpq,nfk->npqk", shape, inside[elements])
+
+    for axis, way in enumerate(np.eye(3)):
+        slope = (values(step * way) - values(-step * way)) / (2 * step)
+        np.testing.assert_allclose(found[:, axis], slope, rtol=1e-6, atol=1e-4)

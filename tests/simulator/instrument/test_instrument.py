@@ -161,6 +161,16 @@ def test_measurements_that_share_a_drive_pair_share_its_capacitance():
     assert shunt[0].imag / 300.0 != pytest.approx(shunt[1].imag / 600.0, rel=1e-3)
 
 
+def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
+    session = started(dataclasses.replace(ALL, snr_db=0.0, floor=0.0))
+    frames, times = np.tile(FLAT, (4, 1)), np.array([0.0, 5.0, 4000.0, 90000.0])
+    rng = np.random.default_rng(0)
+    together, _ = session.measure(frames, times, rng)
+    for k in (2, 0, 3, 1):
+        alone, _ = session.measure(frames[k : k + 1], times[k : k + 1], rng)
+        np.testing.assert_array_equal(alone[0], together[k])
+
+
 # ---- four terminals ----
 
 N, ADJACENT = 8, Protocol.adjacent(8)

@@ -60,6 +60,25 @@ def test_every_load_and_leak_is_a_conductance_to_ground_of_a_nodal_network():
         assert found == pytest.approx(expected, rel=1e-9)
 
 
+def test_leads_are_in_series_with_their_electrodes_on_the_sensors_side_of_the_loads():
+    R, lead, y = 500.0, 60.0, 1e-3
+    two = Protocol.pairwise(2)
+    meter = FourTerminalMeter(leads=(lead, 0.0), source=y, sink=y)
+    expected = 1.0 / (1.0 / (R + lead) + y / 2.0)
+    assert sensed(meter, chain(R), two) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_loaded_drive_pair_has_its_leads_and_loads():
+    """Two electrodes, one resistor: the source sees it between its leads, both loads beside it."""
+    meter = FourTerminalMeter(source=2e-3, sink=1e-3, leads=(5.0, 7.0))
+    R = 100.0
+    matrix = R / 4 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    both = meter.terminal_impedances(matrix, Protocol(((0, 1, 0, 1),), 2))
+    through_ground = 1 / 2e-3 + 1 / 1e-3
+    expected = 1 / (1 / (R + 12.0) + 1 / through_ground)
+    assert both[1, 0] == pytest.approx(expected, rel=1e-12)
+
+
 # ---- invariants ----
 
 

@@ -5,7 +5,7 @@ import pytest
 import skfem
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, SparseLU, follow, newton
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden, cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -96,6 +96,36 @@ def squeezed(solid, height):
     fixed = np.concatenate([spread(plates, 2), 2 * axis])
     moved = np.stack([0 * plates, (height - 1) * z[plates]], axis=1).ravel()
     return Load(fixed, np.concatenate([moved, 0.0 * axis]), np.zeros(solid.unknowns))
+
+
+def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
+    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    none, load, factorised = np.zeros(solid.unknowns), squeezed(solid, 0.95), []
+
+    def counted(matrix):
+        factorised.append(len(factorised))
+        return SparseLU(matrix)
+
+    exact = newton([solid], none, load, tolerance=1e-10)
+    solid.elimination = lambda *_: counted
+    counts = []
+    for chords in (False, True):
+        found = newton([solid], none, load, 1e-2, chords=chords)
+        assert np.abs(found - exact).max() < 1e-4 * np.abs(exact).max()
+        counts.append(len(factorised))
+    assert counts[1] - counts[0] < counts[0]
+
+
+def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
+    """Rounding leaves residuals that no correction makes smaller than themselves."""
+    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    load = squeezed(solid, 1.0)
+    tiny = 1e-20 * np.random.default_rng(0).normal(size=solid.unknowns)
+    held = Load(load.fixed, load.values, solid.forces(tiny))
+    with pytest.raises(SolidError, match="does not converge"):
+        newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2)
+    found = newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, scale=1e-6)
+    assert np.abs(found).max() < 1e-9
 
 
 def test_the_work_of_the_load_is_the_energy_stored() -> None:

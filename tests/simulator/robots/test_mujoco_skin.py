@@ -78,6 +78,18 @@ def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulat
     assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-4), pytest.approx(0.04, abs=1e-4))
 
 
+def test_only_the_upper_face_feels(simulator) -> None:
+    """The skin lies on a table and a ball leans on its side: neither is a touch."""
+    table = '<geom type="box" size=".2 .2 .01" pos="0 0 -.016"/>'
+    beside = (
+        '<body pos=".0822 0 0"><joint type="slide" axis="1 0 0"/>'
+        '<geom type="sphere" size=".0075" mass=".1"/></body>'
+    )
+    model, data = loaded(table + beside, SKIN + '<joint type="slide" axis="0 0 1"/>', time=0.2)
+    assert (data.contact.geom == model.geom("skin").id).any(axis=1).sum() > 1
+    assert not MujocoSkin(simulator, model, "skin").touches(data)
+
+
 def frames_of(skin, model, simulations, steps):
     """Frames by simulation, of so many steps."""
     found = [[] for _ in simulations]

@@ -24,6 +24,11 @@ FLAT = np.array([400.0 + 3.0j, 700.0 - 2.0j, 550.0])
 # Rules
 
 
+def test_touches_that_do_not_overlap_stay_apart_strongest_first():
+    points = [Touch(0.03, 0.03, 2.0), Touch(0.0451, 0.03, 4.0), Touch(0.1, 0.03, 3.0)]
+    assert [each.force for each in RULES.apply(points, GEL)] == [4.0, 3.0, 2.0]
+
+
 def test_merging_goes_on_until_no_indenters_overlap_and_keeps_force_and_moment():
     rng = np.random.default_rng(3)
     points = [
