@@ -106,7 +106,7 @@ def generate(
     missing = [number for number in wanted if number not in kept]
     _require_engine(folder, kept.values() if missing else ())
     _check_room(recipe, folder, missing)
-    _begin(recipe, folder, resume, shared=shard is not None)
+    _begin(recipe, folder, shared=shard is not None)
     total = _frames(recipe, wanted)
     done = total - _frames(recipe, missing)
 
@@ -204,15 +204,13 @@ def _frames(recipe: Recipe, shards: Sequence[int]) -> int:
     return sum(len(recipe.shard_range(shard)) for shard in shards)
 
 
-def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
+def _begin(recipe: Recipe, folder: Path, shared: bool) -> None:
     """Make sure that `folder` holds this recipe, and no files of another dataset.
 
     Several calls may begin a `shared` folder at once: they write the same recipe, and leave the
     temporary files of each other alone.
     """
     text, path = recipe.to_toml().encode(), folder / RECIPE
-    if not (resume or shared):
-        require_empty(folder)
     # Listed before the look at the recipe: another call may write recipe and shard in between.
     held = sorted(name for name in make_folder(folder) if not name.startswith(TEMPORARY))
     if not shared:

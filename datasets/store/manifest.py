@@ -40,7 +40,8 @@ class Names:
     @classmethod
     def from_numbers(cls, specimens: Mapping[str, int], sessions: Mapping[str, int]) -> "Names":
         """Names that say more than the numbers they stand for; both are numbers by name."""
-        return cls(_telling(specimens), _telling(sessions))
+        both = (specimens, sessions)
+        return cls(*({n: name for name, n in each.items() if name != str(n)} for each in both))
 
     def __bool__(self) -> bool:
         """Whether there is any name."""
@@ -60,10 +61,6 @@ class Names:
     def specimen(self, number: int) -> str:
         """Name of a specimen; its number where it has none."""
         return self.specimens.get(number, str(number))
-
-
-def _telling(numbers: Mapping[str, int]) -> dict[int, str]:
-    return {number: name for name, number in numbers.items() if name != str(number)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -250,6 +250,8 @@ FORMS = [
          for k, f in enumerate(FRAMES)]), P8),
     Form("JSON, an array of objects", "a.json", lambda p: p.write_text(json.dumps(
          [{"v": f.tolist()} for f in FRAMES])), P8),
+    Form("JSON in UTF-16", "a.json", lambda p: p.write_text(json.dumps(
+         [{"v": f.tolist()} for f in FRAMES]), "utf-16"), P8),
     Form("NumPy, one array", "a.npy", lambda p: np.save(p, FRAMES), P8),
     Form("NumPy, several", "a.npz", lambda p: np.savez(p, data=FRAMES), P8 + " --values data"),
     Form("MATLAB, frames as columns", "a.mat", lambda p: savemat(p, {"V": FRAMES.T}),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections import namedtuple
 
+import h5py
 import numpy as np
 import pytest
 
@@ -21,7 +22,7 @@ from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store import shard_reader
-from eitskin.datasets.store.shard import shard_name, verify_checksum
+from eitskin.datasets.store.shard import append_checksum, shard_name, verify_checksum
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Free, Hinge, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
@@ -147,6 +148,25 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("seed", -5), ("frequency", np.inf), ("quantity", "magnitude"), ("engine", np.inf)],
+)
+def test_a_shard_of_other_attributes_is_made_again(whole, tmp_path, monkeypatch, name, value):
+    """Although its seal is whole."""
+    in_this_process(monkeypatch)
+    folder, path = tmp_path / "set", tmp_path / "set" / shard_name(0)
+    shutil.copytree(whole, folder)
+    (folder / "manifest.json").unlink()
+    path.write_bytes(verify_checksum(path.read_bytes())[0])
+    with h5py.File(path, "r+") as file:
+        file.attrs[name] = value
+    path.write_bytes(append_checksum(path.read_bytes()))
+    generate(RECIPE, folder, resume=True)
+    assert contents(folder) == contents(whole)
+
+
+@pytest.mark.slow
 def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
     whole, tmp_path, monkeypatch
 ):
@@ -160,9 +180,11 @@ def test_a_dataset_begun_by_another_simulation_is_opened_but_not_continued(
         generate(RECIPE, folder, resume=True)
 
 
-def test_occupied_folders_are_refused(whole, tmp_path):
+def test_occupied_folders_are_refused(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(generation, "prepare", None)  # before hours of work
     with pytest.raises(ConfigurationError, match="--resume"):
         generate(RECIPE, whole)
+    monkeypatch.undo()
     with pytest.raises(ConfigurationError, match="recipe or seed"):
         generate(with_seed(RECIPE, 12), whole, resume=True)
     (tmp_path / "letter.txt").write_text("mine")
