@@ -151,21 +151,25 @@ def test_the_electrodes_that_cannot_move_are_named():
 # Presses
 
 
+def missing_presses(asked):
+    return {path for path in missing_tables(asked) if not path.name.startswith("bend-")}
+
+
 @pytest.mark.slow
 def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     monkeypatch.setattr(solution_store, "LIBRARY", tmp_path / "none")
     # Dents, their corrections on a strip and at its end, pairs, and what sides add to those.
-    assert len(missing_tables(recipe(Specimens(30)))) == 5
+    assert len(missing_presses(recipe(Specimens(30)))) == 5
     # Dents of three thicknesses, and strips of as many.
-    assert len(missing_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 4 + 3
+    assert len(missing_presses(recipe(Specimens(30, thickness=0.03)))) == 3 + 4 + 3
     # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
     # four tables of dents about each place, from two or three below to three above.
-    assert len(missing_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 7 in (5, 6, 7)
+    assert len(missing_presses(recipe(Specimens(30, gel_modulus=0.1)))) - 7 in (5, 6, 7)
     both = Specimens(30, gel_modulus=0.1, thickness=0.03)
-    assert len(missing_tables(recipe(both))) <= 3 * 7 + 6 + 3
+    assert len(missing_presses(recipe(both))) <= 3 * 7 + 6 + 3
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
-    assert missing_tables(untouched) == set()
+    assert missing_presses(untouched) == set()
 
 
 def law(stack, _indenter) -> PressTable:
