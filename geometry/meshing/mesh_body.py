@@ -59,10 +59,7 @@ class GivenMesh:
         if hasattr(mesh, "cells_dict"):
             return cls._from_meshio(mesh)
         if hasattr(mesh, "facets") and hasattr(mesh, "t"):
-            facets = mesh.facets.T
-            named = {
-                name: facets[np.asarray(chosen)] for name, chosen in (mesh.boundaries or {}).items()
-            }
+            named = {n: mesh.facets.T[np.asarray(f)] for n, f in (mesh.boundaries or {}).items()}
             return cls._from_checked_arrays(mesh.p.T, mesh.t.T, named, mesh.subdomains or {})
         try:
             points, cells = mesh
@@ -89,11 +86,8 @@ class GivenMesh:
 
     @classmethod
     def _from_meshio(cls, mesh: Any) -> "GivenMesh":
-        blocks = {
-            kind: np.asarray(cells)[:, : _CORNERS[kind]]
-            for kind, cells in mesh.cells_dict.items()
-            if kind in _CORNERS
-        }
+        kinds = mesh.cells_dict.keys() & _CORNERS
+        blocks = {k: np.asarray(mesh.cells_dict[k])[:, : _CORNERS[k]] for k in kinds}
         inner = next((k for k in ("tetra", "tetra10", "triangle", "triangle6") if k in blocks), "")
         if not inner:
             raise ConfigurationError(
@@ -167,7 +161,6 @@ class MeshBody:
         plane = given_mesh.cells.shape[1] == 3
         used, cells = np.unique(given_mesh.cells, return_inverse=True)
         points, cells = given_mesh.points[used], cells.reshape(given_mesh.cells.shape)
-        levels = 2 if plane else 1
         if plane:
             heights = np.array([0.0, thickness])
             points = np.column_stack([np.repeat(points, 2, axis=0), np.tile(heights, len(points))])
@@ -179,7 +172,7 @@ class MeshBody:
         names: Sequence[str | ArrayLike] = named if electrodes is None else electrodes
         numbers = np.full(len(given_mesh.points), -1)
         numbers[used] = np.arange(len(used))
-        contacts = _contacts(points, cells, levels, list(_faces(given_mesh, names, numbers)))
+        contacts = _contacts(points, cells, 1 + plane, list(_faces(given_mesh, names, numbers)))
         whole = Mesh(points, cells, contacts, heights if plane else None)
         check_quality(whole)
         z = np.broadcast_to(np.asarray(contact_impedance), len(names))
