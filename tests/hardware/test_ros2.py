@@ -77,7 +77,7 @@ class Heard:
 
     def next(self):
         """The next line that the listener says."""
-        for _ in range(1500):
+        for _ in range(30_000):
             if select.select([self.process.stdout], [], [], 0.01)[0]:
                 break
             self.publish()
