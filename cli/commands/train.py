@@ -142,9 +142,9 @@ def _summary(report: "training.Report") -> str:
     single = report.touches.get("1")
     if single is not None and single.mean_error_mm is not None:
         error, guess = single.mean_error_mm, single.guess_error_mm
-        shown.append(f"one touch {error:.2f} mm off (guessing {guess:.0f} mm)")
+        shown.append(f"one touch: error {error:.2f} mm (guessing {guess:.0f} mm)")
     if report.bend.rmse_deg is not None:
-        shown.append(f"bends {report.bend.rmse_deg:.2f} deg off")
+        shown.append(f"bends: error {report.bend.rmse_deg:.2f} deg")
     return ", ".join(shown)
 
 
@@ -309,7 +309,7 @@ def evaluate(
         rows = (
             ("mean error", f"{score.mean_error_mm:.2f} mm"),
             ("median error", f"{score.median_error_mm:.2f} mm"),
-            ("mean error of always the middle", f"{score.guess_error_mm:.1f} mm"),
+            ("mean error of guessing the middle", f"{score.guess_error_mm:.1f} mm"),
             (
                 "error over standard error",
                 "-" if (over := score.error_ratio) is None else f"{over:.2f}",

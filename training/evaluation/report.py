@@ -240,8 +240,8 @@ def _touch_rows(report: Report) -> Iterator[Row]:
             yield f"{name}: error", PAPER_ERROR_MM.get(group, "-"), _text(ERROR, *spread)
             quantiles = (score.median_error_mm, score.p95_error_mm)
             yield "  median, 95 % within", "-", _text("{:.2f} mm, {:.2f} mm", *quantiles)
-            yield "  of always the middle", "-", f"{score.guess_error_mm:.1f} mm"
-            yield "  found", "-", f"{score.found:.1%}, and {score.false_per_touch:.1%} false"
+            yield "  error of guessing the middle", "-", f"{score.guess_error_mm:.1f} mm"
+            yield "  detected, false", "-", f"{score.found:.1%}, {score.false_per_touch:.1%}"
     for group, paper in PAPER_SSIM.items():
         if score := report.touches.get(group):
             name = COUNTS.get(group, group)
@@ -254,15 +254,15 @@ def _touch_rows(report: Report) -> Iterator[Row]:
     if calibration := report.place_calibration:
         yield "place error / standard error", "-", _consistency(calibration)
     if force := report.force:
-        shown = f"{force.mean_error_n:.2f} N off (bias {force.bias_n:+.2f})"
-        yield "force of a touch", "-", shown
+        shown = f"{force.mean_error_n:.2f} N (bias {force.bias_n:+.2f})"
+        yield "force of a touch: error", "-", shown
 
 
 def _state_rows(report: Report) -> Iterator[Row]:
     states, told_apart = report.states, report.estimates.states
     if "idle" in told_apart:
         yield "idle recognised", "> 97 %", _text("{:.1%}", states.accuracy["idle"])
-        yield "  taken for a touch", NOTHING, _text("{:.1%}", states.idle_as_touch)
+        yield "  mistaken for a touch", NOTHING, _text("{:.1%}", states.idle_as_touch)
     if "touch" in told_apart:
         yield "touch recognised", "99 %", _text("{:.1%}", states.accuracy["touch"])
         if "bend" in told_apart or states.bent_touch_accuracy is not None:

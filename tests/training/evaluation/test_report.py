@@ -182,7 +182,7 @@ def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_pa
     text = (folder / "report.md").read_text()
     assert all(f"]({name})" in text for name in shown)
     assert all(f"- {name}: {document['left_out'][name]}" in text for name in left_out)
-    assert "| force of a touch | - | 1.50 N off (bias +0.50) |" in text
+    assert "| force of a touch: error | - | 1.50 N (bias +0.50) |" in text
     assert "structural_similarity" in text
     assert 'name = "by hand"' in text
 
