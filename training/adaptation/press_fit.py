@@ -219,7 +219,7 @@ def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
 
     Raises DataError for fewer than `MIN_PRESSES` presses, or presses all at one place.
     """
-    dead = 2 * np.isnan(labelled.ratios).sum(axis=0) > len(labelled)
+    dead = 4 * np.isnan(labelled.ratios).sum(axis=0) > len(labelled)
     whole = np.flatnonzero(np.isfinite(labelled.ratios[:, ~dead]).all(axis=1))
     if 2 * len(whole) >= max(len(labelled), 2 * MIN_PRESSES):  # few are spoilt, as by a late fault
         labelled = labelled.select(whole)

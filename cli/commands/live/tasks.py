@@ -348,10 +348,10 @@ class SessionTasks(Closeable, SessionCommands):
 
     def _set_up(self, angles: str = ANGLES, presses: int = 10, frames: int = 8) -> None:
         options = SetupOptions(angles, presses, frames)
-        if max(options.presses, options.frames) > MAX_FRAMES:
+        if max(presses, options.frames) > MAX_FRAMES:
             raise ConfigurationError(
                 f"expected at most {MAX_FRAMES} presses, and frames in each pose, got "
-                f"{options.presses} and {options.frames}"
+                f"{presses} and {options.frames}"
             )
         out = self._fresh("setup", ".eitmodel")
         board = self._session.connection.board

@@ -31,12 +31,15 @@ class SetupOptions:
     """Number of frames and presses, and angles, that a set-up takes."""
 
     angles: adapt.Angles = adapt.ANGLES
-    presses: Annotated[int, typer.Option(min=0, help="Number of touches to ask for.")] = 10
+    presses: Annotated[
+        int | None,
+        typer.Option(min=0, help="Number of touches to ask for; 10, or 50 without a pipeline."),
+    ] = None
     frames: Annotated[int, typer.Option(min=1, help="Number of frames in each pose.")] = 8
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        if self.presses < 0 or self.frames < 1:
+        if (self.presses or 0) < 0 or self.frames < 1:
             raise ConfigurationError(
                 "expected no negative number of presses, and a frame or more in each pose, got "
                 f"{self.presses} and {self.frames}"
@@ -153,6 +156,12 @@ class Setup:
             self.design = self.start.layout.known_design
 
     @property
+    def presses(self) -> int:
+        """Number of touches to ask for: more where they alone must cover the sheet."""
+        usual = 50 if self.start is None else 10
+        return usual if self.options.presses is None else self.options.presses
+
+    @property
     def frames_folder(self) -> Path:
         """Folder of the labelled frames."""
         return self.out.with_name(f"{self.out.stem}-frames")
@@ -181,7 +190,7 @@ class Setup:
 
         Raises ConfigurationError where no step took frames to learn from.
         """
-        start, presses = self.start, self.options.presses
+        start, presses = self.start, self.presses
         angles = adapt.parse_angles(self.options.angles)
         steps: list[tuple[str, str, Callable[[hardware.Board], str]]] = []
         if start is not None:
@@ -248,7 +257,7 @@ class Setup:
         return self._take(board, "angles", [poses.bent_pose(angle) for angle in angles])
 
     def _press(self, board: "hardware.Board") -> str:
-        count = self.options.presses
+        count = self.presses
         if self.design is None:
             raise ConfigurationError(
                 "expected the sensor's outline, to name places on it, got none; give --sensor"

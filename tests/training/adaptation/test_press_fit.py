@@ -52,6 +52,15 @@ def test_strength_is_learned_where_no_depth_is_known():
 
 
 @pytest.mark.slow
+def test_a_channel_that_is_lost_in_half_of_the_presses_costs_no_press():
+    ratio, places, depth = toy_presses()
+    ratio[len(ratio) // 2 :, 0] = np.nan
+    validated = learn_places(LabelledPresses(ratio, places, depth)).validated
+    assert validated["presses"] == len(places)
+    assert validated["mean_error_mm"] < 3
+
+
+@pytest.mark.slow
 def test_few_presses_are_explained_in_several_ways():
     """Places are means over them, in whatever units each has its channels, and saved with them."""
     ratio, places, depth = toy_presses(6)
