@@ -186,14 +186,9 @@ def _preview(output: Output, recording: "datasets.Recording", context: typer.Con
     for option, value in options.items():
         words += [] if option in words else [option, value]
     read = {label.partition(" = ")[0] for label in description["labels"].split(", ")}
-    suggestions = _suggest_options(recording.unused, read)
-    words += [word for pair in suggestions for word in pair]
+    words += [word for pair in _suggest_options(recording.unused, read) for word in pair]
     if recording.unused:
-        description["not read"] += (
-            "; the command reads those with usual names as labels"
-            if suggestions
-            else "; a label among them: --column LABEL=NAME"
-        )
+        description["not read"] += "; a label among them: --column LABEL=NAME"
     description["command"] = shlex.join(["eitskin", *words, "--out", "FOLDER"])
     output.result(description, "\n".join(f"{name}: {text}" for name, text in description.items()))
 
