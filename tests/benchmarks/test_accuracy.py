@@ -46,12 +46,12 @@ def test_errors_fall_along_each_ladder_and_stay_above_the_references_own(data):
             assert second[quantity] > 10 * data["figures"][f"references.{quantity}"]
         assert second["published_error"] < first["published_error"]
         assert second["unknowns"] > first["unknowns"]
-    for scene in QUICK_SCENES:
+    for scene, limit in zip(QUICK_SCENES, (1e-3, 2.5e-3, 3.5e-2), strict=True):
         check, fast = (
             data["figures"][f"bent and pressed, {name}.{scene}"]
             for name in ("second reference", "fast")
         )
-        assert check < fast < 0.04
+        assert check < fast < limit
 
 
 def test_judge_measures_the_errors_that_a_frame_has(truth):
