@@ -45,8 +45,9 @@ Indices = NDArray[np.int64]
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _MAX_RELATIVE_DEPTH = 0.55
-# Extent of a footprint whose edges cross the mesh over its width, to which such were refined.
-_MAX_SLENDERNESS = 3.0
+# Extent over the width of a footprint whose edges cross the mesh: one of 2.7 came 6 % deeper turned
+# by 30 degrees than straight.
+_MAX_SLENDERNESS = 1.5
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
 # leave more than 7 %.
 _MIN_CORNER_DISTANCE = 2.0
