@@ -11,7 +11,7 @@ import pytest
 from eitskin.geometry import Polygon, Rectangle, SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
-from eitskin.simulator.deformation import finite_stack
+from eitskin.simulator.deformation import pressed_sensor
 from eitskin.simulator.deformation.corrections import (
     Corrections,
     correction_problems,
@@ -144,8 +144,8 @@ def test_sums_beside_a_right_corner_give_the_signal_of_tables_of_rectangles(plac
 @pytest.mark.slow
 def test_the_signal_is_that_of_a_press_solved_in_the_whole_stack(monkeypatch) -> None:
     # Cells that grow fast away from the press, also at the ends, change 1 % of the signals.
-    coarser = partial(finite_stack.stack_mesh, fineness=Fineness(0.0, 0.0, layers=1, growth=2.0))
-    monkeypatch.setattr(finite_stack, "stack_mesh", coarser)
+    coarser = partial(pressed_sensor.stack_mesh, fineness=Fineness(0.0, 0.0, layers=1, growth=2.0))
+    monkeypatch.setattr(pressed_sensor, "stack_mesh", coarser)
     small = Polygon(
         ((0, 0), (0.064, 0), (0.064, 0.036), (0.036, 0.036), (0.036, 0.064), (0, 0.064))
     )
