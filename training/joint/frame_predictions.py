@@ -21,11 +21,8 @@ from eitskin.training.method.predictions import FoundTouches
 SPECIMEN_SPREAD = 0.008
 Array = NDArray[np.float64]
 
-FAINT_GAIN, FURTHER_GAIN, DIVISION_GAIN = 12.0, 18.0, (8.0, 10.0)
-"""Decrease of the misfit, by a touch where there is none, by a further one, and by two in place of
-the only one or of one of several, beyond which it is reported: chance exceeds each in one frame of
-a hundred."""
-MAX_REJECTED_EVIDENCE = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
+FAINT_GAIN = 12.0  # decrease of the misfit by a touch, which chance exceeds in 1 % of idle frames
+DECIDED = 2.0  # least difference of evidence from its threshold, where a fit decides on touches
 
 PRIOR_TOUCHES = 4  # touches with errors as stated, that count next to the known ones
 MATCH_RADIUS = 0.015  # m, within which a found touch is a known one
@@ -68,12 +65,10 @@ def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[s
             f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
             "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
         )
-    elif not count and found.further > FAINT_GAIN:
+    elif not count and found.faint > FAINT_GAIN:
         problems.append("something may touch, too faintly to distinguish from noise in this frame")
     elif count and (
-        found.further > FURTHER_GAIN
-        or (found.division[:, 0] > DIVISION_GAIN[count > 1]).any()
-        or found.wide
+        found.wide
         or np.sum(pdist(found.touches[:, :2]) < found.estimate.objective.prior.separation) > 1
     ):
         middle = found.wide.centre if found.wide else found.touches[:, :2].mean(axis=0)
@@ -122,9 +117,9 @@ def state_probabilities(
         bends: range of the angles learned [deg]; None where no bend was learned.
         touches: whether touches were learned.
     """
-    # A rejected touch must not make touch the most probable state.
-    evidence = found.evidence if len(found.touches) else min(found.evidence, MAX_REJECTED_EVIDENCE)
-    touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
+    # A rejected touch must not make touch the most probable state, nor one that stayed another.
+    limits = (DECIDED, 60.0) if len(found.touches) else (-60.0, -DECIDED)
+    touched = 1.0 / (1.0 + np.exp(-0.5 * np.clip(found.evidence - TOUCH_THRESHOLD, *limits)))
     if bends is None:
         return np.array([1 - touched, touched, np.nan])
     angle_deg, deviation_deg = bend.from_flat

@@ -1,6 +1,6 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, replace
 from typing import Annotated, ClassVar
 
@@ -222,14 +222,7 @@ class JointMethod(Method):
             reference = specimen.angle(self._project_change(static - dynamic, shares, apart))
         change = self._project_change(dynamic, share + dynamic_share, frame.dynamic_age[0])
 
-        def untouched_change() -> CombinedChange:
-            return self._project_change(static, share + static_share, frame.age[0])
-
-        def bend_deg() -> float | None:
-            by_networks = specimen.angle_by_networks(untouched_change())
-            return by_networks and by_networks[0]
-
-        frame_fit = self._fit_frame(change, reference, specimen, bend_deg)
+        frame_fit = self._fit_frame(change, reference, specimen)
         static[[member for fault in frame_fit.faults for member in fault.members]] = np.nan
         if len(frame_fit.touches) and not frame_fit.faults:
             turn = MOVED_DEG * frame_fit.estimate.objective.curve.slope(reference.angle_deg)
@@ -246,7 +239,8 @@ class JointMethod(Method):
             deviation = float(np.hypot(frame_fit.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=frame_fit.angle_deg, deviation_deg=deviation)
         else:
-            change_seen, moved = untouched_change(), frame_fit.angle_deg - reference.angle_deg
+            change_seen = self._project_change(static, share + static_share, frame.age[0])
+            moved = frame_fit.angle_deg - reference.angle_deg
             if abs(moved) > STILL_DEG:
                 # The first and the last of a frame's measurements see different angles. The speed
                 # is unknown; the motion since the previous frame bounds it.
@@ -261,7 +255,6 @@ class JointMethod(Method):
         change: CombinedChange,
         reference: AngleEstimate,
         specimen: SpecimenModel,
-        bend_deg: Callable[[], float | None],
     ) -> FrameFit:
         """The fit to one frame, with the bend curve that the reference shows or the frame itself.
 
@@ -278,7 +271,7 @@ class JointMethod(Method):
         def fit(curve: BendCurve) -> FrameFit:
             parts = (specimen.response, curve, self.touch_prior)
             objective = TouchObjective(change, angle_deg, *parts)
-            return fit_frame(objective, candidates, proposed, specimen.faults, bend_deg)
+            return fit_frame(objective, candidates, proposed, specimen.faults)
 
         if specimen.usual is None:
             return fit(specimen.curve)

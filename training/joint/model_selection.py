@@ -6,7 +6,6 @@ than chance would.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -35,7 +34,7 @@ from eitskin.training.joint.touch_search import (
     FINE,
     TouchCandidates,
     divisions,
-    further_gain,
+    further_touches,
     initial_touches,
     pair_starts,
     prune,
@@ -52,7 +51,7 @@ COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
 DIVIDED_ODDS = 0.01  # that a touch is two, before it is seen, times the share of pairs that may be
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
 REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
-TOUCHED_SIGMA = (6.0, 4.5, 4.5, 4.0, 3.0)
+TOUCHED_SIGMA = (6.0, 4.5, 4.5, 3.5, 2.5)
 """The same of 0, 1, ... touches: the more unknowns, the less of another kind of touch is left."""
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
 # Motion since the reference from which touches are fitted from there as well, where the first fit
@@ -60,7 +59,6 @@ CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its
 FAR_DEG, NEAR_DEG = 5.0, 1.0
 # rise of the misfit from one estimate to another, below which both are taken for one
 SAME_RISE = 4.0
-MIN_DIVISION = -2.0  # gain of two touches in place of one, from which that may be a wide contact
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -76,7 +74,7 @@ class FrameFit:
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         faults: whose measurements were left out.
         rival: faults that explain the frame about as well as its touches, in words.
-        further: decrease of the misfit by a further touch, to first order.
+        faint: decrease of the misfit by a touch where none is estimated, to first order.
         division: two touches in place of each: the same, and how far from it they are (k, 2).
         wide: wide contact that explains the frame about as well as its touches, if any.
         touches: x [m], y [m] and force [N] of each (k, 3).
@@ -91,7 +89,7 @@ class FrameFit:
     evidence: float
     faults: tuple[ChannelFault, ...] = ()
     rival: str = ""
-    further: float = 0.0
+    faint: float = 0.0
     division: Array = field(default_factory=lambda: np.zeros((0, 2)))
     wide: WideContact | None = None
     touches: Array = field(init=False)
@@ -139,19 +137,14 @@ def fit_frame(
     candidates: TouchCandidates,
     proposed: Array | None = None,
     possible: PossibleFaults | None = None,
-    bend_deg: Callable[[], float | None] = lambda: None,
 ) -> FrameFit:
     """Select the number of touches and estimate bend and touches of one frame.
-
-    Where these explain the frame badly, a bend alone is fitted from another angle, too: in a clamp
-    unlike most the fit may end far from it, and take what is left for touches.
 
     Args:
         objective: objective of the frame.
         candidates: positions that are tried for further touches.
         proposed: positions (k, 2) [m] from which the fit starts.
         possible: faults that are considered; none by default.
-        bend_deg: gives the angle [deg] of the sensor, should it be untouched, if it is known.
     """
     untouched, best_fit, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
@@ -163,15 +156,11 @@ def fit_frame(
         faults.append(fault)
         untouched = levenberg_marquardt(best_fit.objective, untouched.unknowns, *FINE)
         evidence = best_fit.misfit_decrease(untouched)
-    if best_fit.misfit_sigma > REPORTED_SIGMA and (angle_deg := bend_deg()) is not None:
-        nothing = Unknowns(np.zeros((0, 3)), angle_deg)
-        alone = levenberg_marquardt(best_fit.objective, nothing, *FINE)
-        if alone.improbability < best_fit.improbability:
-            best_fit, evidence = alone, 0.0
-    further, division = further_gain(best_fit, candidates), divisions(best_fit, candidates)
-    several = len(division) > 1 or (division[:, 0] > MIN_DIVISION).any()
-    wide = wide_rival(best_fit) if several else None
-    return FrameFit(best_fit, evidence, tuple(faults), "", further, division, wide)
+    faint = 0.0
+    if not len(best_fit.at.touches):
+        faint = float(further_touches(best_fit, candidates)[1].max(initial=0.0))
+    division = divisions(best_fit, candidates)
+    return FrameFit(best_fit, evidence, tuple(faults), "", faint, division, wide_rival(best_fit))
 
 
 def _likeliest(

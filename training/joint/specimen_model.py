@@ -313,13 +313,6 @@ class SpecimenModel:
         estimate = self._angle(faulty.rest)
         return replace(estimate, faults=(*bend.faults, *faulty.faults, *estimate.faults))
 
-    def angle_by_networks(self, combined: CombinedChange) -> tuple[float, float] | None:
-        """Angle of an untouched frame and its standard error [deg] by the networks, if any."""
-        if self.networks is None:
-            return None
-        networks, features = self.networks
-        return networks.estimate(combined.change, features, math.sqrt(combined.drift))
-
     def _angle(self, combined: CombinedChange) -> AngleEstimate:
         """Angle of a sensor that bends as usual or in any other way, by the evidence for each.
 
@@ -350,9 +343,10 @@ class SpecimenModel:
         nothing shows which of both is right.
         """
         estimate = robust_angle(self.curve, combined, self.faults)
-        by_networks = self.angle_by_networks(combined)
-        if by_networks is None:
+        if self.networks is None:
             return posterior_angle(self.curve, combined, estimate)
+        networks, features = self.networks
+        by_networks = networks.estimate(combined.change, features, math.sqrt(combined.drift))
         by_curve = (estimate.angle_deg, estimate.deviation_deg)
         apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
         if not combined.good.all() or (estimate.faults and apart < CONTRADICTION):

@@ -30,8 +30,6 @@ MIN_SPACING = 0.5  # of the least distance of touches: that of two in place of o
 # gain to first order from which two touches in place of the only one are fitted
 REFINEMENT_GAIN = -5.0
 FAINT = 2.5  # times the least force: least of either
-# share of its change that a further touch does not share with the others
-MIN_UNSHARED_CHANGE = 0.01
 PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
 FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
 USUAL_SIGMA = 2.0  # largest misfit that chance makes, above its expectation
@@ -77,18 +75,8 @@ def single_starts(
     there are two starts.
     """
     objective, unknowns = found.objective, found.unknowns
-    whitening = objective.whitening(found.at)
-    shapes = candidates.change @ whitening.T
-    # Directions that a change of the angle explains are no evidence of a touch.
-    bend = whitening @ found.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
-    bend /= np.sqrt(1.0 + bend @ bend)
-    residual = whitening @ found.at.residual
-    on_bend, on_residual = shapes @ bend, shapes @ residual
-    sizes = np.einsum("nk,nk->n", shapes, shapes) - (2.0 - bend @ bend) * on_bend**2
-    strength = (on_residual - on_bend * (bend @ residual)) / sizes
-    allowed = (strength > 0) & _is_far_enough(objective, candidates.places, unknowns)
-    gain = np.where(allowed, 1.0, 0.0)
-    gain *= strength**2 * sizes
+    strength, gain = further_touches(found, candidates)
+    gain = np.where(_is_far_enough(objective, candidates.places, unknowns), gain, 0.0)
     starts: list[Unknowns] = []
     highest = float(gain.max())
     for _ in range(1 if len(unknowns.touches) else 2):
@@ -140,16 +128,18 @@ def pair_starts(
     return pairs
 
 
-def further_gain(found: MapEstimate, candidates: TouchCandidates) -> float:
-    """Most that one more touch lowers the misfit of an estimate, to first order.
-
-    Whatever the touches there are, and the angle, would explain as well does not count.
-    """
-    whole = candidates.change @ found.whitening.T
-    shapes, residual = _project_out(found.white[1:], whole, found.white[0])
-    own, size = (np.einsum("nk,nk->n", each, each) for each in (shapes, whole))
-    gain = np.maximum(shapes @ residual, 0.0) ** 2 / np.maximum(own, MIN_UNSHARED_CHANGE * size)
-    return float(gain.max(initial=0.0))
+def further_touches(found: MapEstimate, candidates: TouchCandidates) -> tuple[Array, Array]:
+    """Strength of one more touch at each candidate, and by how much it lowers the misfit (n,)."""
+    whitening = found.objective.whitening(found.at)
+    shapes = candidates.change @ whitening.T
+    # Directions that a change of the angle explains are no evidence of a touch.
+    bend = whitening @ found.at.rows[1] * (ANGLE_PRIOR_STD_DEG / ANGLE_UNIT)
+    bend /= np.sqrt(1.0 + bend @ bend)
+    residual = whitening @ found.at.residual
+    on_bend, on_residual = shapes @ bend, shapes @ residual
+    sizes = np.einsum("nk,nk->n", shapes, shapes) - (2.0 - bend @ bend) * on_bend**2
+    strength = (on_residual - on_bend * (bend @ residual)) / sizes
+    return strength, np.where(strength > 0.0, strength**2 * sizes, 0.0)
 
 
 def divisions(found: MapEstimate, candidates: TouchCandidates) -> Array:

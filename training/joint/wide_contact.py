@@ -10,16 +10,14 @@ from eitskin.training.joint.objective import MapEstimate, Unknowns, solution
 
 Array = NDArray[np.float64]
 
-ALLOWANCE = (-10.0, 6.0, 22.0, 35.0)
-"""Most that a wide contact, of five or six unknowns, may raise the misfit of 1, 2, ... touches to
+ALLOWANCE = (6.0, 30.0, 50.0)
+"""Most that a wide contact, of five or six unknowns, may raise the misfit of 2, 3, ... touches to
 be a rival: each touch that it spares has three unknowns, and a wide contact less odds."""
 STEPS, TOLERANCE = 7, 0.5  # of Levenberg-Marquardt, and promise of the misfit at which it ends
 DAMPING, LIGHTER, HEAVIER = 1e-2, 0.2, 6.0  # of its steps, and its factors after good and bad ones
 SIZE_UNIT, LEAST_SIZE = 0.010, 0.005  # m, unit step of half lengths and radii, and the least first
-WIDTH, RADIUS = (
-    0.010,
-    0.025,
-)  # m, spread of touches across that may be a bar, and that may be a disc
+# m, spread of touches across that may be a bar, and that may be a disc
+WIDTH, RADIUS = 0.010, 0.025
 WEAKEST = 0.1  # times the least force of a touch: least of each point of a wide contact
 _TURNS = np.arange(6) * np.pi / 3.0
 _RING = np.column_stack([np.cos(_TURNS), np.sin(_TURNS)])
@@ -44,9 +42,12 @@ class WideContact:
 
 
 def wide_rival(found: MapEstimate) -> WideContact | None:
-    """The likelier of a bar and a disc in place of all touches of an estimate; None if unlikely."""
+    """The likelier of a bar and a disc in place of all touches of an estimate; None if unlikely.
+
+    Next to a single touch chance alone makes one likely.
+    """
     touches = found.at.touches
-    if not len(touches):
+    if len(touches) < 2:
         return None
     share = touches[:, 2] / touches[:, 2].sum()
     centre = share @ touches[:, :2]
@@ -71,7 +72,7 @@ def _fit_contact(
     """
     objective, count = found.objective, len(shape)
     prior, residual = objective.prior, found.white[0]
-    limit = float(residual @ residual) + ALLOWANCE[len(found.at.touches) - 1]
+    limit = float(residual @ residual) + ALLOWANCE[len(found.at.touches) - 2]
     units = np.concatenate([[ANGLE_UNIT], TOUCH_UNITS, np.full(len(size), SIZE_UNIT)])
 
     def rows(unknowns: Array) -> Array:

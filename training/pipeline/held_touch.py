@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import lru_cache
 from statistics import median
 
 import numpy as np
@@ -12,9 +13,11 @@ from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import Voltages
 
 MAX_HELD_FRAMES = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
-ONSET = 4.0  # standard deviations of the mean square that show a change since earlier frames
+ONSET = 2.5  # standard deviations of the mean square that show a change since earlier frames
 PHASES, LEAST_PHASE = 3.0, 1e-3  # times the rms change from frame to frame; [rad]
-SPEED, MOVING = 0.008, 0.3  # m a frame, of touches that move, and their share before they are seen
+SPEEDS, MOVING = np.array([0.003, 0.012]), 0.2  # m a frame, of touches that move; least share
+FORCE_LENGTH = 0.015  # m, of a motion that matters as much as a force that becomes zero
+EXTENT = 0.03  # m, standard deviation of a place that no frame shows
 NOISE_FRAMES = 33  # latest frames whose median scatter is the noise
 MIN_SCATTERS = 2  # frames that the noise of training counts as
 LOUDEST = 3.0  # times the noise of training, that a still sensor may have before frames show
@@ -23,7 +26,6 @@ MIN_WEIGHT, MAX_WEIGHT = 1 / 16, 4.0
 WEIGHTS = 4  # steps of weights in a factor of two, so that what follows from one stays known
 JUMPS = 5.0  # times the noise of training; what scatters more has jumped
 MOTION = 5.0  # standard deviations of the mean square that distinguish motion from noise
-TOUCH_MOTION = 3.1  # the same of slopes in the directions that the touches found would move
 
 
 @dataclass
@@ -59,24 +61,25 @@ class Phases:
 class HeldTouch:
     """The latest frames of a touch: as many as show it where it is now.
 
-    Windows of the latest frames are tested for motion, from two frames on: over a window of n
-    frames the slopes of the channels have the variance 12 s^2 / (n^3 - n) where nothing moves. They
-    are tested by their mean square, and, which is far keener, by the part of them in the directions
-    in which the touches found last would change the channels. The mean of frames is taken over the
-    longest window without motion, and, once a touch has moved, only over windows in which that
-    motion would show again; else the latest frame stands for itself. So a touch that slides or
-    eases is not dragged behind.
+    Windows of the latest frames are tested for motion by the mean square of the channels' slopes,
+    which over n frames have the variance 12 s^2 / (n^3 - n) where nothing moves. Where it is known
+    how the touches found last would change the channels, motion is weighed by its evidence: in
+    every window the touches stand still or have moved evenly since one of its frames. The mean is
+    taken over the window in which its noise and the lag behind such motion are least together.
 
     Attributes:
         noise: rms relative difference of two frames of a still sensor, until frames show.
         scale: scale of the noise that the method weighs frames by.
-        directions: directions of changes (d, measurements) by a motion of the touches found last.
+        directions: changes (3 k, measurements) by a motion of each of k touches found last along x
+            [1/m], by one along y, and by their forces as they are.
+        lag: variance (k,) [m2] of their places by a motion that the mean of frames hides.
         variance: variance of a channel's relative change in one frame, the median over the latest.
     """
 
     noise: float
     scale: float = 1.0
     directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    lag: NDArray[np.float64] = field(init=False)
     variance: float = field(init=False)
     _frames: deque[Voltages] = field(default_factory=lambda: deque(maxlen=MAX_HELD_FRAMES))
     _changes: deque[NDArray[np.float64]] = field(
@@ -84,6 +87,7 @@ class HeldTouch:
     )
     _scatter: deque[float] = field(default_factory=lambda: deque(maxlen=NOISE_FRAMES))
     _speed: float = 0.0  # of the latest motion: its statistic over its limit and over weight
+    _moving: float = MOVING  # probability of motion in the latest frames
 
     def add(
         self, V: Voltages, flat: Voltages, held: bool, most: int = MAX_HELD_FRAMES
@@ -109,7 +113,7 @@ class HeldTouch:
         if not held:
             self.set_frames([])
         self._frames.append(V)
-        count = min(self._still(), most)
+        count = self._least_error(min(self._still(), most))
         mean: Voltages = np.mean(list(self._frames)[-count:], axis=0)
         return np.where(np.isfinite(mean) | ~np.isfinite(V), mean, V), count
 
@@ -117,7 +121,7 @@ class HeldTouch:
         """Take these for the latest frames of the touch; none before a touch."""
         self._frames.clear()
         self._frames.extend(frames)
-        self._speed = 0.0
+        self._speed, self._moving = 0.0, MOVING
 
     def shows(self, mean: Voltages, count: int, before: Voltages, earlier: int) -> float:
         """How clearly a mean of frames differs from one of earlier frames, over what is usual."""
@@ -128,24 +132,6 @@ class HeldTouch:
         variance = self.variance * (1.0 / count + 1.0 / earlier)
         square = float(known @ known) / (len(known) * variance)
         return (square - 1.0) / (ONSET * self._deviation(len(known)))
-
-    @staticmethod
-    def lag(deviation: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        """Variance (k,) [m2] of places by motion that a mean of frames does not show.
-
-        A slope over n frames has 12 / (n^3 - n) times the variance of one frame, and the mean lags
-        by (n - 1) / 2 of it. Touches stand still or move at any speed up to some.
-
-        Args:
-            deviation: standard errors of the places in the mean (k,) [m].
-            count: number n of frames.
-        """
-        if count < 2:
-            return np.zeros_like(deviation)
-        slope = deviation * math.sqrt(12.0 / (count**2 - 1.0))
-        seen = (1.0 - MOVING) * SPEED / slope
-        share = MOVING / (MOVING + seen)
-        return np.asarray(share * (0.5 * (count - 1) * np.minimum(slope, SPEED)) ** 2)
 
     @property
     def latest(self) -> list[Voltages]:
@@ -167,7 +153,7 @@ class HeldTouch:
 
     def __post_init__(self) -> None:
         """No frame so far."""
-        self.variance = 0.5 * self.noise**2
+        self.variance, self.lag = 0.5 * self.noise**2, np.zeros(0)
 
     def _deviation(self, channels: int) -> float:
         """Relative deviation of the mean square over channels, larger where these share noise."""
@@ -177,24 +163,17 @@ class HeldTouch:
         return max(1.5 * median(abs(s / self.variance - 1.0) for s in self._scatter), alone)
 
     def _still(self) -> int:
-        """Number of the latest frames over which the touch stands still."""
+        """Number of the latest frames whose channels show no motion."""
         rows = np.array(self._changes)[-len(self._frames) :]
         count, good = 1, np.isfinite(rows).all(axis=0)
         if len(rows) < 2 or not good.any():
             return 1
-        rows, along, deviation = rows[:, good], self.directions, self._deviation(int(good.sum()))
-        if len(along):
-            along = np.linalg.qr(np.vstack([along[:, good], rows.mean(axis=0)]).T)[0]
+        rows, deviation = rows[:, good], self._deviation(int(good.sum()))
         for n in range(2, len(rows) + 1):
             weight = n * (n * n - 1) / 12.0  # sum of squared times
             slope = (np.arange(n) - 0.5 * (n - 1)) @ rows[-n:]
-            slope /= math.sqrt(weight * self.variance)
-            shown = float(slope @ slope) / len(slope)
+            shown = float(slope @ slope) / (len(slope) * weight * self.variance)
             ratio = shown / (1.0 + MOTION * deviation)
-            if len(along):
-                share, size = slope @ along, along.shape[1]
-                most = size + TOUCH_MOTION * math.sqrt(2.0 * size) + 5.0
-                ratio = max(ratio, float(share @ share) / most)
             if ratio > 1.0:
                 self._speed = ratio / weight
                 break
@@ -204,3 +183,56 @@ class HeldTouch:
             if len(rows) == MAX_HELD_FRAMES:
                 self._speed = 0.0
         return count
+
+    def _least_error(self, most: int) -> int:
+        """Number of frames, up to some, whose mean has the least error; sets `lag`.
+
+        One touch moves, or its force changes, normal with each of `SPEEDS` before it is seen.
+        """
+        touches, rows = len(self.directions) // 3, np.array(self._changes)[-most:]
+        self.lag = np.zeros(touches)
+        good = np.isfinite(rows).all(axis=0)
+        if not touches or len(rows) < 2 or not good.any():
+            return len(rows)
+        units = np.repeat([1.0, 1.0, 1.0 / FORCE_LENGTH], touches)
+        along = self.directions[:, good] * units[:, None]
+        information, seen = along @ along.T / self.variance, rows[:, good] @ along.T / self.variance
+        frames, profiles = _motions(len(rows))
+        projected, weight = profiles @ seen, np.einsum("pn,pn->p", profiles, profiles)
+        speeds = SPEEDS[:, None, None]
+        evidence, lags = [], []
+        for touch in range(touches):
+            for which in ([touch, touches + touch], [2 * touches + touch]):
+                size, axes = np.linalg.eigh(information[np.ix_(which, which)])
+                given = weight[:, None] * size + speeds**-2
+                mean = (projected[:, which] @ axes) / given
+                chance = np.sum(
+                    mean**2 * given - np.log(given * SPEEDS[:, None, None] ** 2), axis=2
+                )
+                evidence.append(0.5 * chance)
+                lags.append(np.sum(mean**2 + 1.0 / given, axis=2) * profiles[:, -1] ** 2)
+        error = np.trace(np.linalg.inv(information + np.eye(3 * touches) / EXTENT**2))
+        shares = np.exp(np.minimum(evidence, 100.0)) * self._moving / (1.0 - self._moving)
+        best, least = 1, error
+        for n in range(2, len(rows) + 1):
+            share = shares[..., frames == n] / (len(SPEEDS) * len(lags) * (n - 1))
+            total = 1.0 + share.sum()
+            lag = np.sum(share * np.array(lags)[..., frames == n], axis=(1, 2)) / total
+            if error / n + lag.sum() < least:
+                best, least, self.lag = n, error / n + lag.sum(), lag[::2]
+        self._moving = min(max(1.0 - 1.0 / total, MOVING), 1.0 - MOVING)
+        return best
+
+
+@lru_cache
+def _motions(most: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Motions that begin at a frame of a window, and go on by one a frame.
+
+    Returns the frames n of the window (p,), 2 to `most`, and the motion less its mean (p, `most`),
+    zero before the window.
+    """
+    frames, since = np.array([(n, m) for n in range(2, most + 1) for m in range(1, n)]).T[..., None]
+    time = np.arange(1 - most, 1)
+    motion = np.maximum(time + since, 0.0)
+    motion -= motion.sum(axis=1, keepdims=True) / frames
+    return frames[:, 0], np.where(time > -frames, motion, 0.0)

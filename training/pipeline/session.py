@@ -1,6 +1,5 @@
 """Session of a pipeline: references, the frames of a held touch, and doubts about both."""
 
-import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -27,9 +26,9 @@ from eitskin.training.pipeline.references import (
 SMALL_MAGNITUDE_SHARE = 0.1
 MIN_GAIN_STEP, MAX_GAIN_STEP = 2e-4, 0.2  # of all channels alike, from frame to frame
 COMMON = 0.3  # spread of the channels over their mean, below which they change alike at most
-LINGERING, LEAST_LEFT, MOST_REST = 3.0, 0.3, 2.0
-"""Standard errors, and share of its force, from which a touch that was there may be there yet, and
-the most that it may leave unexplained, in variances."""
+LINGERING, MOST_REST = 4.0, 2.0
+"""Twice the log odds against a touch that was there, from which it has gone, and the most that it
+may leave unexplained, in variances."""
 MIN_EARLIER = 2  # frames of the untouched sensor that an onset is reported from
 # probability of a touch from which a frame does not renew the references
 SUSPICION_PROBABILITY = 1e-3
@@ -104,7 +103,8 @@ class Session:
         self._earlier.clear()
         self._phases, self._turned = Phases(), None
         self._onset, self._frames, self._lingers = 1, 1, False
-        self._forces = np.zeros((0, 0))
+        self._forces, self._places = np.zeros((0, 0)), np.zeros((0, 2))
+        self._odds = np.zeros(0)
         self.touched, self._suspected, self._outdated, self.doubt = False, False, False, ""
         self._age_at_start = 0.0 if self.stored is None else STORED_AGE
         self._renewed = -self._age_at_start
@@ -250,11 +250,14 @@ class Session:
 
     def with_lag(self, perceived: Predictions) -> Predictions:
         """Predictions of one frame whose standard errors cover motion that its mean hides."""
-        if self._frames < 2 or not perceived.touches:
+        if not perceived.touches:
             return perceived
-        found = perceived.touches[0]
-        lag = self._held.lag(found.deviation, self._frames)
-        found = replace(found, deviation=np.sqrt(found.deviation**2 + lag))
+        found, lag, earlier = perceived.touches[0], self._held.lag, self._places
+        self._places = found.place if len(found.place) else earlier
+        if self._frames < 2 or not len(lag) or len(lag) != len(earlier):
+            return perceived
+        apart = np.linalg.norm(found.place[:, None] - earlier, axis=2)
+        found = replace(found, deviation=np.sqrt(found.deviation**2 + lag[apart.argmin(axis=1)]))
         return replace(perceived, touches=(found,))
 
     def renew(
@@ -276,13 +279,15 @@ class Session:
         """
         if directions is not None:
             self._forces = directions[-(len(directions) // 3) :]
+            self._odds = np.zeros(len(self._forces))
         elif not touched:
             self._lingers = self._may_linger(voltages)
         started, self.touched = not self._suspected and self._onset > 1, touched
         self._suspected = touched or (
             self.averages and (chance > SUSPICION_PROBABILITY or self._lingers)
         )
-        self._held.directions = np.zeros((0, 0)) if directions is None else directions
+        if directions is not None or not self._suspected:
+            self._held.directions = np.zeros((0, 0)) if directions is None else directions
         if self._suspected and started:
             _, self.static, self.dynamic = list(self._earlier)[1 - self._onset]
         if self._suspected:
@@ -314,19 +319,18 @@ class Session:
 
     def _may_linger(self, voltages: Voltages) -> bool:
         """Whether what was touched last may touch yet, as far as noise shows."""
+        if not len(self._forces):
+            return False
         change = relative_difference(voltages, self.touch)
-        good = np.isfinite(change)
-        for along in self._forces[:, good] if len(self._forces) else ():
-            size = float(along @ along)
-            share = float(along @ change[good]) / size
-            rest = change[good] - share * along
-            if (
-                share > max(LEAST_LEFT, LINGERING * math.sqrt(self._held.variance / size))
-                and float(rest @ rest) < MOST_REST * len(rest) * self._held.variance
-            ):
-                return True
-        self._forces = np.zeros((0, 0))
-        return False
+        good, variance = np.isfinite(change), self._held.variance
+        change, along = change[good], self._forces[:, good]
+        size = np.einsum("kc,kc->k", along, along)
+        share = along @ change / size
+        rest = np.sum((change - share[:, None] * along) ** 2, axis=1)
+        self._odds = np.minimum(self._odds + (2.0 * share - 1.0) * size / variance, 0.0)
+        lingers = (self._odds > -LINGERING) & (rest < MOST_REST * len(change) * variance)
+        self._forces, self._odds = self._forces[lingers], self._odds[lingers]
+        return bool(lingers.any())
 
     def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
         """Faults of the references in words; `labels` are those of the measurements."""
