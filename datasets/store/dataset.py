@@ -270,15 +270,19 @@ class Dataset:
             self, **{field.name: getattr(self, field.name)[chosen] for field in FRAME_FIELDS}
         )
 
-    def split(self, fractions: Sequence[float], seed: int = 0) -> tuple[NDArray[np.int64], ...]:
+    def split(
+        self, fractions: Sequence[float], seed: int = 0, whole_touches: bool = True
+    ) -> tuple[NDArray[np.int64], ...]:
         """Random disjoint numbers of frames, (n,) each, in proportions that sum to one.
 
         Whole specimens are distributed where every part gets at least one, so that a test part
-        holds sensors unseen in training; otherwise single frames.
+        holds sensors unseen in training. Otherwise single frames are, those with touches at the
+        same positions together, as they may be of one touch, where every part gets some.
 
         Args:
             fractions: fractions of the parts, in (0, 1], with sum one.
             seed: of the random order.
+            whole_touches: whether such frames stay together.
         """
         shares = np.asarray(fractions, dtype=float)
         if shares.ndim != 1 or not (shares > 0).all() or abs(shares.sum() - 1.0) > 1e-9:
@@ -291,7 +295,27 @@ class Dataset:
         parts = _deal(specimens, shares)
         if all(len(part) for part in parts):
             return tuple(np.flatnonzero(np.isin(self.specimen, part)) for part in parts)
-        return tuple(np.sort(part) for part in _deal(rng.permutation(len(self)), shares))
+        group = self._touch_groups()
+        touches = np.random.default_rng((seed, 1)).permutation(group.max(initial=-1) + 1)
+        sizes = np.bincount(group[group >= 0], minlength=len(touches))[touches]
+        parts = _deal(touches, shares, sizes)
+        if not whole_touches or not all(len(part) for part in parts):
+            return tuple(np.sort(part) for part in _deal(rng.permutation(len(self)), shares))
+        # Other frames apart, so that every part gets its share of both.
+        others = _deal(rng.permutation(np.flatnonzero(group < 0)), shares)
+        return tuple(
+            np.sort(np.concatenate([np.flatnonzero(np.isin(group, part)), rest]))
+            for part, rest in zip(parts, others, strict=True)
+        )
+
+    def _touch_groups(self) -> NDArray[np.int64]:
+        """Numbers, (n,), that frames with touches at the same positions share; -1 without."""
+        touched = self.touch_count > 0
+        group = np.full(len(self), -1)
+        positions = np.concatenate([self.touch_x, self.touch_y], axis=1)[touched]
+        same = np.unique(np.nan_to_num(positions, nan=-1.0), axis=0, return_inverse=True)[1]
+        group[touched] = same.reshape(-1)
+        return group
 
     def own_specimens(self) -> "Dataset":
         """The same frames, at least one, with only the specimens that occur in them."""
@@ -437,7 +461,11 @@ def frame_bytes(channels: int, names: Collection[str]) -> int:
     )
 
 
-def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
-    """Consecutive parts of `items` in the proportions `shares`."""
-    edges = np.rint(np.cumsum([0.0, *shares]) * len(items)).astype(int)
+def _deal(
+    items: NDArray[Any], shares: NDArray[np.float64], sizes: NDArray[np.int64] | None = None
+) -> list[NDArray[Any]]:
+    """Consecutive parts of `items`, of one size or of `sizes`, in the proportions `shares`."""
+    ends = np.cumsum(np.ones(len(items)) if sizes is None else sizes)
+    before = ends - 0.5 * np.diff(ends, prepend=0.0)
+    edges = np.searchsorted(before, np.cumsum([0.0, *shares]) * ends[-1:].sum())
     return [items[start:stop] for start, stop in itertools.pairwise(edges)]

@@ -50,6 +50,20 @@ def test_a_split_is_by_specimens_where_they_are_enough():
         data.split((0.5, 0.2))
 
 
+def test_frames_of_one_touch_stay_in_one_part():
+    data = make(200, specimens=1)
+    touch = np.arange(200) // 10 % 10  # ten held touches, each of twenty frames
+    for column in (data.touch_x, data.touch_y):
+        column[:] = np.nan
+        column[:100, 0] = 0.01 * (1 + touch[:100])
+    parts = data.split((0.6, 0.2, 0.2), seed=1)
+    assert [len(part) for part in parts] == [120, 40, 40]
+    assert [len(set(touch[part[part < 100]])) for part in parts] == [6, 2, 2]
+    assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(200))
+    apart = data.split((0.6, 0.2, 0.2), seed=1, whole_touches=False)
+    assert len(set(touch[apart[2][apart[2] < 100]])) > 2
+
+
 def test_parts_share_the_references_of_their_specimens():
     whole = make(60, specimens=6, specimen=np.arange(60) // 10)
     parts = [whole.select(slice(first, first + 25)).own_specimens() for first in (0, 25, 50)]

@@ -155,6 +155,8 @@ class TrainingSettings:
         seed: of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
             `fractions`; see `hold_out`.
+        whole_touches: whether frames with touches at the same positions stay together in a split of
+            few specimens; not so in pipelines of version 0.2.
         options: hyper-parameters of a baseline or of a method of the user's own, by name, as JSON
             has them.
 
@@ -177,6 +179,7 @@ class TrainingSettings:
     mirrored: bool = True
     seed: int = 0
     whole_specimens: bool = False
+    whole_touches: bool = True
     options: dict[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
@@ -212,7 +215,7 @@ class TrainingSettings:
             count = round(self.options.get("share", POSITION_SHARE) * len(touches))
             return touches[:count], touches[:0], touches[count:]
         if not self.whole_specimens:
-            return dataset.split(self.fractions, self.seed)
+            return dataset.split(self.fractions, self.seed, self.whole_touches)
         training_rows, held_out = hold_out(dataset, self.seed)
         return training_rows, held_out, held_out
 

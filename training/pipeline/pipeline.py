@@ -400,7 +400,9 @@ class Pipeline:
         try:
             document, weights = saved.document, saved.weights
             noise = require_possible(weights, saved.golden, document.get("noise"))
-            settings = from_dict(TrainingSettings, document["settings"], "settings")
+            settings = from_dict(
+                TrainingSettings, {"whole_touches": False} | document["settings"], "settings"
+            )
             examples = Observations.from_arrays(arrays_with_prefix("input", saved.golden))
             positions = document["method"] == POSITIONS
             reference = examples.flat[0] if positions else weights["layout.reference"]
