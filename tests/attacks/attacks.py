@@ -2,7 +2,7 @@
 
 Every trial is either taken or refused by one error of the package. Anything else (a raw exception,
 an endless loop, a half-written file, damage that is accepted) is printed with the number that makes
-the trial again: `--only options --trial 17`. The suite runs a few trials of each kind.
+the trial again: `--only shards --trial 17`. The suite runs a few trials of each kind.
 """
 
 import argparse
@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import errno
 import functools
-import json
 import os
 import random
 import resource
@@ -34,109 +33,174 @@ if __name__ == "__main__":
     sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
 
 import numpy as np
+import wrong_arguments
+from session_attacks import AcceptedDamageError, damaged, live, network, pipeline, pipelines
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.datasets import export_dataset, save_dataset
+from eitskin.datasets import (
+    Recipe,
+    export_dataset,
+    generate,
+    open_dataset,
+    read_recording,
+    save_dataset,
+    verify,
+)
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.store.schema import FIELDS
+from eitskin.datasets.store.shard import append_checksum, verify_checksum
 from eitskin.errors import EitskinError
 from eitskin.files import TEMPORARY
-from eitskin.geometry import SensorDesign
-from eitskin.hardware import Counts, run_live
-from eitskin.hardware.streams import reading_record
-from eitskin.simulator import Frame, Protocol
+from eitskin.geometry import SensorDesign, Surface
+from eitskin.simulator import Protocol
 from eitskin.training import StoredReference, Zero, open_pipeline
 from eitskin.training.pipeline.saved_form import SHIPPED_PATH
 
 import small_dataset
+from shards_here import in_this_process, made_here
 
 MAX_SECONDS = 60  # of a trial
+NUMBERS = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-300, 1e300, 1e38, -1e38, 2.0**31, 1e6, 361.0)
 TEXTS = (
-    *("", " ", "a b", "a" * 300, "1" * 5000, "9" * 20, "\0", "\x1b[2J", "\u202e", "-", "--"),
-    *("-5", "1e400", "nan", "inf", "0", "0.5", "0-4", "1,2,3", "x:y", ":", "::1", "[", "{}"),
-    *("$(id)", "../..", "/dev/zero", "/proc/self/mem", "pairwise:8", "adjacent:1e9", "coarse"),
-    *("true", "virtual:?seed=-5", "set", "none"),
+    *(
+        "",
+        " ",
+        "-",
+        "--",
+        "a" * 300,
+        "\0",
+        "\x1b[2J",
+        "\u202e",
+        "../..",
+        "/dev/zero",
+        "/proc/self/mem",
+    ),
+    *(
+        "-5",
+        "1e400",
+        "nan",
+        "inf",
+        "0",
+        "0.5",
+        "1" * 5000,
+        "9" * 20,
+        "x:y",
+        ":",
+        "::1",
+        "[",
+        "a b",
+        "$(id)",
+    ),
+    *(
+        "pairwise:8",
+        "adjacent:1e9",
+        "coarse",
+        "true",
+        "{}",
+        "0-4",
+        "1,2,3",
+        "virtual:?seed=-5",
+        "set",
+        "none",
+    ),
 )
 
 
-class AcceptedDamageError(Exception):
-    """Damage that was taken for data."""
+RECIPE = Recipe(
+    "attacked", frames_per_shard=2, resolution="coarse", scenes=(SceneGroup("idle", count=4),)
+)
 
 
 @functools.cache
-def pipeline() -> Any:
-    """The shipped pipeline."""
-    return open_pipeline(SHIPPED_PATH)
+def whole(folder: Path) -> dict[str, bytes]:
+    """Files of a generated set by name."""
+    made_here(RECIPE, folder / "whole")
+    return {path.name: path.read_bytes() for path in (folder / "whole").iterdir()}
 
 
-def rest_frame(of: Any, numbers: np.random.Generator, count: int) -> Frame:
-    """Frame of a sensor at rest, with noise."""
-    noise = 1 + 2e-4 * numbers.standard_normal(len(of.layout.reference))
-    values = (of.layout.reference * noise).astype(complex)
-    return Frame(values, of.layout.protocol, 0.3 * count, count, frequency=of.layout.frequency)
+def shards(rng: random.Random, folder: Path) -> None:
+    """Resume a set with shards of a stranger, under seals that are right."""
+    files, out = whole(folder), folder / "resumed"
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.copytree(folder / "whole", out)
+    name = "shard-000000.h5"
+    image, _ = verify_checksum(files[name])
+    if rng.random() < 0.5:
+        broken = damaged(image, rng)
+    else:
+        path, broken = folder / "foreign.h5", image
+        path.write_bytes(image)
+        change_hdf5(path, rng)
+        broken = path.read_bytes()
+    (out / name).write_bytes(append_checksum(broken))
+    if rng.random() < 0.7:
+        (out / "manifest.json").unlink()
+    with mock_workers():
+        generate(RECIPE, out, resume=True)
+    found = {path.name: path.read_bytes() for path in out.iterdir()}
+    changed = [each for each in found if found[each] != files.get(each)]
+    if changed:
+        verify(out)
+        data, sound = open_dataset(out), open_dataset(folder / "whole")
+        for field in ("seed", "recipe", "source", "design", "protocol"):
+            if getattr(data, field) != getattr(sound, field):
+                raise AcceptedDamageError(f"another {field} was resumed")
 
 
-def damaged_frame(good: Frame, rng: random.Random) -> Frame:
-    """Frame with odd values, times, numbers or status."""
-    numbers = np.random.default_rng(rng.randrange(2**32))
-    values, count = good.impedance.copy(), len(good.impedance)
-    chosen = numbers.random(count) < rng.choice((0.04, 0.5, 1.0))
-    odd = numbers.choice([np.nan, np.inf, -np.inf, 0, -1, 1e300, 1e-300, 5e-324, 1e12, 1j], count)
-    with np.errstate(all="ignore"):
-        values = rng.choice(
-            (
-                np.where(chosen, odd, values),
-                np.where(chosen, -values, values),
-                np.where(chosen, values * 10 ** numbers.uniform(-12, 12), values),
-                values * np.exp(2j * np.pi * rng.random()),
-                numbers.permutation(values),
-                values * (1 + 0.2 * numbers.standard_normal(count)),
-            )
-        )
-    status = numbers.integers(0, 256, count).astype(np.uint8) * (chosen & (rng.random() < 0.2))
-    time_, number = rng.choice(
-        ((good.time, good.number),) * 3 + ((-1e10, 0), (np.nan, -5), (1e300, 2**40))
-    )
-    return dataclasses.replace(good, impedance=values, status=status, time=time_, number=number)
+@contextlib.contextmanager
+def mock_workers() -> Iterator[None]:
+    """Let shards be made in this process."""
+    import pytest
+
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        yield
 
 
-class FrameSource:
-    """Board of frames that are made as they are asked for."""
+def change_hdf5(path: Path, rng: random.Random) -> None:
+    """Change an attribute or a number of an HDF5 file."""
+    import h5py
 
-    counts = Counts()
+    with h5py.File(path, "r+") as file:
+        if rng.random() < 0.5:
+            name = rng.choice(list(file.attrs))
+            value = rng.choice((*NUMBERS[:8], -5, 2**63 - 1, "", "a" * 70000, "[[", [1.0, 2.0]))
+            with contextlib.suppress(TypeError, OSError):
+                file.attrs[name] = value
+            return
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
+        array = file[rng.choice(names)]
+        values = array[...]
+        if values.size:
+            with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
+                values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
+            array[...] = values
 
-    def __init__(self, made: Iterator[Frame]) -> None:
-        self.made = made
 
-    def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
-        """The frames."""
-        return self.made
+def caches(rng: random.Random, folder: Path) -> None:
+    """Damage the cache of compiled kernels, or of solved tables, and compute again."""
+    import numba
 
+    from eitskin.compiled import kernel
 
-def live(rng: random.Random, folder: Path, frames: int = 100) -> None:  # noqa: ARG001
-    """Run a session of frames most of which are damaged, by a clock that is set back."""
-    pipeline().reset()
-    draws = np.random.default_rng(rng.randrange(2**32))
+    def sums(x: Any) -> float:
+        total = 0.0
+        for each in x:
+            total += each * each
+        return total
 
-    def source() -> Iterator[Frame]:
-        for number in range(frames):
-            good = rest_frame(pipeline(), draws, number)
-            yield good if number == 0 or rng.random() < 0.3 else damaged_frame(good, rng)
-
-    clock = lambda: rng.choice((time.perf_counter(), 0.0, -1e9, 1e12))  # noqa: E731
-    steps = time.time if rng.random() < 0.5 else clock
-    with mock.patch("time.time", steps):
-        for reading in run_live(FrameSource(source()), pipeline(), clock=clock):
-            if reading.problem.startswith("the pipeline failed"):
-                raise ArithmeticError(reading.problem)
-            json.dumps(reading_record(reading, FrameSource.counts), allow_nan=False)
-            estimate = reading.estimate
-            found = (
-                []
-                if estimate is None
-                else [estimate.bend_angle_deg or 0.0, *np.ravel(estimate.touches)]
-            )
-            if estimate is not None and not (estimate.problems or np.isfinite(found).all()):
-                raise ArithmeticError(f"not finite, without a problem: {estimate}")
+    place = folder / "kernels"
+    place.mkdir(exist_ok=True)
+    with mock.patch.object(numba.config, "CACHE_DIR", str(place)):
+        made = kernel("float64(float64[::1])")(sums)
+        assert made(np.arange(4.0)) == 14.0
+        files = [path for path in place.rglob("*") if path.is_file()]
+        path = rng.choice(files)
+        path.write_bytes(damaged(path.read_bytes(), rng))
+        if kernel("float64(float64[::1])")(sums)(np.arange(4.0)) != 14.0:
+            raise AcceptedDamageError("a damaged kernel was run")
 
 
 @functools.cache
@@ -204,6 +268,76 @@ def options(rng: random.Random, folder: Path) -> None:
     (folder / "new").unlink(missing_ok=True)
     if error is not None or ran.exit_code:
         raise EitskinError("refused")
+
+
+def counts(rng: random.Random, folder: Path) -> None:
+    """Read files that claim more than they hold: huge counts, and sparse files."""
+    kind = rng.choice(("sparse", "design", "protocol", "surface", "recipe", "npy"))
+    number = rng.choice((10**7, 2 * 10**7, 2**31, 2**40, 2**63 - 1, 10**30, -1))
+    if kind == "sparse":
+        endings = ("csv", "h5", "npz", "mat", "json", "txt", "npy", "stl", "toml")
+        path = folder / f"sparse.{rng.choice(endings)}"
+        with path.open("wb") as file:
+            file.write(
+                rng.choice((b"", b"v0,v1\n1,2\n", b"\x89HDF\r\n\x1a\n", b"PK\3\4", b"[", b"solid "))
+            )
+            file.truncate(rng.choice((1 << 28, 1 << 32, 1 << 40)))
+        rng.choice((read_recording, SensorDesign.from_toml, Surface, StoredReference.read))(path)
+    elif kind == "npy":
+        head = (
+            f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({number}, 28), }}".ljust(117)
+            + "\n"
+        )
+        (folder / "big.npy").write_bytes(
+            b"\x93NUMPY\1\0" + len(head).to_bytes(2, "little") + head.encode()
+        )
+        read_recording(folder / "big.npy")
+    elif kind == "surface":
+        (folder / "big.stl").write_bytes(
+            bytes(80) + (number % 2**32).to_bytes(4, "little") + bytes(50 * 9)
+        )
+        Surface(folder / "big.stl")
+    elif kind == "protocol":
+        rng.choice((Protocol.pairwise, Protocol.adjacent, Protocol.opposite))(number)
+    else:
+        keys = {
+            "design": (
+                "electrodes = { count = N }",
+                "electrodes = { rows = N, columns = N, size = 1e-4 }",
+            ),
+            "recipe": (
+                "[[scenes]]\nstate = 'idle'\ncount = N",
+                "frames_per_shard = N\nscenes = []",
+            ),
+        }[kind]
+        text = rng.choice(keys).replace("N", str(number))
+        base = (
+            "outline = { radius = 0.03 }\nthickness = 0.004\n"
+            if kind == "design"
+            else "name = 'a'\n"
+        )
+        (folder / "big.toml").write_text(base + text)
+        (SensorDesign if kind == "design" else Recipe).from_toml(folder / "big.toml")
+
+
+def numbers(rng: random.Random, folder: Path) -> None:
+    """Put numbers that cannot be into a column, store it, and use what is accepted."""
+    path = folder / "numbers"
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.rmtree(folder / "exported", ignore_errors=True)
+    columns = small_dataset.make(12)
+    name = rng.choice([field.name for field in FIELDS])
+    values = np.array(getattr(columns, name))
+    with np.errstate(all="ignore"), contextlib.suppress(OverflowError, ValueError):
+        values.flat[rng.randrange(values.size)] = rng.choice(NUMBERS)
+    data = dataclasses.replace(columns, **{name: values})
+    save_dataset(data, path, frames_per_shard=6)
+    if verify(path).damage:
+        return
+    opened = open_dataset(path)
+    list(map(opened.frame, range(12)))
+    export_dataset(path, folder / "exported", "parquet")
+    open_pipeline(SHIPPED_PATH).perceive(opened.select(range(3)))
 
 
 def disks(rng: random.Random, folder: Path) -> None:
@@ -276,8 +410,26 @@ def command(*words: object) -> None:
         raise ran.exception
 
 
+def arguments(rng: random.Random, folder: Path) -> None:
+    """Call one public name with wrong arguments."""
+    if wrong_arguments.attack(rng, folder) == "refused":
+        raise EitskinError("refused")
+
+
 KINDS: Mapping[str, Callable[[random.Random, Path], None]] = {
-    each.__name__: each for each in (options, live, disks)
+    each.__name__: each
+    for each in (
+        shards,
+        caches,
+        options,
+        counts,
+        numbers,
+        pipelines,
+        arguments,
+        live,
+        disks,
+        network,
+    )
 }
 
 
@@ -313,7 +465,7 @@ def attempt(kind: str, seed: int, number: int, folder: Path) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Try inputs of all kinds, and print what became of them."""
+    """Try inputs of all kinds, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=1000, help="of each kind")
     parser.add_argument("--seed", type=int, default=0)
@@ -321,19 +473,29 @@ def main() -> None:
     parser.add_argument("--trial", type=int, help="one trial alone, whose error is shown")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
+    print(
+        "| kind | seed | trials | taken | refused | bad | seconds | growth of memory |\n"
+        + "|---" * 8
+        + "|"
+    )
     for kind in given.only.split(",") if given.only else KINDS:
         found: Counter[str] = Counter()
         began, memory = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         with tempfile.TemporaryDirectory() as folder:
-            for number in range(given.trials) if given.trial is None else [given.trial]:
+            trials = range(given.trials) if given.trial is None else [given.trial]
+            for number in trials:
                 outcome, why = attempt(kind, given.seed, number, Path(folder))
                 found[outcome] += 1
                 if why:
                     print(f"{kind}, trial {number}: {why}", file=sys.stderr, flush=True)
             os.chdir("/")
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory) // 1024
+        counts_ = " | ".join(str(found[each]) for each in ("taken", "refused", "bad"))
         seconds = time.process_time() - began
-        print(f"{kind}: {dict(found)} in {seconds:.0f} s, {grown} MB more", flush=True)
+        print(
+            f"| {kind} | {given.seed} | {len(trials)} | {counts_} | {seconds:.0f} | {grown} MB |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
