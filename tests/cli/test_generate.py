@@ -30,7 +30,13 @@ state = "bend"
 count = {count}
 angle_deg = [10, 10]
 """
-COMMAND = "from eitskin.cli.main import run; run()"
+# A shell's background jobs ignore Ctrl-C, and so would what they start.
+COMMAND = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from eitskin.cli.main import run
+run()
+"""
 
 
 @pytest.fixture
