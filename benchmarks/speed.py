@@ -331,16 +331,16 @@ def generation(count: int, engine: Rate) -> dict[str, float]:
 def memory_mb(frames: int) -> float:
     """Peak memory [MB] of a worker that made a dataset.
 
-    Found in a process of its own: a system remembers the most that any child used.
+    Found in a process of its own, which is that worker: a system remembers the most it used.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(_children_mb, frames).result()
+        return pool.submit(_peak_mb, frames).result()
 
 
-def _children_mb(frames: int) -> float:
+def _peak_mb(frames: int) -> float:
     with tempfile.TemporaryDirectory() as folder:
         generate(recipe(frames), Path(folder) / "set", workers=1)
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def frame_time(name: str, frames: int, seed: int) -> dict[str, float]:
