@@ -28,6 +28,10 @@ _TOLERANCE = 1e-9  # [m]
 _GAUSS = 0.5 - math.sqrt(0.15)  # first point of the rule of three points
 _MIN_JACOBIAN = 0.02  # at such points, over that of the grid
 _STEPS = 30  # of Newton's method for a place on the grid
+_TOO_NARROW = (
+    "the outline has parts that are narrower than the cells under this touch; make them wider, or "
+    "press with a smaller indenter"
+)
 _MAX_LOST = 4  # cells of a part in a sharp corner that may be left out
 _MAX_MITRE = 2.0  # length over the width of the margin
 _RING_CELLS = 0.5  # width of cells of the ring over the thickness of the stack
@@ -128,6 +132,8 @@ def fit_plan(
         outer, ring = _ring(outline, points, quads, margin, thickness)
         points, quads = np.concatenate([points, outer]), np.concatenate([quads, ring])
         places = np.concatenate([places, outer])
+    if _least_jacobian(points[quads].swapaxes(0, 1)).min() <= 0.0:
+        raise ConfigurationError(_TOO_NARROW)
     return FittedPlan(points, quads, gel_quads, places, shift)
 
 
@@ -157,10 +163,7 @@ def _select_connected(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
     labels, _ = ndimage.label(within)
     count = np.bincount(labels[within])
     if np.delete(count, count.argmax()).max(initial=0) > _MAX_LOST:
-        raise ConfigurationError(
-            "the outline has parts that are narrower than the cells under this touch; make them "
-            "wider, or press with a smaller indenter"
-        )
+        raise ConfigurationError(_TOO_NARROW)
     return np.asarray(labels == count.argmax())
 
 
@@ -187,9 +190,9 @@ def _shift_to_rim(
     springs = _springs(within.shape[0] + 1, within.shape[1] + 1)
     flat, loose = moved.reshape(-1, 2), np.flatnonzero(~held)
     flat[loose] = spsolve(springs[loose][:, loose].tocsc(), -(springs[loose] @ flat))
-    least = _MIN_JACOBIAN * _least_jacobian(nodes)
+    least = _MIN_JACOBIAN * _least_jacobian(_cell_corners(nodes))
     for _ in range(_STEPS):
-        turned = within & (_least_jacobian(nodes + moved) < least)
+        turned = within & (_least_jacobian(_cell_corners(nodes + moved)) < least)
         if not turned.any():
             return moved
         again = np.pad(turned, 1)
@@ -208,9 +211,13 @@ def _springs(*shape: int) -> sparse.csr_array:
     return (sparse.kron(chains[0], eyes[1]) + sparse.kron(eyes[0], chains[1])).tocsr()
 
 
-def _least_jacobian(nodes: Array) -> Array:
-    """Least Jacobian of the cells of a plane grid at the outer points of a Gauss rule [m2]."""
-    corners = np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]])
+def _cell_corners(nodes: Array) -> Array:
+    """Corners of the cells of a plane grid, counter-clockwise, (4, nx - 1, ny - 1, 2) [m]."""
+    return np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]])
+
+
+def _least_jacobian(corners: Array) -> Array:
+    """Least Jacobian (...) of cells (4, ..., 2) at the outer points of a Gauss rule [m2]."""
     step, back = np.roll(corners, -1, axis=0) - corners, np.roll(corners, 1, axis=0) - corners
     own = step[..., 0] * back[..., 1] - step[..., 1] * back[..., 0]  # bilinear in between
     near, far = np.roll(own, 1, axis=0) + np.roll(own, -1, axis=0), np.roll(own, 2, axis=0)
