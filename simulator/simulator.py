@@ -28,7 +28,6 @@ from eitskin.simulator.bodies.body_deformation import (
     solve_presses,
 )
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralField
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.deformation.dents import BentPresses, Dents
 from eitskin.simulator.deformation.pressed_sensor import PressedSensor, TouchModel
 from eitskin.simulator.deformation.sensor_grid import OWN_GRID, SensorGrid
@@ -39,6 +38,7 @@ from eitskin.simulator.deformation.touches import (
     resolve_touch_model,
 )
 from eitskin.simulator.electrical.batch import TOLERANCE
+from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, without_touches

@@ -27,7 +27,7 @@ UNIT = np.array([0.0, 1.0])  # heights of a plan's fields, which do not depend o
 _TOLERANCE = 1e-9  # [m]
 _GAUSS = 0.5 - math.sqrt(0.15)  # first point of the rule of three points
 _MIN_JACOBIAN = 0.02  # at such points, over that of the grid
-_STEPS = 30  # of Newton's method for a place on the grid
+_STEPS, _CLOSE = 30, 1e-12  # of Newton's method for a place on the grid; its end [m]
 _TOO_NARROW = (
     "the outline has parts that are narrower than the cells under this touch; make them wider, or "
     "press with a smaller indenter"
@@ -90,13 +90,14 @@ def unfit(shift: QuadraticField, points: Array) -> tuple[Array, Array]:
     By Newton's method, for the `shift` of a plan.
     """
     places, slope = points.copy(), np.zeros((*points.shape, 3))
-    for step in range(_STEPS + 1):
+    for _ in range(_STEPS):
         slope[..., :2, :] = shift.derivative(places)
         inverse = np.asarray(np.linalg.inv(np.eye(3) + slope), dtype=np.float64)
-        if step < _STEPS:
-            away = points - places
-            away[..., :2] -= shift(places)
-            places += (inverse @ away[..., None])[..., 0]
+        away = points - places
+        away[..., :2] -= shift(places)
+        if np.abs(away).max(initial=0.0) < _CLOSE:
+            break
+        places += (inverse @ away[..., None])[..., 0]
     return places, inverse
 
 

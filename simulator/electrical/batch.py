@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import compiled_kernels
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.assembly import Assembly
 from eitskin.simulator.electrical.cem_system import ElementProducts, impedance_matrix
+from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import ForwardModel
 
 Array = NDArray[np.float64]

@@ -13,7 +13,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.batch import (
     EXACT,
     Base,
@@ -22,6 +21,7 @@ from eitskin.simulator.electrical.batch import (
     Tolerance,
 )
 from eitskin.simulator.electrical.cem_system import zero_sums
+from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import (
     Discretisation,

@@ -13,7 +13,7 @@ from eitskin.geometry import Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol, Scene, Simulator, Touch
-from eitskin.simulator.deformation.deformed_layer import DeformedLayer
+from eitskin.simulator.electrical.deformed_layer import DeformedLayer
 from eitskin.simulator.electrical.function_space import estimated_memory
 from eitskin.simulator.electrical.resolution import discretisation, press_length, suited_cells
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
