@@ -23,11 +23,11 @@ _MAX_BYTES = 1 << 24
 NAME, VERSION = "skinbench", 2
 _DIGITS = {"mm": 2, "deg": 2, "%": 1}
 SEED = 0
-_PAGE = f"""# {NAME}, version {VERSION}
+_PAGE = f"""## {NAME}, version {VERSION}
 
 A benchmark set for methods of electrical-impedance skin: frozen recipes, fixed scores, one file of
-entries, [leaderboard.json](leaderboard.json). This page is generated from it. One command makes the
-frames, trains [your method](../how-to/own-method.md) and enters its scores:
+entries, [leaderboard.json](leaderboard.json). One command makes the frames, trains
+[your method](../how-to/own-method.md) and enters its scores:
 
     eitskin bench paper --seeds 1 --paper-seeds 0 --method my.py:Net --leaderboard leaderboard.json
 
@@ -318,8 +318,8 @@ def _rank_entries(entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
 
 
 def leaderboard_page(board: Leaderboard) -> str:
-    """Markdown page of the leaderboard: what it asks, and the table of each track."""
+    """Markdown of the leaderboard: what it asks, and the table of each track."""
     parts = [_PAGE]
     for track in TRACKS:
-        parts.append(f"## Track `{track.name}`\n\n{track.about}\n\n{board.table(track)}")
+        parts.append(f"### Track `{track.name}`\n\n{track.about}\n\n{board.table(track)}")
     return "\n".join(parts)

@@ -1,7 +1,7 @@
 """Independent 3D reference solutions of presses, by finite elements of NGSolve.
 
 Run by `python -m eitskin.benchmarks.pressed_reference --out FILE`; needs the extra `reference`.
-docs/results/world.md compares with them. FILE has the form of
+docs/results/simulator.md compares with them. FILE has the form of
 `published/world_reference.json` and is rewritten after each case. Lengths are in mm, moduli in
 kPa, hence forces in mN.
 """

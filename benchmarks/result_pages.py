@@ -1,8 +1,9 @@
 """Pages of published results, and the figures that other pages quote: `make pages`.
 
-Every `benchmarks/published/NAME/results.json` is shown in `docs/results/NAME.md`. The file
-`docs/results/quoted.toml` has the keys of the figures in table rows of README and docs; they are
-written again with as many digits as stand in the page.
+The pages of `docs/results` show the main figures of `benchmarks/published/NAME/results.json`, and
+the leaderboard: `sections.toml` in that folder says which. `quoted.toml` has the keys of the
+figures in table rows of README and docs; they are written again with as many digits as stand in
+the page.
 """
 
 import re
@@ -22,17 +23,6 @@ from eitskin.geometry import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED_FOLDER = ROOT / "benchmarks" / "published"
-TITLES = {
-    "accuracy": "Accuracy: error and run time of the forward model",
-    "layouts": "Layouts: Cramer-Rao bounds of electrode layouts",
-    "methods": "Methods: trained on the same frames, tested on the same specimens",
-    "paper": "Paper: the experiments of Chen et al.",
-    "recordings": "Recordings: a real skin, a real tank, another board",
-    "speed": "Speed: scenes, datasets and frames per second",
-    "stability": "Stability: stiff and extreme cases",
-    "transfer": "Transfer: sensors that differ from the training set",
-    "world": "World: bends and touches against independent 3D solutions",
-}
 
 
 def full_results(folder: Path = PUBLISHED_FOLDER) -> dict[str, Results]:
@@ -40,26 +30,22 @@ def full_results(folder: Path = PUBLISHED_FOLDER) -> dict[str, Results]:
     return {result.name: result for result in found_results(folder) if not result.quick}
 
 
-def result_page(results: Results) -> str:
-    """Markdown page of all figures of a benchmark, in tables of rows with the same columns."""
+def result_section(results: Results, title: str, about: str = "", shown: str = ".*") -> str:
+    """Markdown of the figures of a benchmark, in tables of rows with the same columns.
+
+    `about` explains them. `shown` is the pattern of the figures to show, as "ROW | COLUMN".
+    """
     provenance = results.provenance
-    packages = ", ".join(" ".join(item) for item in provenance.packages.items())
-    took = "" if results.seconds is None else f" It took {results.seconds:.0f} s."
     lines = [
-        f"# {TITLES.get(results.name, results.name)}",
+        f"## {title}",
         "",
-        f"Generated from `benchmarks/published/{results.name}/results.json`, made by",
-        "",
-        f"    {results.command}",
-        "",
-        f"on {provenance.machine}, Python {provenance.python}, {packages}; seed {provenance.seed}, "
-        f"{provenance.date[:10]}.{took}",
+        f"{about} `{results.command}`, seed {provenance.seed}, {provenance.machine}, "
+        f"eitskin {provenance.packages.get('eitskin', '')}, {provenance.date[:10]}.".strip(),
     ]
-    for columns, rows in _tables(results.figures):
+    for columns, rows in _tables(results.figures, re.compile(shown)):
         lines += ["", "| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for row, figures in rows.items():
-            cells = (f"{figures[c]:.4g}" if c in figures else "" for c in columns)
-            lines.append("| " + " | ".join((row, *cells)) + " |")
+        for row, cells in rows.items():
+            lines.append("| " + " | ".join((row, *(cells.get(c, "") for c in columns))) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -97,10 +83,13 @@ def rewritten(written: str, value: float) -> str:
 def pages(results: Mapping[str, Results], root: Path = ROOT) -> dict[Path, str]:
     """Text of every page that shows or quotes results, by its path."""
     folder = root / "docs" / "results"
-    out = {folder / f"{name}.md": result_page(each) for name, each in results.items()}
-    board = folder / "leaderboard.json"
-    if board.is_file():
-        out[board.with_suffix(".md")] = leaderboard_page(read_leaderboard(board))
+    board = leaderboard_page(read_leaderboard(folder / "leaderboard.json"))
+    contents = tomllib.loads((folder / "sections.toml").read_text(encoding="utf-8"))
+    out = {}
+    for name, sections in contents.items():
+        parts = [f"# {sections.pop('title')}\n\nBy `make pages`, from `benchmarks/published`.\n"]
+        parts += [result_section(results[each], **keys) for each, keys in sections.items()]
+        out[folder / f"{name}.md"] = "\n".join([*parts, *([board] * (name == "pipeline"))])
     quoted = tomllib.loads((folder / "quoted.toml").read_text(encoding="utf-8"))
     for name, by_page in quoted.items():
         for page, keys in by_page.items():
@@ -126,10 +115,10 @@ def main(folders: Sequence[str]) -> None:
 
 
 def _tables(
-    figures: Mapping[str, float],
-) -> list[tuple[list[str], dict[str, dict[str, float]]]]:
+    figures: Mapping[str, float], shown: re.Pattern[str]
+) -> list[tuple[list[str], dict[str, dict[str, str]]]]:
     """Columns and rows of each table; a row joins the last table that has half of its columns."""
-    rows: dict[str, dict[str, float]] = {}
+    rows: dict[str, dict[str, str]] = {}
     for key, value in figures.items():
         parts = re.split(r"(?<=[a-z]): (?=\w)", key, maxsplit=1)[::-1]
         if len(parts) == 1:
@@ -137,8 +126,11 @@ def _tables(
         if not parts[0]:
             parts = list(key.rpartition(".")[::2])
         row = parts[0].replace("&emsp;", "") or key
-        rows.setdefault(row, {})[parts[1] if parts[0] else "value"] = value
-    tables: list[tuple[list[str], dict[str, dict[str, float]]]] = []
+        column = parts[1] if parts[0] else "value"
+        if shown.fullmatch(f"{row} | {column}") and not re.search(r" #\d+$|\+-$", key):
+            spread = f" ± {figures[f'{key} +-']:.2g}" if f"{key} +-" in figures else ""
+            rows.setdefault(row, {})[column] = f"{value:.4g}{spread}"
+    tables: list[tuple[list[str], dict[str, dict[str, str]]]] = []
     for row, cells in rows.items():
         for columns, members in tables:
             if 2 * len(set(columns) & set(cells)) >= max(len(cells), len(columns) // 2):

@@ -3,7 +3,7 @@
 Derivatives by place and force are central differences of solved scenes (`Simulator.measure_all`): a
 press of 10 N changes the conductivity beneath it by so much that the first order of the adjoint
 sensitivity misses the signal altogether. The derivative by the angle is that of the sheet without
-the press. docs/results/layouts.md gives bounds.
+the press. docs/results/simulator.md gives bounds.
 """
 
 import hashlib

@@ -135,8 +135,7 @@ def run(
     """
     if unknown := sorted(set(names) - set(NAMES)):
         raise ConfigurationError(
-            f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}; the search "
-            "without symmetry, free, is in docs/results/studies.md"
+            f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}"
         )
     began = time.perf_counter()
     sampling = QUICK_SAMPLING if quick else SAMPLING

@@ -30,7 +30,7 @@ from eitskin.simulator.scene.scene import Scene
 
 Integers = NDArray[np.int64]
 
-# Share of the gel in the work of a press at 5 N (docs/results/studies.md, creep).
+# Share of the gel in the work of a press at 5 N.
 _GEL_SHARE = 0.43
 
 

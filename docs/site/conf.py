@@ -30,6 +30,7 @@ include_patterns = [
     "docs/site/api/*.rst",
     "docs/site/api/*.markdown",
     "hardware/firmware/README.md",
+    "hardware/firmware/nucleo_f411/README.md",
 ]
 source_suffix = {".rst": "restructuredtext", ".md": "markdown", ".markdown": "markdown"}
 exclude_patterns = [
@@ -148,7 +149,8 @@ def read_page(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG00
     """Add the navigation to the first page, and the scripts to the gallery."""
     if page == root_doc:
         source[0] += _contents("Begin", ["docs/index"]) + navigation()
-        project = ["CHANGELOG", "CONTRIBUTING", "SECURITY", "hardware/firmware/README"]
+        project = ["CHANGELOG", "CONTRIBUTING", "SECURITY"]
+        project += ["hardware/firmware/README", "hardware/firmware/nucleo_f411/README"]
         source[0] += _contents("The project", project)
     if page == "docs/index":
         source[0] = re.sub(r"\(notebooks/(\w+)\.ipynb\)", r"(site/api/\1.markdown)", source[0])

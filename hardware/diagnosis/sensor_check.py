@@ -33,7 +33,7 @@ from eitskin.hardware.diagnosis.checked_frames import (
 )
 from eitskin.protocol import Protocol
 
-# Each limit lies beyond the values of healthy sensors (docs/results/studies.md has by how far).
+# Each limit lies beyond the values of 400 simulated healthy sensors.
 FACTOR = 2.0
 """Ratio of all values to the expected ones; gels differ by 1.5, resistors of RTIA by 2 or more."""
 BAD_CONTACT = 0.12

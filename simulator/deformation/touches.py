@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
-# than 4 % off independent solutions, or not compared with them (docs/results/world.md) [m].
+# than 4 % off independent solutions, or not compared with them (docs/results/simulator.md) [m].
 _MIN_EDGE_DISTANCE, _MIN_TOUCH_SPACING = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _MAX_RELATIVE_DEPTH = 0.55

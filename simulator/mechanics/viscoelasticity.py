@@ -115,7 +115,7 @@ def mixture(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
 
 
 # The reference stack under the 15 mm cylinder: the gel's share is 0.436 at 2 N, 0.433 at 5 N and
-# 0.414 at 10 N (docs/results/studies.md, creep).
+# 0.414 at 10 N.
 REFERENCE = mixture((GEL, ECOFLEX), (0.43, 0.57))
 
 

@@ -90,7 +90,7 @@ class PressedTouch:
         edge_distance: distance from the axis to the nearest edge of the gel [m].
         neighbour_distance: neighbour distance from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances (docs/results/world.md); None at smaller distances or larger
+            found at such distances (docs/results/simulator.md); None at smaller distances or larger
             depths than any comparison, next to re-entrant corners, on other outlines than
             rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
             pressed.

@@ -8,7 +8,7 @@ import pytest
 from eitskin.benchmarks.result_pages import (
     full_results,
     pages,
-    result_page,
+    result_section,
     rewritten,
     with_figures,
 )
@@ -114,9 +114,8 @@ def test_a_quoted_figure_follows_its_result():
 
 
 def test_a_page_has_a_table_for_rows_of_the_same_columns():
-    page = result_page(
-        results({"a / x [mm]": 1.5, "a / y": 2.0, "b / x [mm]": 3.0, "time.p50": 4.0})
-    )
-    assert "| | x [mm] | y |\n|---|---|---|\n| a | 1.5 | 2 |\n| b | 3 |  |\n" in page
+    figures = {"a / x [mm]": 1.5, "a / y": 2.0, "b / x [mm]": 3.0, "time.p50": 4.0, "c / y": 5.0}
+    page = result_section(results(figures | {"a / y +-": 0.25}), "T", shown="[^c].*")
+    assert "| | x [mm] | y |\n|---|---|---|\n| a | 1.5 | 2 ± 0.25 |\n| b | 3 |  |\n" in page
     assert "| | p50 |\n|---|---|\n| time | 4 |\n" in page
     assert "eitskin bench paper" in page

@@ -7,8 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "hardware" / "firmware" / "nucleo_f411"
-PAGE = ROOT / "docs" / "how-to" / "build-a-board.md"
-SCHEMATIC = PAGE.parent / "board" / "schematic.py"
+PAGE = FOLDER / "README.md"
+SCHEMATIC = ROOT / "docs" / "how-to" / "board" / "schematic.py"
 COMMON = {"U1": "CE0, by C1", "U2": "AIN1, by C2", "U3": "AIN2", "U4": "AIN3"}
 
 

@@ -119,19 +119,21 @@ DOCS = ROOT / "docs"
 RESULTS = sorted((DOCS / "results").glob("*.md"))
 GENERATED = {DOCS / "reference" / name for name in ("commands.md", "files.md")} | set(RESULTS)
 WRITTEN = [page for page in PAGES if page.is_relative_to(DOCS) and page not in GENERATED]
-MAX_PAGES, MAX_WORDS, MAX_ALL_WORDS = 27, 1_500, 30_000
+ARCHITECTURE = DOCS / "architecture.md"  # for those who change the code
+MAX_PAGES, MAX_WORDS, MAX_ALL_WORDS = 27, 1_500, 26_000
 
 
 def words(page):
-    """Number of words of a page, without code and formulas."""
-    return len(re.sub(r"\$\$.*?\$\$", "", prose(page), flags=re.DOTALL).split())
+    """Number of words of a page, without code, formulas and the bars of tables."""
+    text = re.sub(r"\$\$.*?\$\$", "", prose(page), flags=re.DOTALL)
+    return sum(bool(re.search(r"\w", word)) for word in text.split())
 
 
 def test_pages_are_few_and_short():
-    counts = {page.name: words(page) for page in WRITTEN if page.name != "architecture.md"}
+    counts = {page: words(page) for page in [*WRITTEN, *GENERATED] if page != ARCHITECTURE}
     assert len(counts) <= MAX_PAGES
     assert sum(counts.values()) <= MAX_ALL_WORDS
-    assert not {name: count for name, count in counts.items() if count > MAX_WORDS}
+    assert not {page for page, count in counts.items() if count > MAX_WORDS} - GENERATED
     assert len((ROOT / "README.md").read_text().splitlines()) <= 110
 
 
