@@ -16,12 +16,9 @@ from eitskin.cli.main import app
 from eitskin.datasets import Recipe, open_dataset, read_recording
 from eitskin.errors import DeviceError, PartialError
 from eitskin.files import atomic_folder
-from eitskin.geometry import SensorDesign
 from eitskin.hardware import open_board
 from eitskin.hardware.boards.port import remedy
 from eitskin.simulator import Scene
-from eitskin.training import Pipeline
-from eitskin.training.pipeline.saved_form import SHIPPED_PATH, read_pipeline
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "how-to" / "troubleshooting.md"
@@ -31,8 +28,6 @@ ROWS = [
     for code, text in zip(SECTIONS[::2], SECTIONS[1::2], strict=True)
     for message in re.findall(r"^\| `(.+?)` \|", text, re.MULTILINE)
 ]
-SENSOR = "outline = { length = 0.1, width = 0.05 }\n"
-SIDE = "electrodes = { count = 6 }\n"
 
 
 def constant_text(node) -> str:
@@ -73,7 +68,6 @@ def read_as(read, name):
 
 
 scene = read_as(lambda path: simulate.command(path, resolution="fast"), "scene.toml")
-design = read_as(SensorDesign.from_toml, "sensor.toml")
 
 
 def no_permission(_):
@@ -90,19 +84,11 @@ def no_room(folder):
 # What begins with these words has no text of its own in the source.
 PROVOKED = {
     "cannot read ": lambda folder: Scene.from_toml(folder / "none.toml"),
-    "...: unknown key": scene("[bend]\nangle_rad = 0.5\n"),
     "...: expected a finite": scene("[bend]\nangle_deg = nan\n"),
-    "indenter radius": scene("touches = [{ x = 0.05, y = 0.02, indenter = { radius = 7.5 } }]\n"),
-    "...: touch force": scene("touches = [{ x = 0.05, y = 0.02, force = -1 }]\n"),
-    "thickness must be": design("thickness = -0.004\n" + SENSOR + SIDE),
     "sensor: a design file": read_as(Recipe.from_toml, "recipe.toml")(
         'name = "a"\nsensor = { file = "six.toml" }\n'
     ),
-    "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED_PATH).save(
-        folder / "a.zip"
-    ),
     "... is not a complete": open_dataset,
-    "there is no pipeline": lambda folder: read_pipeline(folder / "none.eitmodel"),
     "cannot find the": read_as(read_recording, "a.csv")("w0,w1\n1,2\n"),
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),
     "...: cannot open the port: another": lambda _: open_board("virtual:?faults=port_in_use"),
