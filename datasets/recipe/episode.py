@@ -35,7 +35,7 @@ _INSTANT = 1e-9  # s; a touch that ends at this moment is released
 
 @dataclass(frozen=True, slots=True)
 class EpisodeTouch:
-    """Touch of an episode: position x, y [m] and force [N]."""
+    """Touch of an episode: x, y [m] and force [N]."""
 
     x: float
     y: float

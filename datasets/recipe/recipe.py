@@ -53,19 +53,17 @@ class Recipe:
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
-        protocol: drive and sense electrodes of each measurement; all pairs of electrodes when
-            omitted. In TOML also a text for `Protocol.from_name`, as "adjacent" or "table.csv".
+        protocol: table of measurements; all pairs of electrodes when omitted. In TOML also a text
+            for `Protocol.from_name`, as "adjacent" or "table.csv".
         fixture: device that bends the sensor; the default clamp when omitted. In TOML also the
             table `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
-        grid: nominal values about which the presses and bends of all specimens are solved; those of
-            sensor, fixture and mechanics where omitted.
+        grid: nominal values about which touches and bends are solved; the design's when omitted.
         instrument: errors and noise of the board; each specimen has one board and one session.
             Boards differ by `board_loads` of `specimens`.
         specimens: number of sensors and standard deviations between them.
         mounts: clamps and stiffnesses that specimens have in turn, in place of `fixture`.
-        reference_frames: number of frames of the untouched sensor, each with its noise, averaged
-            for a frame's `touch_reference`, as a pipeline does while a sensor is still.
+        reference_frames: number of noisy untouched frames averaged for a `touch_reference`.
 
     Example:
         >>> from eitskin import Recipe

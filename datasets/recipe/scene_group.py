@@ -41,11 +41,10 @@ class SceneGroup:
         angle_deg: range of the bend angle.
         touches: range of the number of simultaneous touches, 1 to 4; one when omitted.
         force: range of the force of each touch [N].
-        margin: least distance of a touch's centre from the rim [m].
-        spacing: least distance between the centres of two touches [m].
-        from_middle: range of the distance of touches' centres from the sensor's middle along x
-            [m], as on plates away from their gap; any when omitted.
-        positions: (x, y) [m] of single touches in turn, instead of random positions.
+        margin: minimum distance of a touch's centre from the rim [m].
+        spacing: minimum distance between the centres of two touches [m].
+        from_middle: range of the distance of touches from the sensor's middle along x [m].
+        positions: list of (x, y) of single touches [m], instead of random positions.
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
         support: support of the sensor in these scenes; the design's when omitted.

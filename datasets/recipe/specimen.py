@@ -127,9 +127,8 @@ class Specimens:
 class Mounts:
     """Different clamps and stiffnesses of the encapsulation, one for each specimen in turn.
 
-    Each is a bend of its own that is solved once, in a quarter of a minute, and shared by all
-    specimens that have it; deviations of `Specimens` come on top. Values fill their ranges evenly,
-    by an additive recurrence.
+    The bend of each is solved once, in a quarter of a minute. Deviations of `Specimens` come on
+    top. Values fill their ranges evenly.
 
     Attributes:
         count: number of mounts; 0 for the fixture of the recipe alone.

@@ -2,9 +2,11 @@
 
 import dataclasses
 import inspect
+import itertools
 import re
 import types
 import typing
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -38,6 +40,7 @@ FILES = {
 SIMPLE = {float: "number", int: "integer", str: "text", bool: "true or false", Path: "path"}
 SIMPLE |= {complex: "number or [real, imaginary]", Protocol: "name or path"}
 UNLISTED = (Protocol, SensorGrid)
+COMMON = 3  # commands that take an option, for it to be described once
 
 
 def files_page() -> str:
@@ -63,44 +66,61 @@ def files_page() -> str:
 
 
 def commands_page() -> str:
-    """Markdown of all commands: what each does, examples, options."""
+    """Markdown of all commands: what each does, examples, options; common options once."""
+    group = typer.main.get_command(app)
+    commands = list(_commands("eitskin", group))
+    counts = Counter(row for _, _, command in commands for row in _rows(command))
+    frequent = [row for row, count in reversed(counts.most_common()) if count >= COMMON]
+    by_option = {row.split()[1].strip("`"): row for row in frequent}
+    common = {row for option, row in by_option.items() if option.startswith("--")}
+    head = "| argument or option | meaning |\n|---|---|\n"
     parts = [
         "# Commands\n\nGenerated from the code; the help of each command (`-h`) shows the "
-        "same. All commands take `--json`, `--quiet` and `--verbose`.\n"
+        "same. All commands take `--json`, `--quiet` and `--verbose`.\n\n## Common options\n\n"
+        "Where a command lists such an option itself, its own meaning holds.\n\n"
+        f"{head}{chr(10).join(sorted(common))}\n"
     ]
-    group = typer.main.get_command(app)
-    panels: dict[str, list[str]] = {}
-    for name, command in group.commands.items():
-        if not command.hidden:
-            panels.setdefault(command.rich_help_panel or "Commands", []).append(name)
-    for panel, names in panels.items():
-        parts.append(f"## {panel}\n")
-        for name in names:
-            parts += _command(f"eitskin {name}", group.commands[name])
+    panel = ""
+    for path, top, command in commands:
+        if top != panel:
+            parts.append(f"## {(panel := top)}\n")
+        rows = list(_rows(command))
+        own = [row for row in rows if row not in common]
+        shared = ", ".join(row.split("`")[1].split()[0] for row in rows if row in common)
+        text = inspect.cleandoc(command.help or "")
+        parts.append(f"### {path}\n\n{text}\n")
+        parts.append("```bash\n" + "\n".join(command_examples(path)) + "\n```\n")
+        if own:
+            parts.append(head + "\n".join(own) + "\n")
+        if shared:
+            parts.append(f"Common: `{shared}`.\n")
     return "\n".join(parts)
 
 
-def _command(path: str, command: typing.Any) -> Iterator[str]:
-    members = getattr(command, "commands", {})
-    if members:
-        for name, member in members.items():
-            if not member.hidden:
-                yield from _command(f"{path} {name}", member)
-        return
-    text = inspect.cleandoc(command.help or "")
-    examples = command_examples(path)
-    arguments = [each for each in command.params if each.param_type_name == "argument"]
-    usage = " ".join([path, *(usage_name(each).strip("`") for each in arguments)])
-    yield f"### {path}\n\n{text}\n"
-    yield "```bash\n" + "\n".join(examples or [usage]) + "\n```\n"
-    rows = ["| argument or option | meaning |", "|---|---|"]
+def _commands(
+    path: str, group: typing.Any, panel: str = ""
+) -> Iterator[tuple[str, str, typing.Any]]:
+    """Path, panel and command of each command, panel by panel."""
+    members = [(n, c) for n, c in group.commands.items() if not c.hidden]
+    if not panel:
+        order = list(dict.fromkeys(c.rich_help_panel or "Commands" for _, c in members))
+        members.sort(key=lambda member: order.index(member[1].rich_help_panel or "Commands"))
+    for name, command in members:
+        top = panel or command.rich_help_panel or "Commands"
+        if hasattr(command, "commands"):
+            yield from _commands(f"{path} {name}", command, top)
+        else:
+            yield f"{path} {name}", top, command
+
+
+def _rows(command: typing.Any) -> Iterator[str]:
+    """Rows of the table of a command's arguments and options."""
     for each in command.params:
         name = usage_name(each)
         if name in ("`--json`", "`--quiet`", "`--verbose`", "`--help`") or each.hidden:
             continue
         note = f" Default: {each.default}." if each.default not in (None, False, "", ()) else ""
-        rows.append(f"| {name} | {_cell(each.help or '')}{note} |")
-    yield "\n".join(rows) + "\n"
+        yield f"| {name} | {_cell(each.help or '')}{note} |"
 
 
 def usage_name(parameter: typing.Any) -> str:
@@ -127,7 +147,11 @@ def _keys(kind: typing.Any) -> Iterator[tuple[str, typing.Any, str, str]]:
             default = _default(field.default)
             if field.default_factory is not dataclasses.MISSING:
                 default = "below" if _tables(hints[field.name]) else "empty"
-            yield field.name, hints[field.name], default, described.get(field.name, "")
+            text = described.get(field.name, "")
+            for base in kind.__mro__[1:]:  # a property that the field implements
+                if not text and field.name in vars(base):
+                    text = inspect.getdoc(vars(base)[field.name]) or ""
+            yield field.name, hints[field.name], default, text
         return
     for name, parameter in inspect.signature(kind).parameters.items():
         if name != "outline":
@@ -143,8 +167,12 @@ def _keys_table(kind: typing.Any, rows: list[tuple[str, typing.Any, str, str]]) 
     if rest and not rest[0].startswith((*sections, " ")):
         lines += [" ".join(rest[0].split()), ""]
     lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
-    for name, annotation, default, text in rows:
-        lines.append(f"| `{name}` | {_type(annotation)} | {default} | {_cell(text)} |")
+    described = [
+        (f"{_type(hint)} | {default} | {_cell(text)}", name) for name, hint, default, text in rows
+    ]
+    for cells, alike in itertools.groupby(described, lambda row: row[0]):
+        names = ", ".join(f"`{name}`" for _, name in alike)
+        lines.append(f"| {names} | {cells} |")
     return "\n".join([*lines, ""])
 
 

@@ -41,10 +41,9 @@ class Bend:
 class Clamp:
     """Two plates that hold the sensor's ends and turn about one axis under its middle.
 
-    The plates hold the faces of the encapsulation wherever x is at least half the span from the
-    middle, without slip, over the full width; each turns by half the angle. `Simulator` bends the
-    sensor by a 3D solution at finite strain; see docs/explanation/physics.md. Only rectangular
-    sensors can be clamped.
+    The plates hold the faces of the encapsulation beyond half the span from the middle, without
+    slip; each turns by half the angle. `Simulator` bends the sensor by a 3D solution at finite
+    strain. Only rectangular sensors can be clamped.
 
     Attributes:
         span: free length between the plates, centred on the sensor [m].
@@ -209,7 +208,7 @@ class FreeArc(_Kinematic):
 
     Attributes:
         length: flat length of the arc, centred on the sensor [m].
-        transition, contraction: as in `Hinge`.
+        transition, contraction: flat length and contraction of the width, as in `Hinge`.
 
     Example:
         >>> from eitskin.geometry import FreeArc

@@ -25,17 +25,15 @@ class Electrode:
 
     Attributes:
         x, y: centre [m]; on the outline for an electrode on the side.
-        width: extent along the outline, on the side; along x, on top, bottom and inside;
-            horizontally in the tangent plane, on a surface [m].
+        width: extent along the outline, on the side; along x elsewhere; horizontal, on a
+            surface [m].
         contact_impedance: z of the complete electrode model, may be complex [ohm m2].
-        height: extent across the width [m]: along z on the side, the full thickness when
-            omitted; along y on top, bottom and inside, the width when omitted.
-        z: height of the centre [m]. On the side the middle when omitted; needed inside, where it
-            is the height of the sheet, and on a surface, where the centre is the nearest point
-            of the surface to (x, y, z).
-        on: face that carries the electrode; "inside" is a thin sheet within the layer, as of wire
-            mesh, with one potential on both faces and its area counted once; "surface" belongs to
-            a `Surface`.
+        height: extent across the width [m]; the full thickness on the side, else the width, when
+            omitted.
+        z: height of the centre [m]; the middle on the side when omitted, needed inside and on a
+            surface, where the nearest point to (x, y, z) is taken.
+        on: face that carries the electrode; "inside" is a thin sheet within the layer, "surface"
+            is for a `Surface`.
         shape: "round" makes an ellipse of width and height, as a polygon of the same area.
 
     Example:

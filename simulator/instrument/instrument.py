@@ -59,30 +59,22 @@ class Instrument:
             EIT boards have 63 to 80.
         floor: sd of the front end's white noise, per quadrature of the voltage [V]; 1.9 uV by the
             data sheet. Divided by the excitation current, this noise becomes ohms.
-        drift: sd of the relative drift of the electronics after 4 h, a random walk from the
-            session's start, shared by all measurements, which have one front end; 0.2 % is
-            published.
-        gel_drift: sd of the relative drift of the gel after 4 h, as the gel dries or warms as a
-            whole. The drift belongs to the sensor, so that no board has a default for it.
+        drift: sd of the relative drift of the electronics after 4 h, a random walk shared by all
+            measurements; 0.2 % is published.
+        gel_drift: sd of the relative drift of the gel after 4 h, as the gel dries or warms.
         gain: sd of the relative gain error of a session, truncated at 1.25 % (data sheet).
         phase_deg: sd of the phase error of a session [deg], truncated at 0.3 (data sheet).
-        reciprocity: sd of the relative difference between two measurements that are equal by
-            reciprocity, published as 0.4 %. The difference comes from an error of each path through
-            the multiplexers, which a calibration against RCAL does not see; so each measurement
-            has, for a session, a relative error of `reciprocity` / sqrt 2. The paths have errors,
-            too, in a protocol without reciprocal measurements.
+        reciprocity: sd of the relative difference between two reciprocal measurements, published
+            as 0.4 %. Each path through the multiplexers has an error of `reciprocity` / sqrt 2.
         quantisation: whether the transforms of voltage and current are rounded to 18 bits.
-        clipping: whether sines are clipped before the transform, the current at 3 mA, voltage and
-            current at the range of the ADC; the status is CLIPPED.
-        excitation: amplitude [V], 0.607, 0.121, 0.075 or 0.015; 0 for the largest that does not
-            clip the measurement.
+        clipping: whether sines are clipped, the current at 3 mA, both at the range of the ADC.
+        excitation: amplitude [V], 0.607, 0.121, 0.075 or 0.015; 0 for the largest without clipping.
         pga_range: full scale of the ADC [V], 0.9, 0.6, 0.3 or 0.133; 0 for the smallest that holds
             the sine.
-        rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's. With 200
-            ohm the full 3 mA are 0.6 V; a sensor of higher impedance, with smaller currents, uses
-            more of the range with a larger resistor.
-        stray_capacitance: range [F]; each drive pair draws its own, uniform, per
-            session. Cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
+        rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's; larger
+            for sensors of higher impedance.
+        stray_capacitance: range of the capacitance of each drive pair, drawn per session [F];
+            cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
         measurement_time: time from one measurement of a frame to the next [s]; 10.6 ms computed.
         meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
             ideal one.

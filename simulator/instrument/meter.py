@@ -45,17 +45,15 @@ class FourTerminalMeter:
 
     Attributes:
         source, sink, sense_plus, sense_minus: admittance from an electrode to ground while it has
-            this role [S]. 0 is none, and 1e3 is a short: with `sink = 1e3` the source is
-            single-ended. An electrode with two roles has both.
+            this role [S]; `sink = 1e3` makes a single-ended source.
         idle: admittance from every electrode without a role to ground [S].
         leaks: admittance from each electrode to ground, whatever its role [S]; empty for none.
         leads: resistance of each electrode's lead and multiplexer path [ohm]; empty for none.
-        common_mode: reading per common-mode voltage, relative to that per difference: the inverse
-            of the common-mode rejection ratio. 2 reads sense+ and -2 reads -(sense-) alone, twice.
+        common_mode: inverse of the common-mode rejection ratio; 2 reads sense+ alone, twice.
         scale: reading per ohm; any other unit than the ohm, and its sign, is here.
-        offset: added to every reading.
+        offset: offset of every reading.
         channel_scale: further factor of each measurement; empty for 1.
-        channel_offset: added to each measurement; empty for 0.
+        channel_offset: further offset of each measurement; empty for 0.
         saturation: largest reading, of either sign and in each quadrature; 0 for no limit.
         step: distance between two codes, to which readings are rounded; 0 for none.
         reads: "complex" for both quadratures, "signed" for the real part, "magnitude" for the

@@ -60,8 +60,7 @@ class Cylinder(Indenter):
 
     Attributes:
         radius: radius of the cylinder [m].
-        edge: radius of the rounded rim over the radius of the cylinder. No rim is perfectly sharp,
-            and squeezed-out material slides around the rim.
+        edge: radius of the rounded rim over the radius of the cylinder.
 
     Example:
         >>> from eitskin.simulator import Cylinder, Touch
@@ -123,8 +122,8 @@ class Sphere(Indenter):
 class Profile(Indenter):
     """Convex body of revolution given by heights at some radii.
 
-    The slope is linear between the middles of the segments, so that the surface is smooth and
-    cuts corners by a quarter of a segment; past the last radius there is a wall.
+    The slope is linear between the middles of the segments, so that the surface is smooth; past
+    the last radius there is a wall.
 
     Attributes:
         radii: radii, rising from 0 [m].
@@ -376,8 +375,7 @@ def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:
 class ScannedIndenter(Indenter):
     """Lower side of the convex hull of a closed surface, such as a scanned fingertip.
 
-    The axis is upright through the lowest point, z up. Presses are those of bodies of revolution:
-    heights are averaged round the axis.
+    The axis is upright through the lowest point, z up. Heights are averaged round the axis.
 
     Attributes:
         file: path of the surface (STL, OBJ, PLY, OFF ...); made absolute.
