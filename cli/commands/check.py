@@ -108,11 +108,7 @@ def command(
             output.note(NO_EXPECTED)
         elif suits:
             tell_unjudged(pipeline, output)
-        findings = sensor_findings(
-            pipeline if suits else None,
-            taken_frames,
-            lambda: [pipeline.process(each) for each in taken_frames][-1],
-        )
+        findings = sensor_findings(pipeline if suits else None, taken_frames)
         _report({"board": uri}, findings, taken_frames[0].protocol, len(taken_frames), output)
 
 
@@ -144,18 +140,24 @@ class SensorFindings(NamedTuple):
         if not self.laws:
             yield "no redundant measurements in this protocol, so its consistency was not tested"
 
+    def describe(self, frames: int) -> str:
+        """A sentence on each finding, or that there is none in so many frames."""
+        messages = "\n".join(finding.message for finding in self.findings)
+        return messages or f"healthy: no fault in {frames} frames"
+
 
 def sensor_findings(
     pipeline: "training.Pipeline | None",
     taken_frames: "Sequence[simulator.Frame]",
-    estimate: "Callable[[], hardware.Estimate]",
+    estimate: "Callable[[], hardware.Estimate] | None" = None,
 ) -> SensorFindings:
     """Findings on the flat, untouched sensor in frames that were taken of it.
 
     Args:
         pipeline: knows the sensor's values; None where it is for another protocol.
         taken_frames: frames.
-        estimate: gives the pipeline's estimate of the last one; may raise FrameError.
+        estimate: gives the pipeline's estimate of the last one, and may raise FrameError; the
+            pipeline processes all of them when omitted.
     """
     from eitskin.hardware.diagnosis.reading_check import LAWS, check_frames
 
@@ -166,7 +168,8 @@ def sensor_findings(
         findings = (*check_findings, *(finding for finding in findings if finding.what in LAWS))
         # Other faults make a sensor look bent or pressed.
         if pipeline.targets.states or pipeline.targets.angle:
-            findings = findings or _not_flat(pipeline, estimate)
+            own = estimate or (lambda: [pipeline.process(each) for each in taken_frames][-1])
+            findings = findings or _not_flat(pipeline, own)
     return SensorFindings(findings, readings.laws)
 
 
@@ -205,7 +208,6 @@ def _report(
     """Print the findings, or that there are none; raises Exit where there are."""
     for sentence in found.sentences:
         output.note(sentence)
-    healthy = f"healthy: no fault in {frames} frames"
     result = {
         "healthy": not found.findings,
         "frames": frames,
@@ -220,6 +222,6 @@ def _report(
             for finding in found.findings
         ],
     }
-    output.result(source | result, "\n".join(each.message for each in found.findings) or healthy)
+    output.result(source | result, found.describe(frames))
     if found.findings:
         raise typer.Exit(EXIT_UNHEALTHY)

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 from rich import box
 from rich.filesize import decimal
-from rich.table import Table
 
 from eitskin import hardware, simulator, training
 from eitskin.cli import options
@@ -136,11 +135,11 @@ def export_vtu(
     output: options.Output,
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
-    from eitskin.datasets.store.folder import make_folder
+    from eitskin.datasets.store.folder import make_folder, require_empty
     from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
 
     what = simulator.Scene.from_toml(scene)
-    _require_empty(out)
+    require_empty(out)
     design = options.read_design(sensor.sensor)
     sim = sensor.simulator(field_resolution(design, cell), design)
     announce_unsolved(sim, what, output)
@@ -150,6 +149,11 @@ def export_vtu(
     make_folder(out)
     write_grids(grids, out)
     fields = {name: grid.array_names for name, grid in grids.items()}
+    rows = [
+        ("" if number else str(out / name), field)
+        for name, names in fields.items()
+        for number, field in enumerate(names)
+    ]
     output.result(
         {
             "folder": str(out),
@@ -158,7 +162,7 @@ def export_vtu(
             "fields": fields,
             "seconds": time.perf_counter() - start,
         },
-        _field_table(out, fields),
+        make_table(("file", "field"), rows, box=box.SIMPLE),
     )
 
 
@@ -171,23 +175,3 @@ def _readings(
 
     pipeline = training.open_pipeline(model, options.own_method(method))
     return hardware.run_live(board, pipeline, newest=False, clock=lambda: math.nan)
-
-
-def _require_empty(folder: Path) -> None:
-    """Refuse a folder that holds something; nothing is made yet."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        return
-    if folder.exists():
-        raise ConfigurationError(
-            f"{folder} is {'not empty' if folder.is_dir() else 'no folder'}, and nothing in it is "
-            "replaced; name a new one with --out"
-        )
-
-
-def _field_table(folder: Path, fields: dict[str, list[str]]) -> Table:
-    rows = [
-        ("" if i else str(folder / name), field)
-        for name, names in fields.items()
-        for i, field in enumerate(names)
-    ]
-    return make_table(("file", "field"), rows, box=box.SIMPLE)

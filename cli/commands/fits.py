@@ -239,7 +239,7 @@ def fit_twin(
     widths = read_toml(training.TwinPrior, prior) if prior else training.TwinPrior()
     clamp, materials, _ = read_fixed(fixture, mechanics)
     data = recorded_frames.read_recorded(recording, values, protocol)
-    data = data if specimen is None else recorded_frames.select_specimen(data, specimen)
+    data = recorded_frames.select_one_sensor(data, specimen)
     _require_others(first, len(data), "frames")
     twin = training.Twin.fit(
         sensor,

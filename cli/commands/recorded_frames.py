@@ -53,8 +53,14 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "data
     return data
 
 
-def select_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Dataset":
-    """Frames of one specimen of a dataset; raises ConfigurationError where it has none."""
+def select_one_sensor(data: "datasets.Dataset", specimen: int | None) -> "datasets.Dataset":
+    """Frames of the one specimen, or of that which is chosen; raises ConfigurationError."""
+    if specimen is None:
+        if (count := len(set(data.specimen.tolist()))) > 1:
+            raise ConfigurationError(
+                f"expected frames of one sensor, got {count} specimens; choose one by --specimen"
+            )
+        return data.own_specimens()
     own = data.specimen_number[data.specimen] == specimen
     if not own.any():
         raise ConfigurationError(
@@ -62,17 +68,6 @@ def select_specimen(data: "datasets.Dataset", specimen: int) -> "datasets.Datase
             f"{', '.join(map(str, data.specimen_number[:8]))}"
         )
     return data.select(own).own_specimens()
-
-
-def select_one_sensor(data: "datasets.Dataset", specimen: int | None) -> "datasets.Dataset":
-    """Frames of the one specimen, or of that which is chosen; raises ConfigurationError."""
-    if specimen is not None:
-        return select_specimen(data, specimen)
-    if (count := len(set(data.specimen.tolist()))) > 1:
-        raise ConfigurationError(
-            f"a pipeline is adapted to one sensor, got {count} specimens; choose one by --specimen"
-        )
-    return data.own_specimens()
 
 
 def required_protocol(data: "datasets.Dataset") -> "simulator.Protocol":

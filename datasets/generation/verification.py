@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
-from eitskin.datasets.store.dataset import Dataset, SpecimenReferences, require_same_origin
+from eitskin.datasets.store.columns import SpecimenReferences
+from eitskin.datasets.store.dataset import Dataset, require_same_origin
 from eitskin.datasets.store.folder import read_entry
 from eitskin.datasets.store.manifest import (
     MANIFEST,

@@ -12,14 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eitskin.bounds import require_count
-from eitskin.datasets.store.dataset import (
-    ORIGIN,
-    ColumnCollector,
-    Dataset,
-    frame_bytes,
-    frame_numbers,
-    require_same_origin,
-)
+from eitskin.datasets.store.columns import ColumnCollector, frame_bytes
+from eitskin.datasets.store.dataset import ORIGIN, Dataset, frame_numbers, require_same_origin
 from eitskin.datasets.store.manifest import (
     Manifest,
     Names,

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.dataset import Dataset, SpecimenReferences
+from eitskin.datasets.store.columns import SpecimenReferences
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
 
 Values = NDArray[Any]

@@ -57,6 +57,11 @@ class CurvePoint:
     place_mm: float | None = None
     found: float | None = None
 
+    @property
+    def missed_percentage(self) -> float | None:
+        """Share of the single touches that were not found [%]; None where all were, or none is."""
+        return None if self.found in (None, 1.0) else 100.0 * (1.0 - self.found)
+
 
 Errors = tuple[Array, Array]
 """Errors of angles (n,) [deg], and of places (m,) [m]; NaN for touches that were not found."""

@@ -1,16 +1,19 @@
 """Bend angle by univariate feature selection and linear regression."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.extras import require
 from eitskin.geometry import DataError
 from eitskin.training.method.stored_fields import StoredFields
 
 FOLDS = 5
 _CUT = float(np.finfo(float).eps)  # singular value, over the largest, that counts as zero
-_DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where it depends on them
+
+Frames = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,7 @@ class BendAngle(StoredFields):
                 f"no touch, got {len(dV)}; generate more bend frames"
             )
         features = _features(dV) if squares else dV
-        error = np.mean([_errors(features, angle, out) for out in _folds(group, seed)], axis=0)
+        error = np.mean([_errors(features, angle, *fold) for fold in _folds(group, seed)], axis=0)
         chosen = np.sort(_rank_features(features, angle)[: np.argmin(error) + 1])
         coefficients, intercept = _fit_least_squares(features[:, chosen], angle)
         return cls(chosen, coefficients, intercept)
@@ -86,24 +89,14 @@ def _features(dV: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([dV, dV**2], axis=-1)
 
 
-def _folds(group: NDArray[np.generic], seed: int) -> list[NDArray[np.bool_]]:
-    """Frames held out in each fold, (n,); whole groups where there are enough, else drawn ones.
-
-    The largest groups are dealt out first, each to the fold that has the fewest frames by then.
-    """
-    _, number, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    if len(sizes) >= FOLDS:
-        fold_of, filled = np.empty(len(sizes), np.int64), np.zeros(FOLDS, np.int64)
-        for each in np.argsort(sizes)[::-1]:
-            fold_of[each] = np.argmin(filled)
-            filled[fold_of[each]] += sizes[each]
-        fold = fold_of[number]
-    else:
-        drawn = np.random.RandomState(seed).permutation(len(group))
-        fold = np.empty(len(group), np.int64)
-        for k, part in enumerate(np.array_split(drawn, FOLDS)):
-            fold[part] = k
-    return [fold == k for k in range(FOLDS)]
+def _folds(group: NDArray[np.generic], seed: int) -> Iterator[tuple[Frames, Frames]]:
+    """Frames to fit to, and held out; whole groups where there are enough, else drawn ones."""
+    selection = require("sklearn.model_selection", "training")
+    enough = len(np.unique(group)) >= FOLDS
+    drawn = selection.KFold(FOLDS, shuffle=True, random_state=seed)
+    folds: Iterator[tuple[Frames, Frames]]
+    folds = (selection.GroupKFold(FOLDS) if enough else drawn).split(group, groups=group)
+    return folds
 
 
 def _rank_features(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -124,26 +117,19 @@ def _fit_least_squares(
 
 
 def _errors(
-    features: NDArray[np.float64], angle: NDArray[np.float64], held_out: NDArray[np.bool_]
+    features: NDArray[np.float64], angle: NDArray[np.float64], fitted: Frames, held_out: Frames
 ) -> NDArray[np.float64]:
     """Mean squared error [deg2] of the held-out frames for 1, 2, ... selected features.
 
-    The ranking uses the training frames only and serves all numbers of features. All fits share
-    one QR decomposition: with X = Q R, a fit to the first k features adds to that to k - 1 the
-    k-th column of X R^-1 times the k-th entry of Q^T y.
+    The ranking uses the fitted frames only and serves all numbers of features. All fits share one
+    QR decomposition, and are of least norm.
     """
-    ranked = _rank_features(features[~held_out], angle[~held_out])
-    training, others = features[~held_out][:, ranked], features[held_out][:, ranked]
-    middle, mean = training.mean(axis=0), angle[~held_out].mean()
-    others, targets = others - middle, angle[held_out] - mean
+    ranked = _rank_features(features[fitted], angle[fitted])
+    training, others = features[fitted][:, ranked], features[held_out][:, ranked]
+    middle, mean = training.mean(axis=0), angle[fitted].mean()
     Q, R = np.linalg.qr(training - middle)
-    turned = Q.T @ (angle[~held_out] - mean)
-    apart = np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(R, axis=0)[: len(R)]
-    rank = len(R) if apart.all() else int(np.argmin(apart))
-    directions = np.linalg.solve(R[:rank, :rank].T, others[:, :rank].T)
-    predictions = list(np.cumsum(directions * turned[:rank, None], axis=0))
-    # Dependent features, and more of them than frames, have fits of least norm.
-    for k in range(rank + 1, len(ranked) + 1):
-        predictions.append(others[:, :k] @ np.linalg.lstsq(R[:, :k], turned, _CUT)[0])
-    errors: NDArray[np.float64] = np.mean((np.array(predictions) - targets) ** 2, axis=1)
+    turned, others = Q.T @ (angle[fitted] - mean), others - middle
+    fits = (np.linalg.lstsq(R[:, :k], turned, _CUT)[0] for k in range(1, len(ranked) + 1))
+    predictions = np.array([mean + others[:, : len(fit)] @ fit for fit in fits])
+    errors: NDArray[np.float64] = np.mean((predictions - angle[held_out]) ** 2, axis=1)
     return errors

@@ -343,8 +343,7 @@ class SessionTasks(Closeable, SessionCommands):
         findings = sensor_findings(self._session.pipeline, frames, lambda: _estimate(readings[-1]))
         for sentence in findings.sentences:
             task.note(sentence)
-        healthy = f"healthy: no fault in {len(readings)} frames"
-        return "\n".join(finding.message for finding in findings.findings) or healthy
+        return findings.describe(len(readings))
 
     def _set_up(self, angles: str = ANGLES, presses: int = 10, frames: int = 8) -> None:
         options = SetupOptions(angles, presses, frames)

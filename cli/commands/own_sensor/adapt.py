@@ -19,7 +19,13 @@ from eitskin.cli.commands.own_sensor.poses import (
     left_alone,
     stage_poses,
 )
-from eitskin.cli.commands.recorded_frames import Recorded, Values, read_recorded, select_one_sensor
+from eitskin.cli.commands.recorded_frames import (
+    OneSpecimen,
+    Recorded,
+    Values,
+    read_recorded,
+    select_one_sensor,
+)
 from eitskin.cli.commands.tare import ReferenceFile, use_reference
 from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError, DataError
@@ -48,9 +54,7 @@ def command(
     recording: Recorded,
     *,
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
-    specimen: Annotated[
-        int | None, typer.Option(min=0, help="Number of the specimen in the dataset.")
-    ] = None,
+    specimen: OneSpecimen = None,
     values: Values = None,
     protocol: options.MeasuredPairs = None,
     method: options.MethodCode = None,
@@ -148,7 +152,7 @@ def curve_table(curve: "Sequence[CurvePoint]") -> Table:
     shown: list[tuple[str, Callable[[CurvePoint], float | None], str]] = [
         ("angle, deg rms", lambda point: point.angle_deg, "{:.2f}"),
         ("place, mm", lambda point: point.place_mm, "{:.1f}"),
-        ("lost, %", _missed_percentage, "{:.0f}"),
+        ("lost, %", lambda point: point.missed_percentage, "{:.0f}"),
     ]
     shown_columns = [each for each in shown if any(each[1](point) is not None for point in curve)]
     title = f"errors in blocks of time that were left out, {BLOCKS} in turn"
@@ -159,11 +163,6 @@ def curve_table(curve: "Sequence[CurvePoint]") -> Table:
         rows.append((str(point.frames), point.method, *cells))
     figures = (Column(name, justify="right") for name, _, _ in shown_columns)
     return make_table(("labelled frames", "method", *figures), rows, title=title)
-
-
-def _missed_percentage(point: "CurvePoint") -> float | None:
-    """Share of the touches that were not found [%]; None where all were."""
-    return None if point.found is None or point.found == 1.0 else 100.0 * (1.0 - point.found)
 
 
 def adaptation_facts(pipeline: "training.Pipeline") -> dict[str, object]:

@@ -236,14 +236,12 @@ class Setup:
         """The sensor check; findings are reported, and the step may be repeated."""
         start.layout.require_same_measurements(board.protocol, board.info.frequency)
         check_frames = list(islice(board.frames(), check.FRAMES))
-        findings = check.sensor_findings(
-            start, check_frames, lambda: [start.process(frame) for frame in check_frames][-1]
-        )
-        text = "\n".join(finding.message for finding in findings.findings)
-        if text and not self.asks:
+        findings = check.sensor_findings(start, check_frames)
+        text = findings.describe(len(check_frames))
+        if findings.findings and not self.asks:
             self.dialogue.note(text)
             raise typer.Exit(check.EXIT_UNHEALTHY)
-        return text or "healthy"
+        return text
 
     def _tare(self, start: "training.Pipeline", board: "hardware.Board") -> str:
 
