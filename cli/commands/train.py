@@ -164,10 +164,6 @@ class Choice:
     seed: int
     epochs: int | None
 
-    def adjust_settings(self, settings: "training.TrainingSettings") -> "training.TrainingSettings":
-        """Settings with the wanted number of epochs."""
-        return settings if self.epochs is None else settings.with_epochs(self.epochs)
-
 
 def choose(
     preset: str | None = None,
@@ -193,8 +189,9 @@ def choose(
         return Choice(None, None, seed, epochs)
     else:
         settings = replace(training.TrainingSettings.preset(str(preset), seed), options=values)
-    choice = Choice(settings, own, seed, epochs)
-    return replace(choice, settings=choice.adjust_settings(settings))
+    if epochs is not None:
+        settings = settings.with_epochs(epochs)
+    return Choice(settings, own, seed, epochs)
 
 
 def read_options(texts: Sequence[str]) -> dict[str, Any]:
@@ -224,7 +221,7 @@ def train_and_measure(data: "datasets.Dataset", choice: Choice, output: Output) 
     with output.bars() as show:
         if choice.settings is None:
             selection = Selection.from_dataset(
-                data, choice.seed, adjust=choice.adjust_settings, progress=show
+                data, choice.seed, epochs=choice.epochs, progress=show
             )
         else:
             pipeline = training.Pipeline.fit(data, choice.settings, show, choice.method)

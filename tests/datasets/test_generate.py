@@ -210,9 +210,6 @@ def test_presses_on_a_membrane_are_solved_beside_tabulated_ones(monkeypatch):
     assert asked == {(None, "tabulated"), (Plates(), "tabulated"), (Free(), "solved")}
 
 
-# Worker processes that read shards: order, errors, Ctrl-C
-
-
 # A script that generates without a main guard, which several workers would run again
 UNGUARDED = """
 import sys
@@ -294,6 +291,3 @@ def test_a_disk_that_fails_is_a_clean_error(whole, tmp_path, monkeypatch, code, 
     assert all(sound[name] == content for name, content in kept.items())
     generate(RECIPE, out, resume=True)
     assert contents(out) == sound
-
-
-# Generating by any protocol and board: what the recipe names is what is measured

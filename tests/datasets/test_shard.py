@@ -236,9 +236,6 @@ def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
         open_dataset(tmp_path / "pipe.h5")
 
 
-# Disks
-
-
 # Lone shards: damage anywhere, files that harm HDF5, and files without a seal
 
 

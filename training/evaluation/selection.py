@@ -1,7 +1,7 @@
 """Selection of the method by held-out specimens."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -107,22 +107,21 @@ class Selection:
         dataset: Dataset,
         seed: int = 0,
         presets: Sequence[str] = CANDIDATES,
-        adjust: Callable[[TrainingSettings], TrainingSettings] = lambda settings: settings,
+        epochs: int | None = None,
         progress: Progress = silent,
     ) -> "Selection":
         """Train the candidates on one part of the specimens and test them on the others.
 
         All candidates see the same frames (`hold_out`). They are compared after a brief training
         first: one that has an error `HOPELESS` times as much as the best goes no further
-            (successive
-        halving, Jamieson and Talwalkar 2016). The chosen pipeline is the one that was tested; its
-        figures are of frames that it was chosen by, which favours it a little.
+        (successive halving, Jamieson and Talwalkar 2016). The chosen pipeline is the one that was
+        tested; its figures are of frames that it was chosen by, which favours it a little.
 
         Args:
             dataset: as `Pipeline.fit` takes it.
             seed: of the held-out part and of the training.
             presets: names of the candidates.
-            adjust: change of the settings of every candidate.
+            epochs: passes over the frames, instead of those of the candidates' settings.
             progress: called with a stage, steps done and steps in all.
 
         Raises DataError where no candidate can be trained on the dataset.
@@ -130,7 +129,9 @@ class Selection:
 
         def trial(preset: str, share: float) -> Trial:
             settings = replace(TrainingSettings.preset(preset, seed), whole_specimens=True)
-            return train_candidate(dataset, preset, adjust(settings), share, progress)
+            if epochs is not None:
+                settings = settings.with_epochs(epochs)
+            return train_candidate(dataset, preset, settings, share, progress)
 
         brief: list[Trial] = []
         for preset in presets:

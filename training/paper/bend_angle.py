@@ -92,10 +92,11 @@ def _features(dV: NDArray[np.float64]) -> NDArray[np.float64]:
 def _folds(group: NDArray[np.generic], seed: int) -> Iterator[tuple[Frames, Frames]]:
     """Frames to fit to, and held out; whole groups where there are enough, else drawn ones."""
     selection = require("sklearn.model_selection", "training")
-    enough = len(np.unique(group)) >= FOLDS
-    drawn = selection.KFold(FOLDS, shuffle=True, random_state=seed)
     folds: Iterator[tuple[Frames, Frames]]
-    folds = (selection.GroupKFold(FOLDS) if enough else drawn).split(group, groups=group)
+    if len(np.unique(group)) < FOLDS:
+        folds = selection.KFold(FOLDS, shuffle=True, random_state=seed).split(group)
+    else:
+        folds = selection.GroupKFold(FOLDS).split(group, groups=group)
     return folds
 
 

@@ -59,9 +59,6 @@ def presses():
     return maps.reshape(300, -1) @ JACOBIAN.T, maps, centres
 
 
-# Bend taken off
-
-
 # Missing channels
 
 

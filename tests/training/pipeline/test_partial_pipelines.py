@@ -118,10 +118,7 @@ def test_the_method_is_chosen_by_held_out_specimens():
     """The joint method is refused for so few frames; what is left is chosen, and doubted."""
     data, told = frames([State.IDLE, State.TOUCH]), []
     found = Selection.from_dataset(
-        data,
-        seed=2,
-        adjust=lambda settings: settings.with_epochs(1),
-        progress=lambda stage, *_: told.append(stage),
+        data, seed=2, epochs=1, progress=lambda stage, *_: told.append(stage)
     )
     assert found.preset == "quick"
     assert "at least 100 frames" in found.trials[0].refusal

@@ -125,6 +125,3 @@ def test_noise_is_that_of_differences_of_untouched_frames(method):
     ratio = maker.noise(still)[maker.grid.inside] / images[:, maker.grid.inside].std(axis=0)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
     assert np.isnan(maker.noise(still[:4])).all()
-
-
-# ---- linear model ----
