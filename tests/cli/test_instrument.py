@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import run
 
-from eitskin.cli.main import app
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
@@ -30,9 +29,8 @@ def rig(tmp_path_factory):
     return folder, flat
 
 
-def run(folder, *arguments):
-    options = ("instrument", "fit", str(folder / "sensor.toml"))
-    return CliRunner().invoke(app, [*options, *map(str, arguments)])
+def fit(folder, *arguments):
+    return run("instrument", "fit", folder / "sensor.toml", *arguments, code=0)
 
 
 @pytest.mark.slow
@@ -41,8 +39,7 @@ def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
     out = tmp_path / "rig.toml"
     source = (folder / "flat.npz", "--values", "u", "--protocol", folder / "ring.csv")
     terms = ("--terms", "source,sink,idle", "--first", 15)
-    result = run(folder, *source, *terms, "--out", out, "--json")
-    assert result.exit_code == 0, result.output
+    result = fit(folder, *source, *terms, "--out", out, "--json")
     said = json.loads(result.stdout)
     found = {each["name"]: each for each in said["parameters"]}
     assert "source" not in found
@@ -67,8 +64,9 @@ def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path
     frames = np.array([1.1 * flat, flat])
     save_dataset(Dataset.from_arrays(frames, protocol=RING, state=state), tmp_path / "idle")
     options = ("--terms", "sink", "--keep-all", "--out", tmp_path / "rig.toml")
-    result = run(folder, tmp_path / "idle", *options)
+    result = fit(folder, tmp_path / "idle", *options)
     assert "1 flat frames (idle)" in result.stderr
     assert "not identifiable" in result.stdout  # one load has no way back
     save_dataset(Dataset.from_arrays(frames, protocol=RING, state=state[[0, 0]]), tmp_path / "x")
-    assert isinstance(run(folder, tmp_path / "x", *options).exception, DataError)
+    with pytest.raises(DataError):
+        fit(folder, tmp_path / "x", *options)

@@ -1,13 +1,11 @@
 """Combining different datasets of one sensor: numbers of specimens, and what is refused."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import printed_json, run
 
-from eitskin.cli.main import app
 from eitskin.datasets import combine, compact, open_dataset, read_shard, save_dataset, verify
 from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.manifest import Names
@@ -159,12 +157,6 @@ SPECIMENS = {0: "gel B left", 1: "gel A left", 2: "gel A right"}
 SESSIONS = {0: "monday", 1: "tuesday"}
 
 
-def run(*arguments):
-    done = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert done.exit_code == 0, done.output
-    return done.output
-
-
 @pytest.fixture
 def named(tmp_path):
     (tmp_path / "mine.csv").write_text(ROWS)
@@ -177,7 +169,7 @@ def test_names_of_an_import_stay_with_the_dataset(named, tmp_path):
     data = open_dataset(named)
     compact(named, tmp_path / "compact")
     assert open_dataset(tmp_path / "compact").names == data.names == Names(SPECIMENS, SESSIONS)
-    info = json.loads(run("dataset", "info", named, "--json", "-q"))
+    info = printed_json("dataset", "info", named)
     assert info["specimen_names"] == {str(k): name for k, name in SPECIMENS.items()}
     assert info["session_names"] == {str(k): name for k, name in SESSIONS.items()}
     assert data.specimen_names == tuple(SPECIMENS.values())

@@ -7,11 +7,15 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 
 
-def run(*words):
-    """Result of `eitskin WORDS`; errors other than a usage error or an exit code are raised."""
+def run(*words, code=None):
+    """Result of `eitskin WORDS`; errors other than a usage error or an exit code are raised.
+
+    Where a code is given, it must end with that one.
+    """
     ran = CliRunner().invoke(app, [str(word) for word in words])
     if ran.exception is not None and not isinstance(ran.exception, SystemExit):
         raise ran.exception
+    assert code in (None, ran.exit_code), ran.output
     return ran
 
 
