@@ -217,5 +217,5 @@ def _result(
         edge_distance=math.inf,
         neighbour_distance=neighbour_distance(touch, touches),
         signal_error=None,
-        caution="touches on bodies from surface files were not compared with other solutions",
+        caution="the error of touches on bodies from surface files was not measured",
     )

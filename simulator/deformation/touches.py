@@ -55,8 +55,8 @@ _MIN_CORNER_DISTANCE = 2.0
 # plates and over their gap, flat or bent, and on a rigid base that a clamp bends after the press.
 _FLAT, _POLYGON, _ON_PLATES, _OVER_GAP, _BENT_AFTER = 0.04, 0.07, 0.05, 0.10, 0.15
 _NOT_VALIDATED_AFTER_BEND = (
-    "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
-    "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
+    "bent, rolled or twisted after the touch, with an unmeasured error; with the support "
+    "'plates' and a clamp, without roll and twist, touch and bend are solved together"
 )
 # Search for dents to given depths: most dents tried, error of the depths, first dent where the base
 # gives way over the thickness of the stack, largest step, and least sinking over a dent's depth.
@@ -364,25 +364,25 @@ def pressed_touches(
 def _cautions(
     touch: Touch, edge: float, neighbour: float, depth: float, design: SensorDesign
 ) -> list[str]:
-    """Reasons why such a press was not compared with independent solutions."""
+    """Reasons why the error of such a touch was not measured."""
     reasons = []
     outline, thickness = design.outline, design.encapsulated_thickness
     if not isinstance(outline, Rectangle | Polygon):
-        reasons.append("presses on this outline were not compared")
+        reasons.append("on this outline the error was not measured")
     elif re_entrant_distance(outline, touch.x, touch.y) < _MIN_CORNER_DISTANCE * thickness:
-        reasons.append("next to a re-entrant corner, where nothing was compared")
+        reasons.append("next to a re-entrant corner the error was not measured")
     if (
         isinstance(touch.indenter, Footprint)
         and not touch.indenter.is_aligned
         and touch.indenter.slenderness > _MAX_SLENDERNESS
     ):
-        reasons.append("by a narrow footprint across the mesh, where nothing was compared")
+        reasons.append("the error of narrow turned footprints was not measured")
     if edge < _MIN_EDGE_DISTANCE:
-        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
+        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, closer than was measured")
     if neighbour < _MIN_TOUCH_SPACING:
-        reasons.append(f"{1e3 * neighbour:.1f} mm from another, where nothing was compared")
+        reasons.append(f"{1e3 * neighbour:.1f} mm from another touch, closer than was measured")
     if depth > _MAX_RELATIVE_DEPTH * thickness:
-        reasons.append(f"{1e3 * depth:.1f} mm deep, where nothing was compared")
+        reasons.append(f"{1e3 * depth:.1f} mm deep, deeper than was measured")
     return reasons
 
 
