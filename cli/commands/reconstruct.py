@@ -11,7 +11,7 @@ from rich.table import Column
 from eitskin import geometry, hardware, simulator, training
 from eitskin.cli import options
 from eitskin.cli.commands.live.session import LiveSession
-from eitskin.cli.commands.pictured_frames import FrameOptions, PicturedFrames
+from eitskin.cli.commands.recorded_frames import FrameOptions, PicturedFrames
 from eitskin.cli.page.access import PageOptions, tell_invitations
 from eitskin.cli.terminal import make_table
 from eitskin.errors import ConfigurationError

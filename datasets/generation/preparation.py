@@ -108,7 +108,8 @@ def _stages(
 
     for some in (clamped[:1], clamped[1:]):  # bends out of reach are reported after the first table
         yield [p for bent in some for p in bend_problems(*bent)], partial(check_bends, some)
-    pairs = _touches_together(recipe)
+    groups = [group for group in recipe.scenes if group.state == "touch"]
+    pairs = bool(recipe.episodes) or any(max(group.touches) > 1 for group in groups)
     for indenter, force in _indenters(recipe).items():
         sensors = list(_pressed_designs(recipe, indenter, specimens))
         held = list(_on_plates(recipe, indenter, specimens))
@@ -130,12 +131,6 @@ def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
         if not isinstance(indenter, Footprint):
             indenters[indenter] = max(force, indenters.get(indenter, 0.0))
     return indenters
-
-
-def _touches_together(recipe: Recipe) -> bool:
-    """Whether any frame may show several touches at once."""
-    groups = any(max(group.touches) > 1 for group in recipe.scenes if group.state == "touch")
-    return groups or bool(recipe.episodes)
 
 
 @lru_cache(maxsize=4)

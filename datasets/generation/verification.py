@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
-from eitskin.datasets.store.columns import SpecimenReferences
 from eitskin.datasets.store.dataset import Dataset, require_same_origin
 from eitskin.datasets.store.folder import read_entry
 from eitskin.datasets.store.manifest import (
@@ -17,6 +16,7 @@ from eitskin.datasets.store.manifest import (
     note_known,
     read_manifest,
 )
+from eitskin.datasets.store.schema import SpecimenReferences
 from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.datasets.store.worker_processes import run_tasks, worthwhile
 from eitskin.errors import DataError

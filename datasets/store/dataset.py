@@ -4,14 +4,13 @@ import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import require_count, require_seed
 from eitskin.config import toml_table
-from eitskin.datasets.store.columns import ColumnCollector, frame_bytes
 from eitskin.datasets.store.manifest import Names
 from eitskin.datasets.store.schema import (
     FIELDS,
@@ -20,17 +19,17 @@ from eitskin.datasets.store.schema import (
     MAX_REFERENCE_FRAMES,
     MAX_TOUCHES,
     QUANTITIES,
+    ColumnCollector,
     check_values,
+    frame_bytes,
 )
+from eitskin.datasets.store.tensors import NAMES, FrameTensors
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import old_names
 from eitskin.files import quote_value
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
-
-if TYPE_CHECKING:
-    from eitskin.datasets.store.torch_dataset import FrameTensors
 
 # Attributes that all parts of a dataset share.
 ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
@@ -254,14 +253,12 @@ class Dataset:
             status=self.status[index],
         )
 
-    def torch(self, *names: str) -> "FrameTensors":
+    def torch(self, *names: str) -> FrameTensors:
         """Frames for `torch.utils.data.DataLoader`: dictionaries of tensors by attributes' names.
 
         Items have all attributes where none is named. Raises ConfigurationError for unknown names,
         and ImportError without torch.
         """
-        from eitskin.datasets.store.torch_dataset import NAMES, FrameTensors
-
         return FrameTensors(self, names or NAMES)
 
     def select(self, indices: ArrayLike | slice) -> "Dataset":
@@ -354,7 +351,7 @@ class Dataset:
         first = next(remaining_parts, None)
         if first is None:
             raise DataError("expected at least one part of a dataset, got none")
-        collected = ColumnCollector(first, frames, {field.name for field in FIELDS})
+        collected = ColumnCollector(first.channels, frames, {field.name for field in FIELDS})
         end = 0
         for part in itertools.chain((first,), remaining_parts):
             require_same_origin(first, part)

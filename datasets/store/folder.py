@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eitskin.bounds import require_count
-from eitskin.datasets.store.columns import ColumnCollector, frame_bytes
 from eitskin.datasets.store.dataset import ORIGIN, Dataset, frame_numbers, require_same_origin
 from eitskin.datasets.store.manifest import (
     Manifest,
@@ -23,7 +22,7 @@ from eitskin.datasets.store.manifest import (
     shard_content,
     write_manifest,
 )
-from eitskin.datasets.store.schema import FIELDS, LIMITS
+from eitskin.datasets.store.schema import FIELDS, LIMITS, ColumnCollector, frame_bytes
 from eitskin.datasets.store.shard import write_entry
 from eitskin.datasets.store.shard_reader import parse_shard, read_shard
 from eitskin.errors import ConfigurationError, DataError
@@ -268,7 +267,7 @@ class StoredDataset(Dataset):
             return
         missing |= _LABELS - self._held
         require_memory(self._folder, len(self) * frame_bytes(self.channels, missing))
-        columns = ColumnCollector(self._head, len(self), missing)
+        columns = ColumnCollector(self.channels, len(self), missing)
         parts = _shards(self._folder, self._manifest, self._progress)
         for entry, part in zip(self._manifest.shards, parts, strict=True):
             require_same_origin(self._head, part)
@@ -286,7 +285,7 @@ class StoredDataset(Dataset):
         rows = np.arange(len(self))[frame_numbers(indices)]
         self.read("reference")
         require_memory(self._folder, len(rows) * self.bytes_per_frame)
-        columns = ColumnCollector(self._head, len(rows), _NAMES)
+        columns = ColumnCollector(self.channels, len(rows), _NAMES)
         columns.references.add(self.specimen_number, self.reference)
         order = np.argsort(rows, kind="stable")
         starts = [entry.first_index for entry in self._manifest.shards]

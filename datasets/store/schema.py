@@ -1,6 +1,7 @@
 """Schema of the dataset format: names, types, axes, units and values, as in its page in docs."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
@@ -207,3 +208,68 @@ def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
         finite_coordinates = (np.isfinite(columns[name]) for name in ("touch_x", "touch_y"))
         if not np.array_equal(*finite_coordinates):
             raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")
+
+
+class SpecimenReferences(dict[int, NDArray[Any]]):
+    """References of specimens by number, each kept once; parts must agree on those they share."""
+
+    def add(self, numbers: NDArray[np.uint32], reference: NDArray[Any]) -> None:
+        """Add the specimens of one part: rising numbers (S,), and a row of `reference` for each.
+
+        Raises DataError where a specimen has another reference than in the parts before.
+        """
+        for number, row in zip(numbers.tolist(), reference, strict=True):
+            if not np.array_equal(self.setdefault(number, row), row):
+                raise DataError(
+                    "the parts of a dataset must share the reference of a specimen, but that of "
+                    f"specimen {number} differs; these were not made together"
+                )
+
+    def to_arrays(self) -> tuple[NDArray[np.uint32], NDArray[Any]]:
+        """Numbers of all specimens, rising, (S,), and their references (S, C)."""
+        numbers = sorted(self)
+        return np.array(numbers, dtype=np.uint32), np.array([self[n] for n in numbers])
+
+
+class ColumnCollector:
+    """Columns of a dataset, filled from its parts one at a time, and references of specimens."""
+
+    def __init__(self, channels: int, frames: int, names: Collection[str]) -> None:
+        """Begin with uninitialised columns `names` of as many channels and frames."""
+        sizes = {"frame": frames, "channel": channels, "touch": MAX_TOUCHES}
+        self.references = SpecimenReferences()
+        self._columns = {
+            field.name: np.empty([sizes[axis] for axis in field.axes], field.dtype)
+            for field in FRAME_FIELDS
+            if field.name in names
+        }
+
+    def put(self, rows: slice | NDArray[np.int64], part: Mapping[str, NDArray[Any]]) -> None:
+        """Fill some rows with the columns of a part; raises DataError for other references."""
+        if "reference" in part:
+            self.references.add(part["specimen_number"], part["reference"])
+        for name, column in self._columns.items():
+            values = part[name]
+            column[rows] = part["specimen_number"][values] if name == "specimen" else values
+
+    def whole(self) -> dict[str, Any]:
+        """All columns by name, (n, ...), with those of the specimens of all parts, (S, ...)."""
+        if "specimen" not in self._columns:
+            return self._columns
+        numbers, reference = self.references.to_arrays()
+        rows = np.searchsorted(numbers, self._columns["specimen"]).astype(np.uint32)
+        return self._columns | {
+            "specimen": rows,
+            "specimen_number": numbers,
+            "reference": reference,
+        }
+
+
+def frame_bytes(channels: int, names: Collection[str]) -> int:
+    """Size in memory of the columns `names` of one frame."""
+    sizes = {"channel": channels, "touch": MAX_TOUCHES, "frame": 1}
+    return sum(
+        field.dtype.itemsize * math.prod(sizes[axis] for axis in field.axes)
+        for field in FRAME_FIELDS
+        if field.name in names
+    )

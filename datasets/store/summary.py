@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.columns import SpecimenReferences
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, State
+from eitskin.datasets.store.schema import MAX_TOUCHES, UNKNOWN_STATE, SpecimenReferences, State
 
 Values = NDArray[Any]
 
 
 # Columns whose range is reported, each with the factor that makes a unit of daily use.
+MAX_NAMES = 8  # specimens that are named
 _RANGES = {
     "time_s": ("time", 1.0),
     "bend_angle_deg": ("bend_angle_deg", 1.0),
@@ -94,7 +94,12 @@ class DatasetSummary:
             "touches_per_frame": {
                 str(number): int(count) for number, count in enumerate(self._touches) if count
             },
-            **{name: _range(*ends) for name, ends in self._ranges.items()},
+            **{
+                name: {"from": float(f"{low:.4g}"), "to": float(f"{high:.4g}")}
+                if low <= high
+                else None
+                for name, (low, high) in self._ranges.items()
+            },
             "flagged_values": self._flagged,
         }
 
@@ -105,18 +110,11 @@ class DatasetSummary:
         return ", ".join(f"{n} {low:.4g} to {high:.4g}" for n, low, high in ends if low < high)
 
 
-def specimens_in_words(data: Dataset, max_names: int = 8) -> str:
+def specimens_in_words(data: Dataset) -> str:
     """Number of the specimens of a dataset's frames, and the names of the first few named ones."""
     names = data.specimen_names
     counted = f"{len(names)} specimen{'s' * (len(names) != 1)}"
     if not data.names.specimens:
         return counted
-    remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
-    return f"{counted} ({', '.join(names[:max_names])}{remainder})"
-
-
-def _range(minimum: float, maximum: float) -> dict[str, float] | None:
-    """Least and greatest known value; None where none is known."""
-    if minimum > maximum:
-        return None
-    return {"from": float(f"{minimum:.4g}"), "to": float(f"{maximum:.4g}")}
+    remainder = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return f"{counted} ({', '.join(names[:MAX_NAMES])}{remainder})"

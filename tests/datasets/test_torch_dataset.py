@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from eitskin.datasets import ShuffledShards, TorchDataset, open_dataset, save_dataset
-from eitskin.datasets.store.torch_dataset import NAMES
+from eitskin.datasets.store.tensors import NAMES
 from eitskin.errors import ConfigurationError
 
 from small_dataset import make

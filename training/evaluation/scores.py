@@ -18,26 +18,26 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-def match_distances(true: ArrayLike, estimated: ArrayLike, gate: float = GATE) -> list[float]:
+def match_distances(true: ArrayLike, estimated: ArrayLike) -> list[float]:
     """Distances [m] of the matched pairs of one frame; see `match`."""
-    rows, columns = match(true, estimated, gate)
+    rows, columns = match(true, estimated)
     away = np.linalg.norm(_positions(true)[rows] - _positions(estimated)[columns], axis=1)
     distances: list[float] = away.tolist()
     return distances
 
 
-def match(true: ArrayLike, estimated: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
+def match(true: ArrayLike, estimated: ArrayLike) -> tuple[Rows, Rows]:
     """Matched rows of `true` and of `estimated` in one frame, both positions (touches, 2) [m].
 
-    The Hungarian method makes as many pairs closer than `gate` [m] as there can be and, among
+    The Hungarian method makes as many pairs closer than `GATE` as there can be and, among
     those, the pairs of the smallest total distance (Kuhn 1955).
     """
     a, b = _positions(true), _positions(estimated)
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
     # A pair beyond the gate costs more than any number of pairs within it can save.
-    cost = np.where(distance <= gate, distance, gate * (1 + len(a) + len(b)))
+    cost = np.where(distance <= GATE, distance, GATE * (1 + len(a) + len(b)))
     rows, columns = linear_sum_assignment(cost)
-    near = distance[rows, columns] <= gate
+    near = distance[rows, columns] <= GATE
     return rows[near], columns[near]
 
 

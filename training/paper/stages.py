@@ -319,10 +319,7 @@ def _scale_maps(
 
 
 def find_touches(
-    touch_map: ArrayLike,
-    outline: tuple[float, float],
-    threshold: float = THRESHOLD,
-    smallest: int = MIN_COMPONENT_PIXELS,
+    touch_map: ArrayLike, outline: tuple[float, float], threshold: float = THRESHOLD
 ) -> Array:
     """Touches (k, 3) of x [m], y [m] and strength in a touch map, strongest first.
 
@@ -334,12 +331,11 @@ def find_touches(
         touch_map: probabilities (rows along y, columns along x).
         outline: length and width that the map covers [m].
         threshold: threshold of the probabilities.
-        smallest: least number of pixels of a touch.
     """
     values = np.asarray(touch_map, dtype=float)
     labels, count = ndimage.label(values > threshold, structure=np.ones((3, 3)))
     numbers = np.arange(1, count + 1)
-    numbers = numbers[ndimage.sum(labels > 0, labels, numbers) >= smallest]
+    numbers = numbers[ndimage.sum(labels > 0, labels, numbers) >= MIN_COMPONENT_PIXELS]
     if not numbers.size:
         return np.zeros((0, 3))
     pixel = np.array(outline[::-1]) / values.shape  # along y and x

@@ -51,13 +51,7 @@ def weighted_laplacian(grid: PixelGrid, weights: Array | None = None) -> csc_arr
     return csc_array(D.T @ diags_array(np.tile(w, 2)) @ D + identity)
 
 
-def least_variation(
-    grid: PixelGrid,
-    jacobian: Array,
-    data: Array,
-    misfit: float,
-    history: list[float] | None = None,
-) -> Array:
+def least_variation(grid: PixelGrid, jacobian: Array, data: Array, misfit: float) -> Array:
     """Picture (P,) of least total variation that explains a frame up to a misfit |y - J x|.
 
     The total variation, the sum over pixels of sqrt(|grad x|^2 + beta^2), is majorised by a
@@ -70,7 +64,6 @@ def least_variation(
         jacobian: J (measurements, P).
         data: y (measurements,), dimensionless.
         misfit: Euclidean norm; zero where that of the data is no larger.
-        history: receives the total variation after each step.
     """
     J, y, misfit = _compress(jacobian, data, misfit)
     weights, picture, beta = np.ones(len(grid)), np.zeros(len(grid)), 0.0
@@ -83,12 +76,9 @@ def least_variation(
         slopes = np.hypot(*(grid.differences @ picture).reshape(2, -1))
         if step == 0:
             beta = SMOOTHING * float(slopes.max())
-        size = np.sqrt(slopes**2 + beta**2)
-        if history is not None:
-            history.append(float(size.sum()))
         if np.linalg.norm(picture - before) < CONVERGENCE_TOLERANCE * np.linalg.norm(picture):
             break
-        weights = beta / size
+        weights = beta / np.sqrt(slopes**2 + beta**2)
     return picture
 
 

@@ -79,17 +79,13 @@ class LabelledFrames:
         return np.asarray(readings[self.shown] - from_base)
 
 
-def labelled_frames(data: Dataset, most: int = MAX_SCENES) -> LabelledFrames:
+def labelled_frames(data: Dataset) -> LabelledFrames:
     """Labelled frames of one sensor.
 
     Frames before touches (`touch_reference`) count as untouched frames of their own; a touch is
     then the change from the frame before it, which slow drifts leave alone. A touch whose bend is
-    nowhere reported is one of the flat sensor. Where nothing is labelled all frames are flat.
-
-    Args:
-        data: data of one specimen.
-        most: number of different bends, and of different touches, beyond which evenly spaced ones
-            are taken.
+    nowhere reported is one of the flat sensor. Where nothing is labelled all frames are flat. Of
+    more than `MAX_SCENES` different bends, or touches, evenly spaced ones are taken.
 
     Raises:
         ConfigurationError: for frames without protocol, or of several specimens.
@@ -128,8 +124,8 @@ def labelled_frames(data: Dataset, most: int = MAX_SCENES) -> LabelledFrames:
             "the untouched sensor, or name the values before touches with --values"
         )
     flat = np.array(untouched[FLAT])
-    bends = _thin((scene for scene in untouched if scene != FLAT), most)
-    touches = _thin(touched, most)
+    bends = _thin(scene for scene in untouched if scene != FLAT)
+    touches = _thin(touched)
     scenes = tuple(dict.fromkeys([FLAT, *bends, *map(_bare, touches), *touches]))
     number = {scene: k for k, scene in enumerate(scenes)}
     level = flat.mean(axis=0)
@@ -198,12 +194,11 @@ def _bare(scene: Scene) -> Scene:
     return Scene(bend=scene.bend)
 
 
-def _thin(scenes: Iterable[Scene], most: int) -> list[Scene]:
-    """At most so many of the scenes, evenly spaced."""
+def _thin(scenes: Iterable[Scene]) -> list[Scene]:
+    """At most `MAX_SCENES` of the scenes, evenly spaced."""
     selected = list(scenes)
-    if len(selected) <= most:
-        return selected
-    return [selected[k] for k in np.linspace(0, len(selected) - 1, most).round().astype(int)]
+    count = min(MAX_SCENES, len(selected))
+    return [selected[k] for k in np.linspace(0, len(selected) - 1, count).round().astype(int)]
 
 
 def _quantity(data: Dataset) -> Quantity:

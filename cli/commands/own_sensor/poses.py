@@ -57,6 +57,7 @@ class TerminalDialogue(Dialogue):
     sketch = note
 
 
+MAP_COLUMNS = 48
 STALE = 2  # frames after a prompt that may have begun before it was answered
 
 Hand = Callable[["hardware.Board", "Pose", "Iterator[simulator.Frame]"], None]
@@ -244,13 +245,11 @@ def press_places(design: "geometry.SensorDesign", count: int) -> list[tuple[floa
     return [(float(a), float(b)) for a, b in points[chosen]]
 
 
-def place_map(
-    design: "geometry.SensorDesign", places: Sequence[tuple[float, float]], width: int = 48
-) -> str:
+def place_map(design: "geometry.SensorDesign", places: Sequence[tuple[float, float]]) -> str:
     """Small map of a plane sensor, y upwards, with the numbers of places from 1."""
     import numpy as np
 
-    outline = _plane(design)
+    outline, width = _plane(design), MAP_COLUMNS
     rows = max(5, round(0.5 * width * outline.width / outline.length))
     x = (np.arange(width) + 0.5) / width * outline.length
     y = (np.arange(rows) + 0.5) / rows * outline.width

@@ -101,9 +101,6 @@ def test_what_is_damaged_or_not_estimated_is_sent_as_null(page, stream) -> None:
     estimate = stream.until("frame")["estimate"]
     assert estimate["probabilities"] == [None]
     assert {estimate[name] for name in ("state", "angle", "deviation", "map", "touches")} == {None}
-
-
-def test_a_frame_without_an_estimate_says_why(page, stream) -> None:
     frame = Frame(np.full(28, 500.0), PROTOCOL, number=9, status=np.full(28, 8, np.uint8))
     page.publish(Reading(frame, None, 0.001, 30.0, 1, "too few good channels"))
     shown = stream.until("frame")

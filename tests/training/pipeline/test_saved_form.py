@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import shutil
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -160,12 +161,8 @@ def test_ends_of_fits_may_differ_a_little_and_in_few_frames_by_more(changes, sam
     saved, found = SavedPipeline({}, {}, {"output.map": golden}), golden.copy()
     for row, change in changes.items():
         found[row] += change
-    try:
+    with nullcontext() if same else pytest.raises(DataError):
         saved.require_golden({"map": found}, fitted=True)
-    except DataError:
-        assert not same
-    else:
-        assert same
 
 
 def key(name, value, part=None):
