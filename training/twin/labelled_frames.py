@@ -84,8 +84,8 @@ def labelled_frames(data: Dataset) -> LabelledFrames:
 
     Frames before touches (`touch_reference`) count as untouched frames of their own; a touch is
     then the change from the frame before it, which slow drifts leave alone. A touch whose bend is
-    nowhere reported is one of the flat sensor. Where nothing is labelled all frames are flat. Of
-    more than `MAX_SCENES` different bends, or touches, evenly spaced ones are taken.
+    nowhere reported is one of the flat sensor. Where nothing is labelled all frames are flat.
+    Beyond `MAX_SCENES` different bends, or touches, evenly spaced ones are taken.
 
     Raises:
         ConfigurationError: for frames without protocol, or of several specimens.
