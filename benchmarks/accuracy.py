@@ -159,10 +159,10 @@ class ModelResult:
         cells: kind of mesh.
         element: orders in the plane of the constant, linear ... part upwards.
         solver: solver that factorised.
-        nodes, unknowns: of the mesh, and of the matrix.
+        nodes, unknowns: sizes of the mesh and of the matrix.
         setup_seconds: setup seconds for a new geometry; of pyEIT without the mesh.
         frame_seconds: seconds per frame of 28, all but the mesh repeated.
-        resistance_error, signal_error: as in `judge`.
+        resistance_error, signal_error: errors as in `judge`.
         published_error: largest relative error against the published flat resistances at
             z = 1e-4 ohm m2; None for pyEIT, whose electrodes have no contact impedance.
     """
@@ -238,7 +238,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     """Measure everything on one core.
 
     Args:
-        seed: of the places of the conductivity drops.
+        seed: seed of the places of the conductivity drops.
         quick: fewer models and a coarser reference, in seconds instead of minutes.
         watch: gives back the items that its text is about; shows progress where wanted.
     """

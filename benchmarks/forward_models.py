@@ -138,10 +138,10 @@ class Drop:
     sigma = sigma_0 (1 - depth exp(-r^2 / radius^2)), r the distance from (x, y, z).
 
     Attributes:
-        x, y, z: where the drop is largest [m].
+        x, y, z: position where the drop is largest [m].
         background: sigma_0 [S/m].
         depth: largest relative drop.
-        radius: at which the drop is 1/e of the largest [m].
+        radius: distance at which the drop is 1/e of the largest [m].
     """
 
     x: float
@@ -186,10 +186,10 @@ class Truth:
 
     Attributes:
         design: the sensor.
-        drops: what changes it.
+        drops: changes of the conductivity.
         resistances: resistances of the flat sensor, (28,) [ohm].
         signals: their change by each drop, (drops, 28) [ohm].
-        resistance_error, signal_error: by which a second reference differs, as in `judge`.
+        resistance_error, signal_error: differences of a second reference, as in `judge`.
     """
 
     design: SensorDesign
@@ -260,7 +260,7 @@ class PointElectrodeModel:
 
     Attributes:
         nodes: number of nodes.
-        setup_seconds: what a new geometry costs, beyond making the mesh [s].
+        setup_seconds: time of a new geometry, beyond making the mesh [s].
     """
 
     def __init__(self, design: SensorDesign, mesh: Mesh, plane: bool) -> None:

@@ -52,7 +52,7 @@ class Score:
     """Score of a track.
 
     Attributes:
-        text: what it is, as in the head of a column.
+        text: head of its column.
         unit: "mm", "deg", "%" or "ms".
         pattern: key of the figure; NAME stands for the method, WORLD for any world.
         more: whether more of it is better, which the worst of all worlds depends on.
@@ -203,7 +203,7 @@ class Leaderboard:
 
     Attributes:
         entries: entries in the order of the tracks, the best first.
-        benchmark, version: of the set that they were measured on.
+        benchmark, version: set that they were measured on.
     """
 
     entries: tuple[Entry, ...] = ()

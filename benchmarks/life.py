@@ -168,7 +168,7 @@ def run(
     Args:
         path: path of the pipeline.
         folder: folder of the streams, which are kept.
-        seed: of sensors, events and noise.
+        seed: seed of sensors, events and noise.
         hours: hours of streams; of `SENSORS` sensors when omitted.
         quick: fewer sensors.
         progress: called after sensors that are done.

@@ -130,9 +130,9 @@ class Report:
     Attributes:
         results: results of the run.
         rows: rows of table.csv; the figures themselves where there are none.
-        tables: as shown.
+        tables: tables as shown.
         sentences: sentences below the tables.
-        plots: what draws each picture into the path given, by the picture's name.
+        plots: functions that draw each picture into a path, by the picture's name.
         failed: whether the run found something wrong.
     """
 

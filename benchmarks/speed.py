@@ -365,8 +365,8 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     """Measure everything on two cores.
 
     Args:
-        seed: of the virtual board's noise and of the conductivities that pyEIT solves; scenes are
-            the same in every run.
+        seed: seed of the virtual board's noise and of the conductivities that pyEIT solves; scenes
+            are the same in every run.
         quick: one workload and fewer scenes.
         watch: gives back the items that its text is about; shows progress where wanted.
     """

@@ -89,7 +89,7 @@ class ReferenceCase:
         mechanics: materials of the sensor.
         scene: touches, bend, or both.
         changes: relative changes of the 28 pair resistances, (28,).
-        signal: those that the touches make, or the bend of an untouched sensor, (28,).
+        signal: changes that the touches make, or the bend of an untouched sensor, (28,).
         error: error of the changes over their norm, by estimate.
         depth: depth of each indenter [m].
     """
@@ -227,7 +227,7 @@ class ModelError:
 
     Attributes:
         case: name of the case.
-        kind: of the case, one of `KINDS`.
+        kind: kind of the case, one of `KINDS`.
         model: its name.
         error: error of the signal.
         seconds: seconds of the deformation at the points of the mesh [s].
@@ -358,7 +358,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Report
     """Measure everything on one core.
 
     Args:
-        seed: kept with the results; nothing is drawn.
+        seed: number stored with the results; nothing is drawn.
         quick: two cases on a coarse mesh, without solutions in 3D.
         watch: returns the items that its text is about; shows progress where wanted.
     """

@@ -18,7 +18,7 @@ class Provenance:
         machine: model of the processor.
         python: version of the interpreter.
         packages: version of each package involved; "not installed" where one is absent.
-        seed: of all random numbers.
+        seed: seed of all random numbers.
         date: date of the measurement, ISO 8601, UTC.
     """
 

@@ -42,7 +42,7 @@ class AcquisitionClock:
 
         Args:
             frame: frame in the order of arrival.
-            arrived: when it came, by the clock of this machine [s].
+            arrived: arrival by the clock of this machine [s].
         """
         if not math.isfinite(frame.duration + frame.time):
             return math.nan
@@ -116,7 +116,7 @@ class Reading:
         rate: mean frame rate over the last 20 frames [Hz]; NaN for the first.
         unusable: frames so far that were too damaged for an estimate.
         problem: reason for a missing estimate; empty otherwise.
-        wall_time: when the frame came, by the clock of this machine [s since 1970]; NaN where
+        wall_time: arrival of the frame by the clock of this machine [s since 1970]; NaN where
             unknown.
 
     Example:

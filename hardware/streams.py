@@ -147,7 +147,7 @@ class Outlet(typing.Protocol):
     """Way to other programs.
 
     Attributes:
-        url: where they find the readings.
+        url: address of the readings.
     """
 
     url: str

@@ -119,7 +119,7 @@ class SearchPlan:
         first: step of the first layouts along the rim [m].
         smaller: steps from the best of them, one after the other [m].
         turned: steps of layouts with a half turn alone [m].
-        sampling: how each is tested.
+        sampling: grid on which each is tested.
     """
 
     first: float = 0.015

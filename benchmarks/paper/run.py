@@ -47,9 +47,9 @@ class TableLine:
 
     Attributes:
         figure: its name in `paper_scores`.
-        text: what it is.
+        text: meaning of the figure.
         unit: "mm", "deg", "ms", "%" of a share, or none.
-        paper: as published; empty where the paper gives none.
+        paper: published value; empty where the paper gives none.
         target: target to be reached; empty where there is none.
     """
 

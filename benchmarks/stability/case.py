@@ -30,7 +30,7 @@ class CaseValues:
             unbalanced force over the largest force. Condition times the precision of numbers.
         invariant: worst relative violation of what always holds; see the families.
         error: relative, against a closed form, or outside rigorous bounds.
-        reached: in words, how far it went.
+        reached: progress, in words.
         reason: why it went no further.
     """
 
@@ -46,10 +46,10 @@ class Case:
     """Case to compute and its expected outcome.
 
     Attributes:
-        name: what is special about it.
+        name: name by its special quantity.
         solve: computes it; raises ConfigurationError where it cannot be.
         expected: whether it can be; None where either will do.
-        says: what a refusal must say.
+        says: text that a refusal must have.
         residual_limit, invariant_limit, error_limit: beyond which the result is wrong.
     """
 

@@ -97,7 +97,7 @@ class PicturedFrames(NamedTuple):
     Attributes:
         design, protocol: sensor and measurements.
         names: name of each frame.
-        impedance, reference: of the frames and before them (frames, measurements) [ohm]; NaN
+        impedance, reference: values of the frames and before them (frames, measurements) [ohm]; NaN
             where bad.
         circles: true touches of each frame, where known.
         still: frames of the untouched sensor one after another (n, measurements) [ohm], whose

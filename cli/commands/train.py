@@ -154,8 +154,8 @@ class Choice:
 
     Attributes:
         settings: settings of the training; None where the method is selected by held-out specimens.
-        method: one of the user's own, in place of the one that the settings name.
-        seed: of the training.
+        method: method of the user, in place of the one that the settings name.
+        seed: seed of the training.
         epochs: passes over the frames; None for those of the settings.
     """
 

@@ -91,8 +91,8 @@ class Demo:
         out: the folder.
         data: folder of real recordings; None without them.
         workers: number of processes that simulate.
-        output: where progress and results are shown.
-        seed: of everything random.
+        output: place where progress and results are shown.
+        seed: seed of everything random.
         recipes: recipes of the datasets for training, for tests and of touches on a grid, by the
             names in `SETS`; the shipped ones when omitted, with the grid on the finer mesh.
         epochs: passes over the frames in training, instead of the preset's.

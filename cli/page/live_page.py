@@ -36,7 +36,7 @@ class LivePage(Closeable):
 
     Attributes:
         url: address of the page, without a token.
-        invitations: what may be done, and the address for it.
+        invitations: permissions, each with its address.
     """
 
     def __init__(

@@ -75,7 +75,7 @@ class Server:
     Attributes:
         files: name and content of each file.
         hello: the first event of each stream.
-        commands: what is done with bodies that are posted, by path.
+        commands: functions of posted bodies, by path.
         access: who may see and command.
         port: listened at.
         watching: number of open streams.

@@ -32,8 +32,8 @@ class Snapshot:
         reading: reading from the live loop.
         counts: counts of the board at that moment.
         reference: first frame of the session, from which changes of channels count.
-        begun: when the frame's measurement began, by the page's clock [s]; NaN where unknown.
-        published: when the reading came, by the page's clock [s].
+        begun: start of the frame's measurement by the page's clock [s]; NaN where unknown.
+        published: arrival of the reading by the page's clock [s].
     """
 
     reading: "hardware.Reading"

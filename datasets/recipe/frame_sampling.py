@@ -59,7 +59,7 @@ class Sample:
         after: scene at the start of the episode's next frame; None without a change.
         episode: number of the episode; a snapshot is an episode of one frame.
         time: since the episode's start [s].
-        period: until the next frame [s].
+        period: time until the next frame [s].
         session_time: since the first measurement of the specimen [s].
     """
 

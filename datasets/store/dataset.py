@@ -69,7 +69,7 @@ class Dataset:
         frequency: frequency of the excitation [Hz].
         source: "simulated" or "measured".
         recipe: TOML text of the recipe; empty for recordings.
-        seed: of everything random in the frames.
+        seed: seed of everything random in the frames.
         design: nominal sensor; None where unknown.
         specimen_number: number of each specimen within the whole dataset, rising, (S,) uint32. A
             part of a dataset may hold few of its specimens. 0 to S - 1 when omitted.
@@ -282,7 +282,7 @@ class Dataset:
 
         Args:
             fractions: fractions of the parts, in (0, 1], with sum one.
-            seed: of the random order.
+            seed: seed of the random order.
             whole_touches: whether such frames stay together.
         """
         shares = np.asarray(fractions, dtype=float)

@@ -96,7 +96,7 @@ class ShuffledShards:
         Args:
             folder: folder of the dataset.
             names: keys of an item.
-            seed: of the order.
+            seed: seed of the order.
             batch: number of frames in an item, the first axis of its tensors; fewer in the last
                 item of a shard. None for items of one frame, without that axis.
         """

@@ -44,7 +44,7 @@ def run_tasks(
 
     Args:
         task: a function of a module, which workers can import.
-        items: what `task` is called with.
+        items: arguments that `task` is called with.
         workers: number of processes of this machine; one or none runs the tasks in this process.
         scheduler: address of a dask.distributed scheduler, for its workers instead.
         remedy: end of the message where workers died.

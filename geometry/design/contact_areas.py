@@ -154,7 +154,7 @@ class Pad:
     """Flat contact: a convex polygon, or its projection onto a surface.
 
     Attributes:
-        on: as in `Electrode`.
+        on: face that carries it, as in `Electrode`.
         corners: counter-clockwise seen from outside, (k, 3) [m].
         normal: outward unit vector, (3,).
         depth: largest distance of the contacted boundary from the plane of the pad [m].

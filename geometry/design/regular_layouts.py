@@ -64,8 +64,8 @@ def grid(
 
     Args:
         outline: outline of the layer.
-        rows: how many along y.
-        columns: how many along x.
+        rows: number of pads along y.
+        columns: number of pads along x.
         size: extent of each pad along x and y [m].
         on: the face that carries them, or inside.
         contact_impedance: contact impedance of each electrode [ohm m2].

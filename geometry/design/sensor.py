@@ -164,7 +164,7 @@ class SensorDesign:
         layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
             up to `thickness`.
         encapsulated_thickness: thickness of body and encapsulation together, body centred [m].
-        support: what the bottom face of the encapsulation rests on.
+        support: base that the bottom face of the encapsulation rests on.
 
     Example:
         >>> from eitskin import SensorDesign

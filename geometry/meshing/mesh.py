@@ -69,8 +69,8 @@ class Quality:
         worst: number of the cell with the least scaled Jacobian.
         aspect_ratio: greatest over all cells of longest to shortest edge (Verdict: "edge ratio").
         median_aspect_ratio: the same for the median cell.
-        smallest_angle, largest_angle: between two faces of a cell [degree] (Verdict: "dihedral
-            angle").
+        smallest_angle, largest_angle: angle between two faces of a cell [degree] (Verdict:
+            "dihedral angle").
     """
 
     cells: int

@@ -45,7 +45,7 @@ class SkinNode(Closeable):
         Args:
             name: namespace of the topics and name of their frame of coordinates.
             domain: number of the domain, ROS_DOMAIN_ID elsewhere.
-            tare: what the service `tare` does with frames; without it there is no service.
+            tare: function of the service `tare`; without it there is no service.
             tare_frames: number of frames for the service.
             now: clock [ns].
 

@@ -82,10 +82,10 @@ class Fault:
     replies counts requests instead.
 
     Attributes:
-        name: as in "name@frame:index".
+        name: name, as in "name@frame:index".
         kind: row of the table.
         frame: the first frame with the fault.
-        index: which bit, byte, channel or electrode, or how many; see `FaultKind.unit`.
+        index: number of the bit, byte, channel or electrode, or a count; see `FaultKind.unit`.
         rng: generator seeded by the index.
         memory: values that an effect keeps for later frames.
         since: frames since the first, at the hook that is being consulted.

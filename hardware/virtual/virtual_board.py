@@ -62,7 +62,7 @@ def virtual_firmware(
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
         protocol: measurements of a frame, or their name or CSV file as for `Protocol.from_name`;
             all pairs of electrodes when omitted.
-        fixture: what bends the sensor, or the path of its TOML file; the default clamp when
+        fixture: device that bends the sensor, or the path of its TOML file; the default clamp when
             omitted.
         mechanics: materials, or the path of their TOML file; gel in Ecoflex when omitted.
         period: time from frame to frame [s]; the AD5940's when omitted.
@@ -103,7 +103,7 @@ def virtual_terminal(
     Args:
         speed: "real", paced as the AD5940 is, or "max", as fast as it is read.
         link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
-        options: as for `virtual_firmware`.
+        options: arguments of `virtual_firmware`.
 
     Raises ConfigurationError for an option out of range.
 

@@ -32,7 +32,7 @@ class Slab:
     """Rectangular layer in its encapsulation, the part of a design that bends depend on.
 
     Attributes:
-        length, width, thickness: of the gel [m].
+        length, width, thickness: extents of the gel [m].
         encapsulated_thickness: encapsulated thickness of the whole stack [m].
     """
 

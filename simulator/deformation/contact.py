@@ -266,7 +266,7 @@ class PunchedArea:
     """Area under a flat punch, which is level unless its force acts off its middle.
 
     Attributes:
-        x, y: where its force acts [m].
+        x, y: position where its force acts [m].
         indenter: its footprint.
         depth: depth to which it presses, or a typical one where it presses with a force [m].
         force: force on it [N]; None where it presses to the depth.

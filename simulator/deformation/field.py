@@ -28,7 +28,7 @@ class CubicSplines:
 
     Attributes:
         nodes: rising, four or more, (n,).
-        knots: where the pieces of the splines meet, (n + 4,).
+        knots: positions where the pieces of the splines meet, (n + 4,).
     """
 
     def __init__(self, nodes: Array) -> None:
@@ -138,11 +138,11 @@ class Field:
     the box have the values of its faces.
 
     Attributes:
-        bases: along x and y of the frame.
+        bases: splines along x and y of the frame.
         height: height of the box, from 0 [m].
         coefficients: coefficients of k components, (nx, ny, nz, k).
-        frame: about the middle of the box, at whose sides the field ends. None for the sensor's
-            own, in which the bases say what is beyond.
+        frame: axes about the middle of the box, at whose sides the field ends. None for the
+            sensor's own, in which the bases say what is beyond.
         fade: factor of the field; 1 when omitted.
     """
 

@@ -83,13 +83,13 @@ class Correction:
         displacement: c in the whole stack, heights over the base [m].
         mean_stress: function of points, q in the gel [Pa], heights over the base.
         bottom: height of the gel's lower face over the base [m].
-        sunk: by which each indenter sinks deeper than in the unbounded stack; of a footprint its
-            depth, (presses,) [m].
-        holding: what holds each contact: force [N], largest mean pressure of a cell [Pa], and part
+        sunk: length by which each indenter sinks deeper than in the unbounded stack; of a footprint
+            its depth, (presses,) [m].
+        holding: state of each contact: force [N], largest mean pressure of a cell [Pa], and part
             of a footprint that touches, (presses, 3). For dents those of the correction alone.
         unknowns: unknowns of the solid, from which a neighbouring correction may start; none where
             it was stored.
-        fit: what fitting to the rims moves places on the grid of c and q; None for boxes.
+        fit: shift of places on the grid of c and q by fitting to the rims; None for boxes.
     """
 
     displacement: QuadraticField

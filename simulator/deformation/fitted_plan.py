@@ -43,7 +43,7 @@ class Contact(NamedTuple):
     Attributes:
         x, y: its middle [m].
         radius: radius of the indenter [m].
-        stretches: by which a bend makes it longer along x and y, to a circle.
+        stretches: factors by which a bend makes it longer along x and y, to a circle.
         punch: radius of the largest circle within a flat punch, all of whose field the mesh has to
             resolve; 0 for others [m].
     """
@@ -68,9 +68,9 @@ class FittedPlan:
     Attributes:
         points: corners (n, 2) [m].
         quads: corners of each cell, counter-clockwise, (m, 4).
-        gel_quads: how many of them are of gel.
+        gel_quads: number of them that are of gel.
         places: corners before they were fitted, those of the margin as they are, (n, 2) [m].
-        shift: what fitting moves places on the grid (..., 3) [m]; heights have no effect.
+        shift: shift of places on the grid by fitting (..., 3) [m]; heights have no effect.
     """
 
     points: Array

@@ -110,7 +110,7 @@ def add_field(
         coefficients: coefficients of the powers 0 to 3 of the level, of three components, (nx, ny,
             12).
         points: undeformed.
-        places, gradients: added to.
+        places, gradients: arrays that are added to.
     """
     values, sums = np.empty((2, 8)), np.empty((3, 12))
     slope, u = np.empty((3, 3)), np.empty(3)
@@ -167,7 +167,7 @@ def add_dent(
             from the highest, (m, 4, 12).
         least: distance to which points on the axis are moved aside [m].
         points: undeformed.
-        places, gradients: added to.
+        places, gradients: arrays that are added to.
     """
     reach, last, rate = knots[-1], len(knots) - 2, 2.0 / height
     value, slope = np.empty(12), np.empty(12)
@@ -232,7 +232,7 @@ def bend(
     Args:
         box: middle and half sizes of the bent layer, beyond which it goes on linearly, (2, 3) [m].
         tx, ty: knots of the splines, from the middle.
-        coefficients: as of `add_field`.
+        coefficients: coefficients as of `add_field`.
         places, gradients: replaced.
     """
     values, sums = np.empty((2, 8)), np.empty((3, 12))

@@ -25,7 +25,7 @@ class NodeSums:
     at points serves all fields of a scene.
 
     Attributes:
-        nodes: along x and y, (nx,) and (ny,) [m].
+        nodes: positions along x and y, (nx,) and (ny,) [m].
         values: values at the nodes, (scenes, nx, nz, k, ny).
     """
 

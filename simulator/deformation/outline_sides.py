@@ -46,7 +46,7 @@ class Side(NamedTuple):
         foot: foot of the press on the line through the side, (x, y) [m].
         along: unit vector, counter-clockwise.
         aside: distance of the press from that line [m].
-        ends: those at which the rest of the line is missing.
+        ends: ends at which the rest of the line is missing.
         share: share of the correction next to the line that is added.
     """
 

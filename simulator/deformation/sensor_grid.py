@@ -40,7 +40,7 @@ class SensorGrid:
     Attributes:
         thickness: thickness of the gel, for presses and bends [m].
         ratio: shear modulus of the encapsulation over the gel's, for bends.
-        span, offset: of the clamp [m].
+        span, offset: span and offset of the clamp [m].
 
     Example:
         >>> from eitskin import SensorDesign, Simulator

@@ -108,9 +108,8 @@ class _DentedScene(NamedTuple):
     """Touches of a scene with their dents.
 
     Attributes:
-        touches: as they press.
-        sunk: by which each indenter sinks deeper than its dent [m]; where depths are prescribed or
-            it is wanted.
+        touches: touches as they press.
+        sunk: length by which each indenter sinks deeper than its dent [m], if prescribed or wanted.
         solved: correction that was solved for this scene alone; None for one by tables.
     """
 
@@ -421,7 +420,7 @@ class DepthSearch:
 
         Args:
             dents: present depths of the dents, which may have faded since their release [m].
-            sunk: by which each indenter now sinks deeper than its dent [m].
+            sunk: length by which each indenter now sinks deeper than its dent [m].
         """
         part = np.divide(sunk, dents, out=np.zeros(len(dents)), where=dents > 0.0)[self._given]
         tried = np.log(self.depths[self._given])

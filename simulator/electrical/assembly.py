@@ -84,12 +84,12 @@ class Assembly:
     Attributes:
         space: the finite element functions.
         unknowns: number of potential unknowns after static condensation.
-        rows, columns: of each value in the lower triangle of A; values of equal position add up.
+        rows, columns: position of each value in the lower triangle of A; equal ones add up.
         contact_entries: number of values of electrode terms, which come last.
         constant: coefficients of the constant function one, (functions,).
         contacts: contact surfaces of the electrodes.
         points: quadrature points of the cells, (cells, q, 3) [m].
-        facet_points, facet_normals: of the pieces, (pieces, q, 3) [m], (pieces, 1, 3).
+        facet_points, facet_normals: points (pieces, q, 3) [m] and normals (pieces, 1, 3).
         facet_electrode: electrode of each piece, (pieces,).
         facet_functions: functions of an element that are not zero on each piece of its boundary,
             and others up to the same number, (pieces, functions).
@@ -299,7 +299,7 @@ class Assembly:
         Args:
             drops: potential drops across the contacts per unit current, (pieces, q, k), which are
                 the current densities j times the contact impedances.
-            impedance, area_ratio: as in `electrode_terms`.
+            impedance, area_ratio: values as in `electrode_terms`.
         """
         electrode = self.facet_electrode
         j = drops / impedance[electrode][:, None, None]

@@ -107,7 +107,7 @@ class SystemPattern:
     """Sparsity pattern, grounded unknown and lifting functions: all that scenes share.
 
     Attributes:
-        rows, columns: of each value in the lower triangle of A; values of equal position add up.
+        rows, columns: position of each value in the lower triangle of A; equal ones add up.
         ground: the grounded unknown.
         lifting: elements in which some lifting function is not zero.
     """

@@ -26,7 +26,7 @@ def conductivity_entries(conductivity: Conductivity, points: Array, cells: int) 
     shape, and where a scalar or tensor is not positive.
 
     Args:
-        conductivity: as for `ForwardModel.impedance`.
+        conductivity: conductivity as in `ForwardModel.impedance`.
         points: quadrature points of the cells, (cells, q, 3) [m].
         cells: number of cells.
     """

@@ -147,7 +147,7 @@ class ForwardModel:
             electrodes: electrodes of each the name of a part of the boundary, its faces (k, 2 or 3)
                 or all its points (k,) by their numbers; every named part when omitted, in the order
                 of names with their numbers.
-            conductivity: as for `impedance`, or of each region by its name [S/m].
+            conductivity: conductivity as in `impedance`, or by the region's name [S/m].
             contact_impedance: contact impedance of the electrodes, (electrodes,), or of all of them
                 [ohm m2].
             order: order of the elements, 1 or 2; up to 4 on triangles.
@@ -237,11 +237,11 @@ class ForwardModel:
 
         Args:
             protocol: the measurements.
-            conductivity: where the derivative is taken, as in `impedance`.
+            conductivity: conductivity where the derivative is taken, as in `impedance`.
             pixels: (rows along y, columns along x) of a grid on the outline's bounding box;
                 derivatives by the conductivity of pixel columns instead of cells, (measurements,
                 rows * columns), row by row, x and y increasing.
-            area_ratio: as in `impedance`.
+            area_ratio: area ratio as in `impedance`.
             along: symmetric S(x), (..., 3, 3), for pixels; with the conductivity itself as S the
                 result is per relative change [ohm]. Numbers (elements,) stand for multiples of the
                 identity.
@@ -287,7 +287,7 @@ class ForwardModel:
         Shape (electrodes, electrodes, electrodes), the contact last.
 
         Args:
-            conductivity, area_ratio, contact_impedance: as in `impedance`.
+            conductivity, area_ratio, contact_impedance: values as in `impedance`.
         """
         assembly = self.assembly
         z = self._contact_impedance(contact_impedance)
@@ -321,7 +321,7 @@ class ForwardModel:
 
         Args:
             drive: electrodes where the current enters and leaves.
-            conductivity, area_ratio: as in `impedance`.
+            conductivity, area_ratio: values as in `impedance`.
         """
         plus, minus = drive
         each = self.fields(conductivity, area_ratio).current_densities

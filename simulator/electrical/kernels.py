@@ -27,7 +27,7 @@ def gather(vectors: Array, numbers: Numbers, one: Array, first: Integer, found: 
         numbers: numbers of the unknowns of each element, (elements, m).
         one: coefficients of the constant function one, (m,).
         first: function whose coefficient is the constant that is subtracted.
-        found: is set, (elements, m, k).
+        found: output, (elements, m, k).
     """
     columns = vectors.shape[1]
     constant = np.empty(columns)
@@ -67,7 +67,7 @@ def eliminate(entries: Single, found: Single) -> None:
     Args:
         entries: lower triangle of the outer functions, rows of the inner ones by the outer ones,
             and rows of the inner ones, (elements, entries).
-        found: is set to L^-1 times the rows by the outer functions, for the Cholesky factor L of
+        found: output, L^-1 times the rows by the outer functions, for the Cholesky factor L of
             the inner ones, (elements, inner, outer).
     """
     inner, outer = found.shape[1:]
@@ -115,7 +115,7 @@ def factor(gram: Array, dependent: float, lower: Array, scale: Array) -> None:
         dependent: energy of a vector beyond those before it, over its own, that counts as none.
         lower: zeros; set to the factor for vectors of unit energy, with its diagonal inverted, zero
             for a vector left out.
-        scale: is set to the inverse square root of each vector's energy, (s,).
+        scale: output, the inverse square root of each vector's energy, (s,).
     """
     for i in range(len(gram)):
         scale[i] = 1.0 / math.sqrt(gram[i, i]) if gram[i, i] > 0.0 else 0.0
@@ -136,9 +136,9 @@ def project(gram: Array, loads: Array, dependent: float, found: Array, product: 
     Args:
         gram: gram of the vectors, (s, s).
         loads: loads of the vectors, (s, k).
-        dependent: as of `factor`.
-        found: is set to the coefficients of the vectors, (s, k).
-        product: is set to loads^T found, (k, k).
+        dependent: flags as of `factor`.
+        found: output, the coefficients of the vectors, (s, k).
+        product: output, loads^T found, (k, k).
     """
     size, columns = loads.shape
     lower, scale = np.zeros((size, size)), np.empty(size)

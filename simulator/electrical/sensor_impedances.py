@@ -132,7 +132,7 @@ class SensorImpedances:
 
         Args:
             design: the sensor.
-            resolution, breaks: as of `ForwardModel`.
+            resolution, breaks: mesh as of `ForwardModel`.
             nominal: sensor whose meshes to take, if they suit.
             layers_of: deformed layers of scenes.
         """

@@ -135,7 +135,7 @@ def fit_meter(
         frames: readings of the flat, untouched sensor, (frames, measurements), in any unit.
         terms: terms to fit next to the scale, of `FITTED`; without any, the meter is ideal but for
             its scale.
-        reads: what the readings are; when omitted "complex" where they have imaginary parts, else
+        reads: kind of the readings; when omitted "complex" where they have imaginary parts, else
             "signed" where some are negative, else "magnitude".
         seed: seed of the starting points.
         starts: number of starting points; the sum of squares has several minima.

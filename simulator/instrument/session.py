@@ -31,7 +31,7 @@ class RandomWalk:
 
     Attributes:
         deviation: standard deviation after 4 h.
-        seed: of the steps; the same seed gives the same walk.
+        seed: seed of the steps; the same seed gives the same walk.
     """
 
     deviation: float

@@ -48,7 +48,7 @@ class TurningPlates:
             axis: point on the axis, (3,) [m].
             fixed: numbers of all prescribed unknowns.
             bond: springs between the plates and faces that are not prescribed.
-            longest_step_deg: by which load stepping begins [deg].
+            longest_step_deg: step by which load stepping begins [deg].
         """
         self._solid, self._plates, self._axis = solid, plates, axis
         self._fixed, self._bond, self._longest = fixed, bond, longest_step_deg

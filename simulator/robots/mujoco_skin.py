@@ -35,7 +35,7 @@ class MujocoSkin:
     Attributes:
         simulator: simulator of the sensor.
         period: time between frames [s].
-        rules: which contacts become touches.
+        rules: rules by which contacts become touches.
     """
 
     def __init__(
@@ -56,9 +56,9 @@ class MujocoSkin:
             model: a mujoco.MjModel.
             geom: name of the box geom.
             period: time between frames [s].
-            rules: which contacts become touches; the default ones when omitted.
+            rules: rules by which contacts become touches; the default ones when omitted.
             instrument: adds the errors of a board to each simulation, with a session of its own.
-            seed: of the instrument's errors and noise.
+            seed: seed of the instrument's errors and noise.
             touch_table: take frames of one touch from a `TouchTable`, hundreds of times as fast;
                 it is solved at the first use, within minutes, and kept.
 

@@ -88,7 +88,7 @@ class PressedTouch:
         peak_pressure: largest contact pressure [Pa]; of a footprint the largest mean in a cell.
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: distance from the axis to the nearest edge of the gel [m].
-        neighbour_distance: neighbour distance from the axis to that of the nearest other touch [m].
+        neighbour_distance: distance from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/results/simulator.md); None at smaller distances or larger
             depths than any comparison, next to re-entrant corners, on other outlines than
@@ -135,7 +135,7 @@ class Scene:
         touches: touches on the top side, in coordinates of the flat sensor.
         roll: curl of the sensor across its width, before the bend; flat when omitted.
         twist: torsion about the long axis, after roll and bend; none when omitted.
-        support: what the sensor rests on; the design's support when omitted.
+        support: base that the sensor rests on; the design's support when omitted.
 
     Example:
         >>> from eitskin import Bend, Scene, Touch

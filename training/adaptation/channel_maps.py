@@ -232,7 +232,7 @@ class ChannelMaps:
 
         Args:
             kernel: prior covariance over the sheet.
-            presses: what to learn from.
+            presses: touches to learn from.
             noise: prior guess of the noise variance, in units of the answers' variance.
             weight: weight of this guess, and of the guess 1 of the signal, in presses per channel.
         """

@@ -279,7 +279,7 @@ def score(
     Args:
         prior: mean and standard deviation of the strength (2,).
         whitened: independent answers (I,).
-        mean, variance: of the first K maps at the places (n, K).
+        mean, variance: moments of the first K maps at the places (n, K).
         rest: variance of the other maps, whose mean is zero (n,); None without any.
     """
     s = np.full(len(mean), prior[0])

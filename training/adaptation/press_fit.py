@@ -198,7 +198,7 @@ class LearnedPlaces:
     Attributes:
         locator: locator of touches.
         law: law between strength and depth or force; None where neither was known.
-        choice: how the maps are modelled; the first where several ways are averaged over.
+        choice: model of the maps; the first where several ways are averaged over.
         validated: figures of presses that were left out, in blocks of neighbours in time: their
             number `presses`, the mean error `mean_error_mm` of places [mm], and the root mean
             square `error_ratio` of error over standard error, before it is corrected by it.

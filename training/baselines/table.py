@@ -46,7 +46,7 @@ class Features(StoredFields):
     Attributes:
         static, dynamic: imputation of bad channels of dV from either reference.
         noise: rms of dV over the channels in a frame of noise alone, dimensionless.
-        mean, scale: of the raw features (F,).
+        mean, scale: moments of the raw features (F,).
     """
 
     static: MissingChannels

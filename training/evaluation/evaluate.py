@@ -56,7 +56,7 @@ class Evaluation:
         pipeline: the pipeline, unchanged.
         dataset: n frames.
         predictions: estimates for the frames, each on its own.
-        matches: found touches matched to the true ones.
+        matches: detected touches matched to the true ones.
         similarity: SSIM of each frame's images (n,), by image: "touch_map" and, for a method that
             reconstructs, "static" and "dynamic"; and "empty", the SSIM of an image of zeros. NaN
             in untouched frames and where a radius is not known. Empty for a pipeline that does not

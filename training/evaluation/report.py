@@ -92,7 +92,7 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
 
     Args:
         evaluation: the evaluation to report.
-        folder: made if missing.
+        folder: path of the folder, made if missing.
         made_with: provenance that only the caller knows: machine, versions, date.
 
     Raises:

@@ -185,7 +185,7 @@ class TouchScore:
             positions [mm]; None without matches.
         median_error_mm, p95_error_mm: median and 95th percentile of the distances [mm].
         found: share of the true touches that were matched.
-        false_per_touch: found touches without a match, per true touch.
+        false_per_touch: detected touches without a match, per true touch.
         ssim: mean SSIM of the reconstructions with the static and the dynamic reference, of the
             touch map, and of an image of zeros.
         guess_error_mm: mean distance of the true positions from their mean [mm].
@@ -245,11 +245,11 @@ class Report:
 
     Attributes:
         frames: number of frames.
-        states, bend, latency: of all frames; None inside where the pipeline does not estimate
-            them.
+        states, bend, latency: scores of all frames; None inside where the pipeline does not
+            estimate them.
         touches: touches of frames with "1" to "4" touches, with "several", and with any on a "bent"
             sensor.
-        untouched: of untouched frames; None without any.
+        untouched: scores of untouched frames; None without any.
         force: None for forces that are not known or not estimated.
         place_calibration: consistency of the standard errors of positions; None without any.
         estimates: quantities that the pipeline estimates; only these are tested.

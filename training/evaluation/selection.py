@@ -118,8 +118,8 @@ class Selection:
         tested; its figures are of frames that it was chosen by, which favours it a little.
 
         Args:
-            dataset: as `Pipeline.fit` takes it.
-            seed: of the held-out part and of the training.
+            dataset: frames, as `Pipeline.fit` takes them.
+            seed: seed of the held-out part and of the training.
             presets: names of the candidates.
             epochs: passes over the frames, instead of those of the candidates' settings.
             progress: called with a stage, steps done and steps in all.

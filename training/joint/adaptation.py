@@ -65,7 +65,7 @@ def adapted_curve(
 
     Args:
         curves: prior of the curve of any sensor.
-        usual: that of one in the usual clamp, if there is one.
+        usual: curve of one in the usual clamp, if there is one.
         features: features of the sensor (P,).
         known_frames: untouched frames at known angles.
         combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
@@ -245,7 +245,7 @@ def response_given(
     Args:
         prior: response before.
         touched: frames with touches at known places.
-        combined: as of `adapted_curve`.
+        combined: combinations as of `adapted_curve`.
         touches: prior of touches, which bounds forces.
         forces: whether known forces count.
     """

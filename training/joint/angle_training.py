@@ -121,7 +121,7 @@ class _Inputs:
         raw: inputs without added noise (n, K + Q + 1).
         target: angles, in units (n, 1).
         noise: noise of a frame and of its reference (K,).
-        drift, filter: as of the networks (K,).
+        drift, filter: drift and filter of the networks (K,).
         bends: coefficients of the expected curve of each frame (curves, M, K), and their `curve`.
         powers: powers of each frame's angle (n, M).
         moved: share of the steps in which each frame moves to another clamp (n, 1).

@@ -88,7 +88,7 @@ def calibration_problems(
 
     Args:
         flat: magnitudes of the flat, untouched sensor (C,) [ohm].
-        calibrated: those of the calibrated sensor; None where no sensor was.
+        calibrated: values of the calibrated sensor; None where no sensor was.
     """
     if calibrated is None:
         return ()

@@ -70,7 +70,7 @@ class FrameFit:
     frame that the model explains badly are larger than it has them (Birge 1932).
 
     Attributes:
-        estimate: from which all follows.
+        estimate: estimate from which all follows.
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         faults: whose measurements were left out.
         rival: faults that explain the frame about as well as its touches, in words.

@@ -90,7 +90,7 @@ class TouchObjective:
     """Objective of one frame against its reference, for one specimen.
 
     Attributes:
-        combined: of the change since the reference.
+        combined: combinations of the change since the reference.
         reference_deg: bend angle at which the reference was taken [deg].
         response: response of the specimen to touches.
         curve: curve of the specimen's bending.

@@ -100,7 +100,7 @@ def estimate_angle(
         curve: curve of the specimen.
         change: change from the flat sensor (K,).
         noise: covariance of the change (K, K), without the curve's uncertainty.
-        start_deg: where the search begins [deg]; the best of a grid in the metric of the noise.
+        start_deg: first angle of the search [deg]; the best of a grid in the metric of the noise.
     """
     if start_deg is None:
         angles, values = curve.grid(GRID)

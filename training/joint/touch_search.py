@@ -101,7 +101,7 @@ def pair_starts(
     Args:
         found: estimate of the frame.
         replaced: number of the touch that a pair takes the place of; None for a pair next to all.
-        candidates: of which some may be one of a pair.
+        candidates: touches, some of which may be one of a pair.
 
     Returns:
         misfit to first order, and unknowns with the pair.

@@ -59,7 +59,7 @@ class TrainingRun:
         features: features of specimens, as networks of the angle are reported them.
         combinations: combinations of the measurements.
         settings: settings of the training.
-        seed: of everything random.
+        seed: seed of everything random.
         progress: called with a stage, steps done and steps in all.
     """
 

@@ -33,7 +33,7 @@ class LearningCurve(StoredFields):
     Attributes:
         training: mean over the epoch's batches, while the weights change, with the noise and batch
             statistics of training.
-        validation: after the epoch, in evaluation mode, on frames that no weight is fitted to;
+        validation: loss after the epoch, in evaluation mode, on frames that no weight is fitted to;
             empty without such frames.
     """
 
@@ -257,7 +257,7 @@ class Method(ABC):
         """Restore the method that `arrays` came from.
 
         Args:
-            arrays: as `arrays` gave them.
+            arrays: arrays as `arrays` gave them.
             spec: sensor, measurements and units.
             settings: settings of the training, with the same `options`.
 

@@ -90,7 +90,7 @@ def train_network(
         loss: loss of outputs and targets.
         count: number of samples.
         settings: settings of the training.
-        seed: of the order of samples and of added noise.
+        seed: seed of the order of samples and of added noise.
         progress: called after every epoch with epochs done and total.
         validation: samples whose loss is recorded; the weights do not depend on them.
 

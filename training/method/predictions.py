@@ -324,7 +324,7 @@ class Estimate:
         bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
             the paper's method gives the angle just before the touch.
         bend_deviation_deg: standard error of the angle [deg]; None for a method without one.
-        touch_map: how much of each pixel is touched, as estimated, (rows, columns), 0 to 1; rows
+        touch_map: estimated share of each pixel that is touched, (rows, columns), 0 to 1; rows
             and columns grow with y and x. Zero unless the state is touch.
         touches: strongest first, with forces and standard errors where the method gives them.
         problems: faults of the frame or the references, in words; empty without any.

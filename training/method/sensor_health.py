@@ -230,7 +230,7 @@ class SensorHealth:
 
         Args:
             magnitudes: magnitudes of the reading (C,), NaN where bad.
-            number, time: of its frame.
+            number, time: number and time of its frame.
             untouched: whether nothing touches the sensor; other readings may reach further, and
                 only what stays out of its range is left out.
         """

@@ -39,7 +39,7 @@ def hold_out(dataset: Dataset, seed: int = 0) -> tuple[NDArray[np.int64], NDArra
 
     Args:
         dataset: dataset at least two frames.
-        seed: of the draw.
+        seed: seed of the draw.
     """
     specimens = np.random.default_rng(seed).permutation(np.unique(dataset.specimen))
     if len(specimens) > 1:
@@ -152,7 +152,7 @@ class TrainingSettings:
         bend_squares: whether the regression of the angle may also select squares of dV.
         weighted: whether pictures weigh each channel by its own noise, in place of one for all.
         mirrored: whether the touch map is also learned from mirror images of a symmetric sensor.
-        seed: of the split, the initial weights, the order of frames and added noise.
+        seed: seed of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
             `fractions`; see `hold_out`.
         whole_touches: whether frames with touches at the same positions stay together in a split of

@@ -54,7 +54,7 @@ class BendAngle(StoredFields):
             difference: dV from the static reference (n, measurements), dimensionless.
             angle_deg: true bend angles (n,) [deg].
             groups: group of each frame (n,), its specimen.
-            seed: of the folds, where frames are assigned one by one.
+            seed: seed of the folds, where frames are assigned one by one.
             squares: whether squares of dV may be selected too.
 
         Raises:

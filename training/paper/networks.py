@@ -76,7 +76,7 @@ def train_layers(
         loss: loss of logits and targets.
         settings: settings of the training.
         noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
-        seed: of initial weights, order and added noise.
+        seed: seed of initial weights, order and added noise.
         progress: called after every epoch.
         validation: dV and targets of other frames, whose loss is recorded after every epoch.
         compress: whether asinh is taken of the maps.

@@ -263,7 +263,7 @@ class PostProcessor(StoredFields):
             difference: dV from the dynamic reference (n, measurements), dimensionless.
             touch_map: true maps (n, rows, columns), 1 under an indenter and 0 elsewhere.
             reconstruction: linear layer before the network; not trained.
-            settings, noise, seed, progress, flips: as for `networks.train_layers`.
+            settings, noise, seed, progress, flips: arguments of `networks.train_layers`.
             validation: dV and touch maps of other frames.
         """
         require("torch", "training")

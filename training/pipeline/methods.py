@@ -56,7 +56,7 @@ def method_class(kind: str, own: type[Method] | None = None) -> type[Method]:
     """Class of the method that is named `kind`.
 
     Args:
-        kind: as `Method.KIND` of a shipped method, or MODULE:CLASS of one of the user's own.
+        kind: `Method.KIND` of a shipped method, or MODULE:CLASS of one of the user's own.
         own: class that the user has named the code of; None without.
 
     Raises:

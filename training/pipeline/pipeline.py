@@ -115,7 +115,7 @@ class Pipeline:
                 protocol, with positions of touches where these are to be learned.
             settings: settings of the training; the defaults when omitted.
             progress: called with a stage, steps done and steps in all.
-            method: one of your own, in place of the method that the settings name.
+            method: your own method, in place of the one that the settings name.
 
         Raises:
             DataError: for a dataset without design or protocol, with positions alone, or with too

@@ -119,7 +119,7 @@ class StoredReference:
 
         Args:
             impedance: n frames; readings beyond those of all sensors are bad.
-            protocol, frequency, zero, board, source: as the attributes.
+            protocol, frequency, zero, board, source: values of the attributes.
             still: rms of the relative difference of two frames of a still sensor; twice that is
                 motion.
 

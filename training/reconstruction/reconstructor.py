@@ -91,7 +91,7 @@ class Reconstructor:
             protocol: protocol of the frames; every pair of electrodes when omitted.
             method: its name.
             regularisation: rule for lambda; a noise figure of 1 when omitted.
-            pixels: about how many, in the outline's bounding box.
+            pixels: approximate number in the outline's bounding box.
             difference: "relative": of each channel, whose gain cancels; "absolute": of all channels
                 on one scale, for protocols with channels near zero. When omitted, relative where no
                 channel of the model is below a fiftieth of their root mean square.

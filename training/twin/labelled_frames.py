@@ -30,12 +30,12 @@ class LabelledFrames:
 
     Attributes:
         protocol: protocol of the frames.
-        reads: what the readings are.
+        reads: kind of the readings.
         scenes: all scenes of the rows, the flat sensor first.
         shown: number of the scene that each row shows, (n,).
         base: number of the scene that each row is the change from, (n,); -1 for the flat sensor's
             own row, the first, which is absolute.
-        kind: of each row, a number in `KINDS`, (n,).
+        kind: kind of each row, a number in `KINDS`, (n,).
         values: readings or their changes, (n, C).
         variance: variance of each row's values over that of one reading, (n,).
         noise: standard deviation of one reading; 0 where there are too few frames to show.

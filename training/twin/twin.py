@@ -100,7 +100,7 @@ class Twin:
                 omitted.
             prior: standard deviations; as wide as what people build when omitted.
             resolution: resolution of the simulator.
-            seed: of the starting points of the meter.
+            seed: seed of the starting points of the meter.
             progress: called with the number of each Gauss-Newton step.
 
         Raises:

@@ -48,8 +48,8 @@ class TaskState:
     Attributes:
         name: name of the task.
         progress: whether it works, asks or is over, and how.
-        text: what is being done or asked, or what came of it.
-        lines: what was reported so far, newest last.
+        text: present step, question or outcome.
+        lines: lines reported so far, newest last.
         choices: words of the possible answers, by answer.
         place: position on the sensor that the question is about, (x, y) [m].
     """
@@ -75,7 +75,7 @@ class Task(Dialogue):
     """One piece of work in a thread of its own, which asks by buttons of the page.
 
     Attributes:
-        state: what there is to see, replaced as a whole.
+        state: state that is shown, replaced as a whole.
     """
 
     def __init__(

@@ -69,8 +69,8 @@ class Pose:
     """State that a sensor is brought into.
 
     Attributes:
-        words: what to do, for a person.
-        label: what is known of its frames.
+        words: instruction for a person.
+        label: labels of its frames.
     """
 
     words: str
