@@ -65,8 +65,8 @@ def command(
     import numpy as np
 
     from eitskin.hardware.opening import is_board
+    from eitskin.training.reconstruction.pixel_grid import picture_regions
     from eitskin.training.reconstruction.reconstructor import Method
-    from eitskin.training.reconstruction.regions import picture_regions
 
     names: list[Method] = [method] if method != "all" else [*get_args(Method)]
     chosen_rule = training.Regularisation.from_text(rule)
@@ -244,7 +244,7 @@ def _write(out: Path, images: list[Image]) -> None:
     import numpy as np
 
     from eitskin.files import atomic_file
-    from eitskin.training.reconstruction.regions import segment
+    from eitskin.training.reconstruction.pixel_grid import segment
 
     methods = list(dict.fromkeys(image.maker.method for image in images))
     frames = list(dict.fromkeys(image.frame for image in images))

@@ -79,12 +79,7 @@ class Task(Dialogue):
     """
 
     def __init__(
-        self,
-        name: str,
-        readings: "Latest[hardware.Reading]",
-        changed: Callable[[], None],
-        patience: float = PATIENCE,
-        clock: Callable[[], float] = time.monotonic,
+        self, name: str, readings: "Latest[hardware.Reading]", changed: Callable[[], None]
     ) -> None:
         """Prepare a task.
 
@@ -92,12 +87,9 @@ class Task(Dialogue):
             name: name of the task.
             readings: newest reading of the session.
             changed: called after every change of the state.
-            patience: time without a frame, after which the task fails [s].
-            clock: [s].
         """
         self.state = TaskState(name, Progress.WORKING)
         self._readings, self._changed = readings, changed
-        self._patience, self._clock = patience, clock
         self._cancelled = threading.Event()
         self._answered = threading.Condition()
         self._answer: Any = None  # text of the choice
@@ -133,18 +125,18 @@ class Task(Dialogue):
         Raises DeviceError where none comes for too long, CancelledError after `cancel`.
         """
         number = self._readings.number
-        since = self._clock()
+        since = time.monotonic()
         while True:
             newest = self._readings.wait_after(number, _POLL)
             if self._cancelled.is_set() or self._readings.is_closed:
                 raise CancelledError
             if newest is not None:
-                number, since = newest[0], self._clock()
+                number, since = newest[0], time.monotonic()
                 yield newest[1]
-            elif self._clock() - since > self._patience:
+            elif time.monotonic() - since > PATIENCE:
                 raise DeviceError(
-                    f"expected frames of the board, got none for {self._patience:g} s; begin again "
-                    "when it is back"
+                    f"expected frames of the board, got none for {PATIENCE:g} s; begin again when "
+                    "it is back"
                 )
 
     def take(self, count: int, what: str) -> "list[hardware.Reading]":

@@ -12,13 +12,12 @@ from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.protocol import Protocol
-from eitskin.training.reconstruction.pixel_grid import figures_of_merit
+from eitskin.training.reconstruction.pixel_grid import figures_of_merit, picture_regions
 from eitskin.training.reconstruction.reconstructor import (
     Method,
     Reconstructor,
     silent_channels,
 )
-from eitskin.training.reconstruction.regions import picture_regions
 
 RADIUS = 0.05
 COARSE = ((2, 1), Grading(4e-3, 0.02, 1.5, layers=1))
